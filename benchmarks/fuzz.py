@@ -1,9 +1,9 @@
-"""Commands with options and files that went bad, thousands of them: what does not end in one plain line is told.
+"""Thousands of commands with damaged options and files; report every one that does not end in one plain line.
 
 Each case takes a command that works, changes words of it or damages the file that it reads, and runs it in a process
 of its own. Wrong is a traceback, a case that does not end in time, an exit code that is not documented, an exit code 2
-without its line, or a file written anywhere but where the words say. A case is told by seed and number and depends on
-nothing else: `--seed S --case N` runs it once more and shows what it printed.
+without its line, or a file written anywhere but where the words say. A case depends on seed and number alone:
+`--seed S --case N` runs it once more and shows what it printed.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import io
 import json
 import math
 import os
+import pkgutil
 import random
 import re
 import shutil
@@ -30,6 +31,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+import surefoot
 
 LIMIT = 10.0
 """Time of a processor [s] that a case may take."""
@@ -47,106 +50,72 @@ WORDS = (
     *("mujoco", "trot", "minitaur", "table1", "2020-01-01", "seeds", "&a [*a]", "!!int x", "*a", "- - -"),
 )
 TINY = (
-    *("--num-envs", "2", "--steps-per-update", "4", "--steps", "8", "--evaluate-every", "8", "--evaluation-episodes"),
-    *("1", "--task.max-steps", "4", "--threads", "1", "--learning-threads", "1", "--ppo.minibatches", "1"),
+    "--num-envs 2 --steps-per-update 4 --steps 8 --evaluate-every 8 --evaluation-episodes 1 --task.max-steps 4 "
+    "--threads 1 --learning-threads 1 --ppo.minibatches 1"
 )
+RUN = "--threads 1 --out out"
 OUT = ("--out", "--runs", "--hidden-out", "--link", "--record", "--motion-capture", "--params")
 """Options that name files to be written."""
 CODES = {"study": {1, 130}, "train": {130}, "deploy": {3}, "doctor": {3}, "identify": {3}}
 """Exit codes that are documented besides 0 and 2."""
-
-
-@dataclass(frozen=True)
-class Kind:
-    """Cases of one kind: a command that works, and what is damaged."""
-
-    words: tuple[str, ...]
-    """The command. `@file` stands for a file of the seeds as it is, `@@file` for one that is damaged."""
-    options: str = ""
-    """Where the command's options are declared, as MODULE:CLASS; words are changed then."""
-    keep: int = 1
-    """Words at the beginning that stay what they are."""
-
-
-RUN = ("--threads", "1", "--out", "out")
-KINDS = {
-    "train options": Kind(("train", "trot", *TINY, "--runs", "out"), "learn.config:TrainConfig", 2),
-    "evaluate options": Kind(("evaluate", "@policy.onnx", "--episodes", "1", *RUN), "cli.evaluate:EvaluateCommand"),
-    "gap options": Kind(
-        ("gap", "@policy.onnx", "--to", "mujoco", "--runs", "1", "--duration", "0.03", *RUN), "cli.gap:GapCommand"
+COMMANDS = {
+    "train options": f"train trot {TINY} --runs out",
+    "evaluate options": f"evaluate @policy.onnx --episodes 1 {RUN}",
+    "gap options": f"gap @policy.onnx --to mujoco --runs 1 --duration 0.03 {RUN}",
+    "sensitivity options": (
+        f"sensitivity @policy.onnx --values 2 --episodes 1 --duration 0.03 --ranges @ranges.yaml {RUN}"
     ),
-    "sensitivity options": Kind(
-        (
-            "sensitivity",
-            "@policy.onnx",
-            "--values",
-            "2",
-            "--episodes",
-            "1",
-            "--duration",
-            "0.03",
-            "--ranges",
-            "@ranges.yaml",
-            *RUN,
-        ),
-        "cli.sensitivity:SensitivityCommand",
-    ),
-    "play options": Kind(("play", "@policy.onnx", "--seconds", "0.03", "--out", "out/a.mp4"), "cli.play:PlayCommand"),
-    "study options": Kind(
-        ("study", "@study.yaml", "--report-only", "--runs", "out/runs", "--out", "out/report"), "cli.study:StudyCommand"
-    ),
-    "search options": Kind(
-        ("search", "@task.yaml", "--space", "@space.yaml", "--report-only", "--out", "out/search"),
-        "cli.search:SearchCommand",
-    ),
-    "space": Kind(("search", "@task.yaml", "--space", "@@space.yaml", "--report-only", "--out", "out/search")),
-    "deploy options": Kind(
-        ("deploy", "@policy.onnx", "--port", "nowhere", "--duration", "0.03", "--out", "out"),
-        "cli.deploy:DeployCommand",
-    ),
-    "doctor options": Kind(("doctor", "@policy.onnx", "--port", "nowhere"), "cli.doctor:DoctorCommand"),
-    "identify options": Kind(
-        ("identify", "motor", "--recording", "@recording.npz", "--params", "out/robot.toml", "--out", "out"),
-        "cli.identify:ExperimentCommand",
-        2,
-    ),
-    "motor figure options": Kind(
-        ("identify", "motor-figure", "--duration", "0.03", "--out", "out/a.png"),
-        "cli.identify_motor_figure:MotorFigureCommand",
-        2,
-    ),
-    "trace fit options": Kind(
-        ("identify", "--from-trace", "@trace.npz", "--out", "out"), "cli.identify:TracesCommand", 3
-    ),
-    "emulate options": Kind(("emulate", "--duration", "0.02"), "cli.emulate:EmulateCommand", 3),
-    "task": Kind(("train", "@@task.yaml", *TINY, "--runs", "out")),
-    "table of poses": Kind(("train", "table.yaml", *TINY, "--runs", "out", "--task.reference.file", "@@poses.csv")),
-    "ranges": Kind(("evaluate", "@policy.onnx", "--episodes", "1", "--randomize", "@@ranges.yaml", *RUN)),
-    "study": Kind(("study", "@@study.yaml", "--report-only", "--runs", "out/runs", "--out", "out/report")),
-    "sheet": Kind(("evaluate", "@policy.onnx", "--episodes", "1", "--robot", "@@robot/robot.toml", *RUN)),
-    "urdf": Kind(("evaluate", "@policy.onnx", "--episodes", "1", "--robot", "@@robot/minitaur.urdf", *RUN)),
-    "params": Kind(("evaluate", "@policy.onnx", "--episodes", "1", "--params", "@@params.toml", *RUN)),
-    "policy": Kind(("evaluate", "@@policy.onnx", "--episodes", "1", *RUN)),
-    "policy to deploy": Kind(("deploy", "@@policy.onnx", "--port", "nowhere", "--out", "out")),
-    "trace": Kind(("evaluate", "--trace", "@@trace.npz", "--out", "out")),
-    "trace in a gap": Kind(
-        ("gap", "@policy.onnx", "--from", "trace", "@trace.npz", "--to", "trace", "@@trace.npz", "--out", "out")
-    ),
-    "recording": Kind(
-        ("identify", "latency", "--recording", "@@recording.npz", "--params", "out/robot.toml", "--out", "out")
-    ),
-    "motor log": Kind(("identify", "motor-figure", "--log", "@@log.csv", "--out", "out/a.png")),
-    "run folder": Kind(("train", "--resume", "@@run/config.yaml")),
-    "run's papers": Kind(("train", "--resume", "@@run/run.json")),
-    "checkpoint": Kind(("train", "--resume", "@@run/checkpoints/latest.ckpt")),
+    "play options": "play @policy.onnx --seconds 0.03 --out out/a.mp4",
+    "study options": "study @study.yaml --report-only --runs out/runs --out out/report",
+    "search options": "search @task.yaml --space @space.yaml --report-only --out out/search",
+    "space": "search @task.yaml --space @@space.yaml --report-only --out out/search",
+    "deploy options": "deploy @policy.onnx --port nowhere --duration 0.03 --out out",
+    "doctor options": "doctor @policy.onnx --port nowhere",
+    "identify options": "identify latency --recording @recording.npz --params out/robot.toml --out out",
+    "motor figure options": "identify motor-figure --duration 0.03 --out out/a.png",
+    "trace fit options": "identify --from-trace @trace.npz --out out",
+    "emulate options": "emulate --duration 0.02",
+    "task": f"train @@task.yaml {TINY} --runs out",
+    "table of poses": f"train table.yaml {TINY} --runs out --task.reference.file @@poses.csv",
+    "ranges": f"evaluate @policy.onnx --episodes 1 --randomize @@ranges.yaml {RUN}",
+    "study": "study @@study.yaml --report-only --runs out/runs --out out/report",
+    "sheet": f"evaluate @policy.onnx --episodes 1 --robot @@robot/robot.toml {RUN}",
+    "urdf": f"evaluate @policy.onnx --episodes 1 --robot @@robot/minitaur.urdf {RUN}",
+    "params": f"evaluate @policy.onnx --episodes 1 --params @@params.toml {RUN}",
+    "policy": f"evaluate @@policy.onnx --episodes 1 {RUN}",
+    "policy to deploy": "deploy @@policy.onnx --port nowhere --out out",
+    "trace": "evaluate --trace @@trace.npz --out out",
+    "trace in a gap": "gap @policy.onnx --from trace @trace.npz --to trace @@trace.npz --out out",
+    "recording": "identify latency --recording @@recording.npz --params out/robot.toml --out out",
+    "motor log": "identify motor-figure --log @@log.csv --out out/a.png",
+    "run folder": "train --resume @@run/config.yaml",
+    "run's papers": "train --resume @@run/run.json",
+    "checkpoint": "train --resume @@run/checkpoints/latest.ckpt",
 }
-NEEDS_A_FOLDER = {"robot", "run"}
+"""Commands that work, by kind of case; `@file` is a file of the seeds as it is, `@@file` one that is damaged."""
+OPTIONS = {
+    "train options": ("learn.config:TrainConfig", 2),
+    "evaluate options": ("cli.evaluate:EvaluateCommand", 1),
+    "gap options": ("cli.gap:GapCommand", 1),
+    "sensitivity options": ("cli.sensitivity:SensitivityCommand", 1),
+    "play options": ("cli.play:PlayCommand", 1),
+    "study options": ("cli.study:StudyCommand", 1),
+    "search options": ("cli.search:SearchCommand", 1),
+    "deploy options": ("cli.deploy:DeployCommand", 1),
+    "doctor options": ("cli.doctor:DoctorCommand", 1),
+    "identify options": ("cli.helpers.identify_run:ExperimentCommand", 2),
+    "motor figure options": ("cli.helpers.identify_motor_figure:MotorFigureCommand", 2),
+    "trace fit options": ("cli.identify:TracesCommand", 3),
+    "emulate options": ("cli.emulate:EmulateCommand", 3),
+}
+"""Kinds whose words are changed: where the options are declared, and how many words at the beginning stay."""
+WHOLE_FOLDERS = {"robot", "run"}
 """Folders of seeds that commands take whole."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One case, and what came of it."""
+    """One case and its result."""
 
     number: int
     kind: str
@@ -154,8 +123,8 @@ class Case:
     code: int = 0
     """Exit code, or minus the signal that ended it."""
     seconds: float = 0.0
-    said: str = ""
-    wrong: str = ""
+    output: str = ""
+    fault: str = ""
     """What is wrong; empty if nothing is."""
 
 
@@ -174,54 +143,54 @@ class Fuzz:
         self.seeds, self.place = root / "seeds", root / "a" / "b" / "case"
         self.root = root
         self.seeds.mkdir()
-        self.kinds = kinds or tuple(KINDS)
-        make_seeds(self.seeds, {word.lstrip("@") for kind in self.kinds for word in KINDS[kind].words if "@" in word})
+        self.kinds = kinds or tuple(COMMANDS)
+        words = [word for kind in self.kinds for word in COMMANDS[kind].split()]
+        make_seeds(self.seeds, {word.lstrip("@") for word in words if "@" in word})
         self._seeds_state = _state(self.seeds)
         self._options: dict[str, list[str]] = {}
 
     def run(self, number: int) -> Case:
         """Run the case of a number."""
         rng = random.Random(f"{self.seed} {number}")
-        name = rng.choice(self.kinds)
-        kind = KINDS[name]
+        kind = rng.choice(self.kinds)
         shutil.rmtree(self.root / "a", ignore_errors=True)
         self.place.mkdir(parents=True)
-        words = [self._word(word, rng) for word in kind.words]
+        words = [self._prepare_word(word, rng) for word in COMMANDS[kind].split()]
         (self.place / "table.yaml").write_text("reference: {kind: table, period: 0.5, file: none.csv}\n")
-        if kind.options:
-            words = self._changed(words, kind, rng)
+        if kind in OPTIONS:
+            words = self._change_words(words, kind, rng)
         before = _state(self.root)
-        code, seconds, said = _run(words, self.place, self.limit)
-        case = Case(number, name, tuple(words), code, seconds, said)
-        return replace(case, wrong=self._judge(case, before))
+        case = Case(number, kind, tuple(words), *_run(words, self.place, self.limit))
+        return replace(case, fault=self._find_fault(case, before))
 
-    def _word(self, word: str, rng: random.Random) -> str:
-        """A word with its file made, damaged where it is to be."""
+    def _prepare_word(self, word: str, rng: random.Random) -> str:
+        """Return a word of the command; make its file, damaged where it is to be."""
         if not word.startswith("@"):
             return word
         name = word.lstrip("@")
         top = Path(name).parts[0]
         if not word.startswith("@@"):
             return str(self.seeds / name)
-        if top in NEEDS_A_FOLDER:
+        if top in WHOLE_FOLDERS:
             shutil.copytree(self.seeds / top, self.place / top)
         damage(self.seeds / name, self.place / name, rng)
-        return top if top in NEEDS_A_FOLDER else name
+        return top if top in WHOLE_FOLDERS else name
 
-    def _changed(self, words: list[str], kind: Kind, rng: random.Random) -> list[str]:
-        """Words with up to three changes."""
-        if kind.options not in self._options:
-            module, name = kind.options.split(":")
+    def _change_words(self, words: list[str], kind: str, rng: random.Random) -> list[str]:
+        """Return words with up to three changes."""
+        from surefoot.cli.helpers.parsing import options
+
+        where, keep = OPTIONS[kind]
+        if kind not in self._options:
+            module, name = where.split(":")
             declared = getattr(importlib.import_module(f"surefoot.{module}"), name)
-            from surefoot.cli.helpers.parsing import options
-
-            # A video or an emulator for a window, and experiments with a robot, are no matter of words.
-            self._options[kind.options] = [option for option in options(declared) if option != "--viewer"]
+            # A window cannot be opened here.
+            self._options[kind] = [option for option in options(declared) if option != "--viewer"]
         words = list(words)
         for _ in range(rng.choice((1, 1, 1, 2, 3))):
-            option = rng.choice(self._options[kind.options])
+            option = rng.choice(self._options[kind])
             value = rng.choice(NUMBERS if rng.random() < 0.6 else WORDS)
-            places = [k for k in range(kind.keep, len(words)) if not words[k].startswith("--")]
+            places = [k for k in range(keep, len(words)) if not words[k].startswith("--")]
             what = rng.random()
             if what < 0.25 and places:
                 words[rng.choice(places)] = value
@@ -233,22 +202,22 @@ class Fuzz:
                 words.append(option)
             elif what < 0.5:
                 words.append(f"{option}={value}")
-            elif option in words[kind.keep :]:
-                words[words.index(option, kind.keep) + 1 :][:1] = [value]
+            elif option in words[keep:]:
+                words[words.index(option, keep) + 1 :][:1] = [value]
             else:
                 words += [option, value, *([rng.choice(NUMBERS)] if rng.random() < 0.2 else [])]
         return words
 
-    def _judge(self, case: Case, before: dict[str, tuple[int, int]]) -> str:
-        """What is wrong with a case; empty if nothing is."""
+    def _find_fault(self, case: Case, before: dict[str, tuple[int, int]]) -> str:
+        """Return what is wrong with a case; empty if nothing is."""
         allowed = {0, 2, *CODES.get(case.words[0], set())}
         if case.seconds > self.limit:
             return f"takes more than {self.limit:g} s"
-        if case.code == UNCAUGHT or "Traceback (most recent" in case.said:
-            return f"a traceback: {case.said.strip().splitlines()[-1][:200]}"
+        if case.code == UNCAUGHT or "Traceback (most recent" in case.output:
+            return f"a traceback: {case.output.strip().splitlines()[-1][:200]}"
         if case.code not in allowed:
             return f"exit code {case.code}"
-        lines = [line for line in case.said.splitlines() if line.startswith("surefoot: error: ")]
+        lines = [line for line in case.output.splitlines() if line.startswith("surefoot: error: ")]
         if case.code == 2 and len(lines) != 1:
             return f"exit code 2 with {len(lines)} lines that say why"
         after = _state(self.root)
@@ -258,8 +227,8 @@ class Fuzz:
         for option, value in zip(case.words, case.words[1:], strict=False):
             if option in OUT and "\0" not in value:
                 named.append(Path(os.path.normpath(self.place / value)))
-            elif (found := option.partition("="))[0] in OUT:
-                named.append(Path(os.path.normpath(self.place / found[2])))
+            elif (parts := option.partition("="))[0] in OUT:
+                named.append(Path(os.path.normpath(self.place / parts[2])))
         for path in sorted(set(before.items()) ^ set(after.items())):
             changed = self.root / path[0]
             if not any(place == changed or place in changed.parents or changed in place.parents for place in named):
@@ -268,12 +237,12 @@ class Fuzz:
 
 
 def _state(folder: Path) -> dict[str, tuple[int, int]]:
-    """Sizes and times of change of all files in a folder, by their names in it; folders stand with zeros."""
-    found = {}
+    """Return sizes and times of change of all files in a folder, by their names in it; zeros for folders."""
+    state = {}
     for path in folder.rglob("*"):
         about = path.lstat()
-        found[str(path.relative_to(folder))] = (0, 0) if path.is_dir() else (about.st_size, about.st_mtime_ns)
-    return found
+        state[str(path.relative_to(folder))] = (0, 0) if path.is_dir() else (about.st_size, about.st_mtime_ns)
+    return state
 
 
 def _run(words: Sequence[str], place: Path, limit: float) -> tuple[int, float, str]:
@@ -296,14 +265,14 @@ def _run(words: Sequence[str], place: Path, limit: float) -> tuple[int, float, s
                 os.kill(child, signal.SIGKILL)
             time.sleep(0.01)
         with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(child, signal.SIGKILL)  # What it may have left running.
+            os.killpg(child, signal.SIGKILL)  # processes that it may have left
         output.seek(0)
         seconds = math.inf if killed else used.ru_utime + used.ru_stime
         return os.waitstatus_to_exitcode(status), seconds, output.read(1 << 20).decode(errors="replace")
 
 
 def _child(words: Sequence[str], place: Path, output: int) -> None:
-    """Be a case; does not return."""
+    """Run a case in this process and end it."""
     code = UNCAUGHT
     try:
         os.setsid()
@@ -372,6 +341,10 @@ def _bytes(content: bytes, rng: random.Random) -> bytes:
     return bytes(data)
 
 
+def _replace(text: str, match: re.Match[str], values: Sequence[str], rng: random.Random) -> str:
+    return text[: match.start()] + rng.choice(values) + text[match.end() :]
+
+
 def _text(content: bytes, rng: random.Random) -> bytes:
     text = content.decode(errors="surrogateescape")
     numbers = list(re.finditer(r"(?<![\w.])-?\d[\d.eE+-]*", text))
@@ -379,11 +352,9 @@ def _text(content: bytes, rng: random.Random) -> bytes:
     lines = text.splitlines(keepends=True)
     what = rng.random()
     if what < 0.45 and numbers:
-        found = rng.choice(numbers)
-        text = text[: found.start()] + rng.choice(NUMBERS if rng.random() < 0.8 else WORDS) + text[found.end() :]
+        text = _replace(text, rng.choice(numbers), NUMBERS if rng.random() < 0.8 else WORDS, rng)
     elif what < 0.7 and words:
-        found = rng.choice(words)
-        text = text[: found.start()] + rng.choice(WORDS if rng.random() < 0.7 else NUMBERS) + text[found.end() :]
+        text = _replace(text, rng.choice(words), WORDS if rng.random() < 0.7 else NUMBERS, rng)
     elif lines:
         at = rng.randrange(len(lines))
         rest = lines[:at] + lines[at + 1 :]
@@ -399,7 +370,7 @@ def _text(content: bytes, rng: random.Random) -> bytes:
 
 
 def _leaf(value: Any, rng: random.Random) -> Any:
-    """JSON with one value in it, at any depth, replaced, dropped or put under another name."""
+    """Return JSON with one value in it, at any depth, replaced, dropped or put under another name."""
     if isinstance(value, dict) and value and rng.random() < 0.9:
         key = rng.choice(list(value))
         if (what := rng.random()) < 0.1:
@@ -417,7 +388,7 @@ def _leaf(value: Any, rng: random.Random) -> Any:
 
 
 def _archive(content: bytes, rng: random.Random) -> bytes:
-    """An archive of arrays with another meta or another array."""
+    """Return an archive of arrays with another meta or another array."""
     with np.load(io.BytesIO(content)) as archive:
         arrays = dict(archive)
     name = "meta" if rng.random() < 0.6 else rng.choice(sorted(arrays))
@@ -451,7 +422,7 @@ def _archive(content: bytes, rng: random.Random) -> bytes:
 
 
 def _signed(arrays: dict[str, Any]) -> dict[str, Any]:
-    """A recording's arrays with the digest that belongs to them, where they have one."""
+    """Return a recording's arrays with the digest that belongs to them, where they have one."""
     from surefoot.identify.recording import digest_of
 
     try:
@@ -476,12 +447,12 @@ def _policy(content: bytes, rng: random.Random) -> bytes:
     return add_digest(model.SerializeToString())
 
 
-def make_seeds(folder: Path, wanted: set[str]) -> None:
+def make_seeds(folder: Path, names: set[str]) -> None:
     """Write the files that cases damage, each of which works as it is.
 
     Args:
         folder: an empty one.
-        wanted: names of the files that are read; those that take a simulation are made only then.
+        names: files that are read; those that take a simulation are made only then.
     """
     import onnx
 
@@ -528,11 +499,11 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
     log = "".join(f"{0.006 * k:.3f},{1.5 + 0.01 * k:.3f},{1.5 + 0.009 * k:.3f}\n" for k in range(12))
     (folder / "log.csv").write_text("time,target,angle\n" + log)
     _make_recording(folder / "recording.npz", robot)
-    if "trace.npz" in wanted:
+    if "trace.npz" in names:
         _work(folder, "evaluate", "policy.onnx", "--episodes", "1", "--out", "made", "--threads", "1")
         (folder / "made" / "episode_000.npz").rename(folder / "trace.npz")
-    if any(name.startswith("run/") for name in wanted):
-        _work(folder, "train", "task.yaml", *TINY, "--runs", "made")
+    if any(name.startswith("run/") for name in names):
+        _work(folder, "train", "task.yaml", *TINY.split(), "--runs", "made")
         (run,) = (path.parent for path in folder.glob("made/*/*/run.json"))
         run.rename(folder / "run")
     shutil.rmtree(folder / "made", ignore_errors=True)
@@ -540,9 +511,9 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
 
 def _work(place: Path, *words: str) -> None:
     """Run a command that makes seeds."""
-    code, _, said = _run(words, place, 100.0)
+    code, _, output = _run(words, place, 100.0)
     if code != 0:
-        raise RuntimeError(f"a command that should work does not: {' '.join(words)}\n{said}")
+        raise RuntimeError(f"a command that should work does not: {' '.join(words)}\n{output}")
 
 
 def _make_recording(path: Path, robot: Any) -> None:
@@ -566,65 +537,53 @@ def _make_recording(path: Path, robot: Any) -> None:
     meta = {
         **{"schema": SCHEMA, "experiment": "latency", "robot": robot.name, "motor_names": list(robot.motor_names)},
         **{"rack": True, "mode_changes": [[0.0, 1]], "ended": COMPLETE, "period": 0.006, "lead": 0.0},
-        "phases": [{"name": "steps", "mode": "position", "use": "fit", "duration": 3.0}],
+        "phases": [{"name": "steps", "mode": 1, "use": "fit", "duration": 3.0}],
         **{"servo_period": 0.001, "resting_states": 5, "frames": {"received": count, "missing": 0, "damaged": 0}},
         **{"date": "2020-01-01", "digest": digest_of(arrays)},
     }
     Recording(**arrays, meta=meta).save(path)
 
 
-def warm_up() -> None:
-    """Import all commands, so that the processes of the cases need not."""
-    from surefoot.cli.main import COMMANDS
-
-    for module, _ in COMMANDS.values():
-        importlib.import_module(module)
-    for module in (
-        *("cli.helpers.study_results", "learn.run", "learn.export"),
-        *(
-            "world.sim_world",
-            "report.drawing.video",
-            "report.figures.runs",
-            "report.figures.parameters",
-            "studies.study_figures",
-        ),
-        *("evaluate.gap", "identify.traces.fit", "cli.identify"),
-        *("cli.helpers.identify_motor_figure", "cli.helpers.identify_results", "emulator.real_time"),
-    ):
-        importlib.import_module(f"surefoot.{module}")
+def import_all() -> None:
+    """Import all modules, so that the processes of the cases need not."""
+    for module in pkgutil.walk_packages(surefoot.__path__, "surefoot."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
 
 
 def main() -> int:
-    """Run cases and tell what is wrong; returns 1 if anything is."""
+    """Run cases and print what is wrong; return 1 if anything is."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--cases", type=int, default=3000, help="how many")
     parser.add_argument("--seed", type=int, default=0, help="of everything")
     parser.add_argument("--case", type=int, help="run this one only, and show what it printed")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument("--limit", type=float, default=LIMIT, help="time of a processor that a case may take [s]")
-    parser.add_argument("--kind", action="append", default=[], choices=KINDS, help="only cases of this kind")
+    parser.add_argument("--kind", action="append", default=[], choices=COMMANDS, help="only cases of this kind")
     options = parser.parse_args()
     os.environ.setdefault("MPLBACKEND", "Agg")
-    warm_up()
-    codes: dict[str, Counter[str]] = {name: Counter() for name in KINDS}
+    import_all()
+    codes: dict[str, Counter[str]] = {name: Counter() for name in COMMANDS}
     wrong = 0
     numbers = [options.case] if options.case is not None else range(options.first, options.first + options.cases)
     with tempfile.TemporaryDirectory(prefix="surefoot-fuzz-") as folder:
         fuzz = Fuzz(Path(folder), options.seed, options.limit, options.kind)
+        if len(numbers) > 100:  # so that no case has to compile the engines' loops
+            _work(Path(folder), "evaluate", str(fuzz.seeds / "policy.onnx"), "--episodes", "1", *RUN.split())
         for number in numbers:
             case = fuzz.run(number)
-            codes[case.kind]["wrong" if case.wrong else f"exit {case.code}"] += 1
+            codes[case.kind]["wrong" if case.fault else f"exit {case.code}"] += 1
             if options.case is not None:
-                print(case.said)
-            if case.wrong or options.case is not None:
-                wrong += bool(case.wrong)
+                print(case.output)
+            if case.fault or options.case is not None:
+                wrong += bool(case.fault)
                 shown = " ".join(repr(word if len(word) < 80 else f"{word[:60]}...") for word in case.words)
-                print(f"seed {options.seed} case {number} ({case.kind}, {case.seconds:.1f} s): {case.wrong or 'fine'}")
+                print(f"seed {options.seed} case {number} ({case.kind}, {case.seconds:.1f} s): {case.fault or 'fine'}")
                 print(f"    {shown}", flush=True)
     for name, counter in codes.items():
         if counter:
-            told = ", ".join(f"{count} {what}" for what, count in sorted(counter.items()))
-            print(f"{name:<22}{sum(counter.values()):>6} cases: {told}")
+            counts = ", ".join(f"{count} {what}" for what, count in sorted(counter.items()))
+            print(f"{name:<22}{sum(counter.values()):>6} cases: {counts}")
     print(f"{wrong} of {len(numbers)} cases are wrong")
     return 1 if wrong else 0
 

@@ -20,10 +20,11 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from surefoot.cli.helpers.policies import adjust_task, find_policy, load_gait
+from surefoot.cli.helpers.policies import find_policy, load_gait
+from surefoot.cli.helpers.simulator import RunOptions
 from surefoot.evaluate.footfalls import analyze_footfalls
 from surefoot.evaluate.rollout import Policy, run_episodes
-from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.runs import measure_runs
 from surefoot.evaluate.statistics import t_interval
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import COLORS, MARKERS, new_figure
@@ -102,15 +103,16 @@ def run(entry: Entry, condition: str, command: Command) -> list[dict[str, Any]]:
     policy, task = entry.load()
     robot = RobotDescription.load(task.robot)
     steps = round(DURATION / float(task.nominal(robot).control_step[0]))
-    task = adjust_task(replace(task, max_steps=steps), robot, (), pushes=False, randomize=load_ranges(ranges))
+    task = RunOptions().apply(replace(task, max_steps=steps), robot, load_ranges(ranges))
     traces = run_episodes(policy, task, command.episodes, find_world(world), command.seed, command.threads)
     if command.draw and condition == "mujoco":
         footfall_diagram(traces[0], command.folder / f"{entry.name}-footfalls.png")
     key = {"gait": entry.name, "family": entry.family, "condition": condition, "digest": entry.digest}
+    rows = measure_runs(traces).drop(columns="world").to_dict("records")
     feet = [analyze_footfalls(trace) for trace in traces]
     return [
         {**key, **row, "pattern": foot.pattern, "duty_factor": np.mean(list(foot.duty_factor.values()))}
-        for row, foot in zip(Runs.of_traces(traces).rows(), feet, strict=True)
+        for row, foot in zip(rows, feet, strict=True)
     ]
 
 

@@ -5,7 +5,7 @@
     two   the same with 2 workers
 
 They take turns, so that a slow moment is slow for all. `warm` leaves out a worker's start: it counts from the end of
-its first training on. Ray's own start is told apart.
+its first training on. Ray's own start is reported separately.
 
     python benchmarks/search.py                      # gallops of 100,000 control steps, 4 a turn, 3 turns
 """
@@ -25,7 +25,6 @@ from surefoot.learn.run_folder import RunFolder
 from surefoot.learn.training_loop import TrainingLoop
 from surefoot.studies.training import Training, base_config
 from surefoot.studies.workers import ray_cluster, run_trainings
-from surefoot.world.registry import find_world
 from surefoot.world.sim_world import SimWorld
 
 
@@ -63,7 +62,7 @@ class Turns:
                 ends.append(time.perf_counter())
 
         start = time.perf_counter()
-        outcome = run_trainings(self.trainings(), find_world, workers, lambda *_: False, change)
+        outcome = run_trainings(self.trainings(), workers, lambda *_: False, change)
         seconds = time.perf_counter() - start
         if len(outcome.done) < self.count:
             raise RuntimeError(f"trainings failed: {outcome.failed}")

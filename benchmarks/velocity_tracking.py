@@ -70,7 +70,7 @@ def measure(learner: PpoLearner, episodes: int) -> dict[str, Any]:
     config, env = learner.config, learner.env
     task = fresh_commands(config.task, float(env.nominal.control_step[0]))
     traces = run_episodes(TrainedPolicy(learner), task, episodes, SimWorld, config.seed + FRESH, config.threads)
-    found = Tracking.of_traces(traces, env.gait.reference.period or STRIDE)
+    found = Tracking.from_traces(traces, env.gait.reference.period or STRIDE)
     return {
         "rmse": found.rmse.round(4).tolist(),
         "rmse_stride": found.rmse_stride.round(4).tolist(),

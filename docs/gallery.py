@@ -8,19 +8,20 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from surefoot.cli.helpers.policies import SEARCH_PATHS, adjust_task, find_policy, lasting, load_policy, run_policy
+from surefoot.cli.helpers.policies import SEARCH_PATHS, find_policy, load_policy, run_policy
+from surefoot.cli.helpers.simulator import RunOptions, with_duration
 from surefoot.files import atomic_write
-from surefoot.report.pages.recorded_runs import Recording, recording_page
+from surefoot.report.pages.recorded_runs import ShownTrace, recording_page
 
 SECONDS = 5.0
 STEPS = ((0.0, 0.7, 0.0, 0.0), (1.7, 0.5, 0.0, 0.8), (3.4, 0.0, 0.8, 0.0))
 """What policies with commands are told: from when on [s], and shares of the greatest forward, left and yaw rate."""
 
 
-def recorded(name: str) -> Recording:
+def recorded(name: str) -> ShownTrace:
     """Return a run of a policy that ships."""
     policy, robot, task = load_policy(find_policy(name), None)
-    task = lasting(adjust_task(task, robot, (), False), robot, SECONDS)
+    task = with_duration(RunOptions().apply(task, robot), robot, SECONDS)
     if (limits := task.commands.limits(robot)) is not None:
         most = (limits.forward[1], limits.sideways[1], limits.yaw_rate[1])
         rows = tuple(
@@ -28,7 +29,7 @@ def recorded(name: str) -> Recording:
         )
         task = replace(task, commands=replace(task.commands, schedule=rows))
     (trace,) = run_policy(policy, task, 1, "mujoco", seed=0, name=name)
-    return Recording(name, robot, trace)
+    return ShownTrace(name, robot, trace)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ import tyro
 from surefoot.cli.helpers.policies import find_policy, load_policy
 from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
-from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.runs import measure_runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import SimulationFactory, WorldConfig
 from surefoot.world.registry import find_world
@@ -81,11 +81,11 @@ class Command:
 def thick_feet(robot: RobotDescription, folder: Path) -> RobotDescription:
     """Return the robot with rounder feet, whose lowest point along the leg stays the same."""
     shutil.copytree(robot.folder, folder)
-    thin, end = robot.five_bar.foot_radius, robot.five_bar.foot
+    radius, end = robot.five_bar.foot_radius, robot.five_bar.foot
     sheet, urdf = folder / "robot.toml", folder / robot.urdf.path.name
     sheet.write_text(re.sub(r"foot_radius = \S+", f"foot_radius = {FOOT_RADIUS}", sheet.read_text()))
-    text = urdf.read_text().replace(f'<sphere radius="{thin}"/>', f'<sphere radius="{FOOT_RADIUS}"/>')
-    urdf.write_text(text.replace(f'xyz="0 0 {end - thin:.4f}"', f'xyz="0 0 {end - FOOT_RADIUS:.4f}"'))
+    text = urdf.read_text().replace(f'<sphere radius="{radius}"/>', f'<sphere radius="{FOOT_RADIUS}"/>')
+    urdf.write_text(text.replace(f'xyz="0 0 {end - radius:.4f}"', f'xyz="0 0 {end - FOOT_RADIUS:.4f}"'))
     return RobotDescription.load(folder)
 
 
@@ -109,7 +109,7 @@ def measure(command: Command, name: str) -> Iterator[dict[str, Any]]:
             varied = replace(base, params=change.params, thermal_protection=change.thermal_protection)
             world = changed(make, change, other)
             traces = run_episodes(policy, varied, command.runs, world, command.seed, world_name=command.world)
-            runs = Runs.of_traces(traces)
+            runs = measure_runs(traces)
             yield {
                 "policy": policy.contract.name,
                 "change": change.name,

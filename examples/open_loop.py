@@ -14,7 +14,7 @@ import tyro
 
 from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
-from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.runs import measure_runs
 from surefoot.robot import RobotDescription
 from surefoot.studies.handcrafted import OpenLoop
 from surefoot.task.config import load_task
@@ -43,7 +43,7 @@ def run(command: Command) -> None:
     for world in command.worlds:
         policy = OpenLoop(len(robot.legs))
         traces = run_episodes(policy, away_task(task), command.episodes, find_world(world), command.seed)
-        runs = Runs.of_traces(traces)
+        runs = measure_runs(traces)
         speed = f"{runs.speed.mean():.2f} ({runs.speed.min():.2f} to {runs.speed.max():.2f})"
         print(f"{world:<17} {speed:<31} {runs.fell.sum():>5}   {runs.balanced.sum()} of {len(runs)}", flush=True)
 

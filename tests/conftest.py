@@ -177,43 +177,54 @@ def gap_comparison() -> Callable[..., Comparison]:
     Gaps of group a's policies are 1 m, 1.1 m, ...; b's policies have none and go three metres; c's fall at home.
     """
     pytest.importorskip("gymnasium")
-    from surefoot.evaluate.runs import Runs
-    from surefoot.studies.comparison import Comparison, Curve, GroupResult, SeedResult
+    import pandas as pd
+
+    from surefoot.studies.comparison import Comparison, policy_row
+    from surefoot.studies.study_config import GroupConfig, PublishedFinding, StudyConfig
 
     steady, at = (True, True, True), np.arange(1, 11) * 1e5
-    curve = Curve(at, at * 1e-6, at * 1e-7, np.zeros(10), np.ones(10))
+    means = {"speed_mean": 0.5, "falls": 0, "episodes": 1, "seconds": 120.0}
+    log = [{"steps": int(steps), "return_mean": steps * 1e-6, **means} for steps in at]
 
-    def runs(world: str, level: float, spread: float, balanced: tuple[bool, ...]) -> dict[str, Any]:
+    def runs(world: str, level: float, spread: float, balanced: tuple[bool, ...]) -> pd.DataFrame:
         """Three runs whose distance is their return and half a metre; those that fall do so after 250 steps."""
         returns, stood = level + spread * np.array([-1.0, 0.0, 1.0]), np.array(balanced)
         steps = np.where(stood, 1000.0, 250.0)
-        distance = returns + 0.5
-        speed = distance / (0.006 * steps)
-        return Runs(world, returns, distance, speed, np.full(3, 10.0), steps, ~stood, stood).to_mapping()
+        speed = (returns + 0.5) / (0.006 * steps)
+        columns = {"return": returns, "distance": returns + 0.5, "speed": speed, "power": 10.0, "steps": steps}
+        return pd.DataFrame({"world": world, "run": range(3), **columns, "fell": ~stood, "balanced": stood})
 
     def policy(
         seed: int, level: float, gap: float, away: tuple[bool, ...] = steady, home: tuple[bool, ...] = steady
-    ) -> SeedResult:
-        nominal = {"returns": [level] * 20, "speed": [level / 6] * 20, "fell": [False] * 20}
-        both = {"home": runs("mujoco", level, 0.1, home), "away": runs("bullet", level - gap, 0.3, away)}
-        both["described"] = runs("mujoco-described", level - gap / 2, 0.2, away)
-        return SeedResult(seed, 1_000_000, 120.0, curve, {"nominal": nominal, "gap": both})
+    ) -> dict[str, Any]:
+        nominal = {"run": list(range(20)), "return": [level] * 20, "speed": [level / 6] * 20, "fell": [False] * 20}
+        worlds = [
+            runs("mujoco", level, 0.1, home),
+            runs("bullet", level - gap, 0.3, away),
+            runs("mujoco-described", level - gap / 2, 0.2, away),
+        ]
+        results = {"nominal": {"runs": nominal}, "gap": {"runs": pd.concat(worlds).to_dict("list")}}
+        return policy_row("", seed, log, results)
 
     def make(seeds: int = 5) -> Comparison:
-        a = tuple(policy(s, 2.0 + 0.2 * s, 1.0 + 0.1 * s, (True, s > 2, False)) for s in range(seeds))
-        b = tuple(policy(s, 3.0 + 0.1 * s, 0.0) for s in range(seeds))
-        c = tuple(policy(s, 0.1, 0.0, home=(False, False, True)) for s in range(seeds))
-        return Comparison(
-            "gaps",
-            ("nominal", "gap"),
-            (GroupResult("a", "first", a), GroupResult("b", "second", b), GroupResult("c", "third", c)),
-            (("a", "b"), ("a", "c")),
-            top=3,
+        groups = {
+            "a": [policy(s, 2.0 + 0.2 * s, 1.0 + 0.1 * s, (True, s > 2, False)) for s in range(seeds)],
+            "b": [policy(s, 3.0 + 0.1 * s, 0.0) for s in range(seeds)],
+            "c": [policy(s, 0.1, 0.0, home=(False, False, True)) for s in range(seeds)],
+        }
+        rows = [row | {"group": group} for group, policies in groups.items() for row in policies]
+        labels = {"a": "first", "b": "second", "c": "third", "absent": ""}
+        study = StudyConfig(
+            groups={name: GroupConfig(label) for name, label in labels.items()},
+            name="gaps",
+            evaluate=("gap",),
+            compare=(("a", "b"), ("a", "c")),
             bars={"both": ("a", "b", "absent")},
             findings=(
-                (frozenset(("a", "b")), "the second did better."),
-                (frozenset(("a", "b", "absent")), "all was well."),
+                PublishedFinding(("a", "b"), "the second did better."),
+                PublishedFinding(("a", "b", "absent"), "all was well."),
             ),
         )
+        return Comparison(study, pd.DataFrame(rows))
 
     return make

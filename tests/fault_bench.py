@@ -1,4 +1,4 @@
-"""What the tests of the safety table need: robot and host, a cable between them that listens, runs in lockstep."""
+"""Robot and host for tests of the safety table, a cable between them that records, and runs in lockstep."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ from surefoot.task.trace import EpisodeTrace
 
 STEP = 0.006
 CODEC = Codec(8)
-OTHER = 8
-"""Session of a stranger."""
+OTHER_SESSION = 8
+"""Session of another operator."""
 PATIENCE = 120.0
 LONG = 60.0
 """Duration [s] of a run that something else ends."""
@@ -65,51 +65,49 @@ RUNNING = QUICK_UP + 0.3
 
 @dataclass
 class Record:
-    """What went over a cable."""
+    """The packets of a cable, oldest first."""
 
-    said: list[Packet] = field(default_factory=list)
-    """Frames of the host, oldest first."""
-    told: list[Packet] = field(default_factory=list)
-    """Frames of the robot."""
+    from_host: list[Packet] = field(default_factory=list)
+    from_robot: list[Packet] = field(default_factory=list)
     armed: float | None = None
-    """When the host asked to arm first [s], on its own clock."""
+    """Time of the host's first request to arm [s], on its own clock."""
 
-    def of_host(self, kind: type[Message], since: float = -1.0) -> list[Packet]:
-        """The host's frames of a kind, from a time [s] of its clock on."""
-        return [frame for frame in self.said if isinstance(frame.message, kind) and frame.time >= since]
+    def host_packets(self, kind: type[Message], since: float = -1.0) -> list[Packet]:
+        """Return the host's packets of a kind, from a time [s] of its clock on."""
+        return [frame for frame in self.from_host if isinstance(frame.message, kind) and frame.time >= since]
 
-    def of_robot(self, kind: type[Message], since: float = -1.0) -> list[Packet]:
-        """The robot's frames of a kind, from a time [s] of its clock on."""
-        return [frame for frame in self.told if isinstance(frame.message, kind) and frame.time >= since]
+    def robot_packets(self, kind: type[Message], since: float = -1.0) -> list[Packet]:
+        """Return the robot's packets of a kind, from a time [s] of its clock on."""
+        return [frame for frame in self.from_robot if isinstance(frame.message, kind) and frame.time >= since]
 
     @property
     def reasons(self) -> list[Reason]:
-        """What the robot complained about."""
-        return reasons(self.told)
+        """The reasons of the robot's faults."""
+        return reasons(self.from_robot)
 
     @property
-    def left(self) -> tuple[Mode, Reason]:
-        """How the robot was left."""
-        state = self.of_robot(State)[-1].message
+    def final_mode(self) -> tuple[Mode, Reason]:
+        """The robot's last mode, and its reason."""
+        state = self.robot_packets(State)[-1].message
         return Mode(state.mode), Reason(state.reason)
 
     @property
-    def ahead(self) -> float:
+    def clock_offset(self) -> float:
         """Robot's clock less host's [s], in lockstep."""
-        return self.of_robot(Handshake)[0].time - self.of_host(Hello)[0].time
+        return self.robot_packets(Handshake)[0].time - self.host_packets(Hello)[0].time
 
 
 def reasons(frames: list[Packet]) -> list[Reason]:
-    """What a robot complained about."""
+    """Return the reasons of faults."""
     return [Reason(frame.message.reason) for frame in frames if isinstance(frame.message, Fault)]
 
 
 class Cable:
-    """A pseudo-terminal whose bytes go to the robot's and back, each frame kept on the way.
+    """A pseudo-terminal whose bytes go to the robot's and back, and that records each packet.
 
     Args:
         robot: path of the robot's port.
-        chatter: the robot is in the middle of something that it tells somebody else when the host comes.
+        chatter: the robot sends packets of another session when the host connects, and is within one.
     """
 
     def __init__(self, robot: str, chatter: bool = False) -> None:
@@ -120,29 +118,29 @@ class Cable:
         self.path = os.ttyname(self._far)
         self.record = Record()
         self.silent = False
-        """Nothing gets through any more; the robot is still heard."""
+        """Whether nothing gets through; the robot's packets are still recorded."""
         self._actions: list[tuple[float, Callable[[], object]]] = []
-        self._chatter = b"".join(_states_for_somebody(30))[70:-70] if chatter else b""
-        self._strangers = bytearray()
+        self._chatter = b"".join(_states_of_another_session(30))[70:-70] if chatter else b""
+        self._others = bytearray()
         self._over = False
         self._thread = threading.Thread(target=self._carry, daemon=True)
         self._thread.start()
 
     def after_arming(self, seconds: float, action: Callable[[], object]) -> None:
-        """Do something when the host sends its first frame that is so much later than its first Arm, just before."""
+        """Do something just before the host's first frame that is so much later [s] than its first Arm."""
         self._actions.append((seconds, action))
 
     def moment(self, seconds: float) -> threading.Event:
-        """Is set so long after arming."""
+        """Return an event that is set so long [s] after arming."""
         event = threading.Event()
         self.after_arming(seconds, event.set)
         return event
 
-    def meddle(self, messages: Sequence[Message]) -> None:
-        """Somebody else says something to the robot, now."""
-        now = self.record.said[-1].time
+    def send(self, messages: Sequence[Message]) -> None:
+        """Send messages to the robot, beside the host's."""
+        now = self.record.from_host[-1].time
         for number, message in enumerate(messages, 1):
-            self._strangers += encode_frame(CODEC, message, number, now)
+            self._others += encode_frame(CODEC, message, number, now)
 
     def close(self) -> None:
         self._over = True
@@ -152,7 +150,7 @@ class Cable:
 
     def _carry(self) -> None:
         with contextlib.suppress(OSError, AttributeError):
-            # A cable has no processor to wait for.
+            # A cable does not wait for a processor.
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30))
         of_host, of_robot = Decoder(CODEC), Decoder(CODEC)
         while not self._over:
@@ -161,19 +159,19 @@ class Cable:
                 data = _read(self._host)
                 self._hear(of_host.feed(data))
                 if not self.silent:
-                    _write(self._robot, bytes(self._strangers) + data)
-                    self._strangers.clear()
+                    _write(self._robot, bytes(self._others) + data)
+                    self._others.clear()
             if self._robot in ready:
                 data = _read(self._robot)
-                self.record.told += of_robot.feed(data)
+                self.record.from_robot += of_robot.feed(data)
                 if not self.silent:
                     _write(self._host, data)
 
     def _hear(self, frames: list[Packet]) -> None:
         record = self.record
-        if frames and not record.said:
+        if frames and not record.from_host:
             _write(self._host, self._chatter)
-        record.said += frames
+        record.from_host += frames
         for frame in frames:
             if isinstance(frame.message, Arm) and record.armed is None:
                 record.armed = frame.time
@@ -188,13 +186,13 @@ def _read(file: int) -> bytes:
 
 
 def _write(file: int, data: bytes) -> None:
-    """What does not fit is lost, as on any line that nobody reads."""
+    """Write what fits; the rest is lost, as on a line that nobody reads."""
     with contextlib.suppress(OSError):
         while data:
             data = data[os.write(file, data) :]
 
 
-def _states_for_somebody(count: int) -> Iterator[bytes]:
+def _states_of_another_session(count: int) -> Iterator[bytes]:
     zeros = np.zeros(8)
     for number in range(5000, 5000 + count):
         state = State(99, 1, 0, 1, 0.0, 0, zeros, zeros, zeros, zeros[:3], zeros[:3], 0.0, 16.0, zeros)
@@ -222,58 +220,58 @@ class Host:
 
     Args:
         port: its port.
-        folder: for what it says and keeps.
+        folder: for its output and traces.
         quick: whether the robot stands up in `QUICK` times.
     """
 
     def __init__(self, port: str, folder: Path, quick: bool = True) -> None:
         self.folder = folder
         words = deploy_words(port, folder, "--duration", str(LONG), lockstep=False)
-        with (folder / "told").open("w") as told, (folder / "said").open("w") as said:
+        with (folder / "stdout").open("w") as out, (folder / "stderr").open("w") as err:
             command = [sys.executable, "-c", _HOST, "quick" if quick else "", *words]
-            self.popen = subprocess.Popen(command, stdout=told, stderr=said)
+            self.popen = subprocess.Popen(command, stdout=out, stderr=err)
 
-    def end(self) -> Ended:
+    def end(self) -> DeployResult:
         """Wait until it ends by itself."""
         try:
             code = self.popen.wait(PATIENCE)
         finally:
             if self.popen.poll() is None:
                 self.popen.kill()
-        return Ended.read(code, self.folder)
+        return DeployResult.read(code, self.folder)
 
 
 @dataclass
-class Ended:
-    """A `surefoot deploy` that has ended."""
+class DeployResult:
+    """Result of a `surefoot deploy`."""
 
     code: int
-    told: dict[str, Any]
+    output: dict[str, Any]
     """Its JSON object; empty, if it printed none."""
-    said: list[str]
+    messages: list[str]
     """Lines of its standard error."""
     traces: Path
     """Folder of its traces."""
     trace: EpisodeTrace | None = None
     record: Record = field(default_factory=Record)
     summary: str = ""
-    """The line with which the emulator sums up."""
+    """The emulator's last line."""
     refusal: str = ""
-    """What a second program was told."""
+    """The error of a second program."""
 
     @classmethod
-    def read(cls, code: int, folder: Path) -> Ended:
-        told, said = ((folder / name).read_text() for name in ("told", "said"))
-        ended = cls(code, json.loads(told) if told else {}, said.splitlines(), folder / "traces")
-        if (path := ended.traces / "run_000.npz").exists():
-            ended.trace = EpisodeTrace.load(path)
-        return ended
+    def read(cls, code: int, folder: Path) -> DeployResult:
+        out, err = ((folder / name).read_text() for name in ("stdout", "stderr"))
+        result = cls(code, json.loads(out) if out else {}, err.splitlines(), folder / "traces")
+        if (path := result.traces / "run_000.npz").exists():
+            result.trace = EpisodeTrace.load(path)
+        return result
 
     @property
     def run(self) -> dict[str, Any]:
         """Its run's part of the JSON object."""
-        assert self.told, f"it was refused: {self.said}"
-        (run,) = self.told["runs"]
+        assert self.output, f"it was refused: {self.messages}"
+        (run,) = self.output["runs"]
         return run
 
     @property
@@ -282,21 +280,21 @@ class Ended:
         return self.code, self.run["ended"], self.run["reason"]
 
     @property
-    def kept(self) -> EpisodeTrace:
+    def saved_trace(self) -> EpisodeTrace:
         """Its trace."""
-        assert self.trace is not None, "no trace was kept"
+        assert self.trace is not None, "no trace was saved"
         return self.trace
 
 
 class Client:
-    """An operator in lockstep, for what `surefoot deploy` would never send; times are its own clock's [s]."""
+    """An operator in lockstep, for messages that `surefoot deploy` never sends; times are its own clock's [s]."""
 
     def __init__(self, path: str, session: int) -> None:
         self.path, self.file = path, os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         self.session, self.now, self.number = session, 0.0, 0
         self.last = 0
-        """Number of the last message besides pings: those the robot does not count."""
-        self.told: list[Packet] = []
+        """Number of the last message besides pings, which the robot does not count."""
+        self.packets: list[Packet] = []
         self._decoder = Decoder(CODEC)
 
     def send(self, message: Message, number: int | None = None, at: float | None = None) -> None:
@@ -308,24 +306,24 @@ class Client:
         os.write(self.file, encode_frame(CODEC, message, number, self.now if at is None else at))
 
     def pass_time(self, seconds: float) -> list[Packet]:
-        """Let time go on, without a word before its end; what the robot has said until then."""
+        """Let time pass in silence; return the robot's packets."""
         self.now += seconds
-        before, token = len(self.told), 1 + len(self.told)
+        before, token = len(self.packets), 1 + len(self.packets)
         self.send(Ping(token))
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             select.select([self.file], [], [], 1.0)
-            self.told += self._decoder.feed(_read(self.file))
-            if any(isinstance(f.message, Pong) and f.message.token == token for f in self.told[before:]):
-                return self.told[before:]
+            self.packets += self._decoder.feed(_read(self.file))
+            if any(isinstance(f.message, Pong) and f.message.token == token for f in self.packets[before:]):
+                return self.packets[before:]
         raise AssertionError("the robot does not answer")
 
     def talk(self, seconds: float) -> list[Packet]:
-        """Let time go on, with a word now and then: a clean link."""
+        """Let time pass with pings, as on a clean link; return the robot's packets."""
         return [frame for _ in range(round(seconds / 0.02)) for frame in self.pass_time(0.02)]
 
     def arm(self) -> list[Reason]:
-        """Ask to arm; what the robot has against it."""
+        """Ask to arm; return the reasons of the robot's faults."""
         self.send(Arm(self.session, int(Mode.POSITION), STEP, STEP))
         return reasons(self.pass_time(0.0))
 
@@ -338,7 +336,7 @@ class Client:
     @property
     def state(self) -> Any:
         """The newest state."""
-        return next(frame.message for frame in reversed(self.told) if isinstance(frame.message, State))
+        return next(frame.message for frame in reversed(self.packets) if isinstance(frame.message, State))
 
 
 # Runs in lockstep.
@@ -346,7 +344,7 @@ class Client:
 
 @dataclass(frozen=True)
 class Scenario:
-    """What goes wrong in a run of `surefoot deploy` in lockstep."""
+    """Faults and events of a run of `surefoot deploy` in lockstep."""
 
     faults: tuple[str, ...] = ()
     """The emulator's."""
@@ -357,17 +355,17 @@ class Scenario:
     signals: tuple[tuple[float, int], ...] = ()
     """Signals that the host gets: when [s], after arming, and which."""
     raises: bool = False
-    """What runs the policy raises an exception when the body pitches faster than .5 rad/s."""
+    """Whether the policy's runtime raises an exception when the body pitches faster than .5 rad/s."""
     disk: int = 0
-    """Bytes that a file may have; 0: as many as it likes."""
+    """Limit of a file's size [bytes]; 0: none."""
     terminal: bool = False
-    """It runs, as a process, in a terminal that closes when the policy runs."""
+    """Whether it runs, as a process, in a terminal that closes when the policy runs."""
     second: bool = False
-    """A second program wants the port when `RUNNING`; then the first one gets Ctrl-C."""
+    """Whether a second program opens the port when `RUNNING`; then the first one gets Ctrl-C."""
     stranger: bool = False
-    """Another operator talks to the robot when `RUNNING`."""
+    """Whether another operator sends messages to the robot when `RUNNING`."""
     chatter: bool = False
-    """The robot is in the middle of a frame when the host comes."""
+    """Whether the robot is in the middle of a frame when the host connects."""
     sunk: float = 0.0
     """How long the robot has been sinking onto its belly [s]; after 1 s its legs are folded beside it."""
     quick: bool = True
@@ -405,13 +403,13 @@ SCENARIOS = {
     "terminal": Scenario(duration=LONG, terminal=True),
     "disk full": Scenario(disk=8_000, duration=0.6),
 }
-STRANGERS = (
-    Hello(OTHER, 0.001),
-    Arm(OTHER, int(Mode.POSITION), STEP, STEP),
-    Position(OTHER, np.zeros(8)),
-    Damp(OTHER),
-    Disarm(OTHER),
-    Bye(OTHER),
+OTHER_MESSAGES = (
+    Hello(OTHER_SESSION, 0.001),
+    Arm(OTHER_SESSION, int(Mode.POSITION), STEP, STEP),
+    Position(OTHER_SESSION, np.zeros(8)),
+    Damp(OTHER_SESSION),
+    Disarm(OTHER_SESSION),
+    Bye(OTHER_SESSION),
 )
 _TERMINAL = """
 import os, subprocess, sys
@@ -420,16 +418,16 @@ words = ["sh", "-c", 'trap "" HUP; "$@"; echo $? > "$0"', *sys.argv[2:]]
 subprocess.Popen(words, stdin=terminal, stdout=terminal, stderr=terminal)
 sys.stdin.read()
 """
-"""A shell in a terminal that runs a program, and is gone when its window is closed. The program's code is written down
-by somebody who survives that."""
+"""A shell in a terminal that runs a program, and ends when its window is closed. A program that survives that writes
+the exit code."""
 
 
-def play(scenario: Scenario, folder: Path, policies: Path) -> Ended:
+def play(scenario: Scenario, folder: Path, policies: Path) -> DeployResult:
     """Run a policy on a robot that was just switched on, in this process where the scenario does not need another one.
 
     Args:
         scenario: what happens.
-        folder: for what is said and kept.
+        folder: for output and traces.
         policies: folder of policies.
     """
     folder.mkdir(parents=True)
@@ -439,7 +437,7 @@ def play(scenario: Scenario, folder: Path, policies: Path) -> Ended:
     cable = Cable(robot.port, scenario.chatter)
     refusals = [""]
 
-    def come_second() -> None:
+    def open_port_twice() -> None:
         try:
             open_link(cable.path, 8, lockstep=True)
         except SurefootError as error:
@@ -450,9 +448,9 @@ def play(scenario: Scenario, folder: Path, policies: Path) -> Ended:
         for when, number in scenario.signals:
             cable.after_arming(when, partial(_signal, number))
         if scenario.stranger:
-            cable.after_arming(RUNNING, lambda: cable.meddle(STRANGERS))
+            cable.after_arming(RUNNING, lambda: cable.send(OTHER_MESSAGES))
         if scenario.second:
-            cable.after_arming(RUNNING, come_second)
+            cable.after_arming(RUNNING, open_port_twice)
         if scenario.disk:
             # In lockstep a run may be over before the disk has been asked for the first time.
             cable.after_arming(RUNNING, lambda: time.sleep(0.3))
@@ -472,13 +470,13 @@ def play(scenario: Scenario, folder: Path, policies: Path) -> Ended:
 
 
 def _signal(number: int) -> None:
-    """Send the host in this process a signal, and let it arrive."""
+    """Send a signal to the host in this process, and let it arrive."""
     signal.pthread_kill(threading.main_thread().ident or 0, number)
     time.sleep(0.02)
 
 
-def in_this_process(words: list[str], folder: Path, scenario: Scenario | None = None) -> Ended:
-    """Run a command with what of a scenario concerns the computer that it runs on."""
+def in_this_process(words: list[str], folder: Path, scenario: Scenario | None = None) -> DeployResult:
+    """Run a command with a scenario's faults of the host."""
     scenario = scenario or Scenario()
     feedback, limits = PolicyRuntime.feedback, resource.getrlimit(resource.RLIMIT_FSIZE)
 
@@ -488,10 +486,10 @@ def in_this_process(words: list[str], folder: Path, scenario: Scenario | None = 
         return feedback(self, observation)
 
     with (
-        (folder / "told").open("w") as told,
-        (folder / "said").open("w") as said,
-        contextlib.redirect_stdout(told),
-        contextlib.redirect_stderr(said),
+        (folder / "stdout").open("w") as out,
+        (folder / "stderr").open("w") as err,
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
         mock.patch.object(PolicyRuntime, "feedback", breaking),
         mock.patch.multiple("surefoot.deploy.motion_runner", **(QUICK if scenario.quick else {"UP": UP})),
     ):
@@ -500,10 +498,10 @@ def in_this_process(words: list[str], folder: Path, scenario: Scenario | None = 
             code = main(words)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    return Ended.read(code, folder)
+    return DeployResult.read(code, folder)
 
 
-def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> Ended:
+def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> DeployResult:
     window, terminal = os.openpty()
     code = folder / "code"
     words = [sys.executable, "-c", _TERMINAL, os.ttyname(terminal), str(code), *SUREFOOT]
@@ -514,7 +512,7 @@ def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> Ended:
         shell.communicate()
         os.close(window)
 
-    # Nobody reads what is drawn there: that holds up nothing either.
+    # Nobody reads the terminal, which must not hold up the run.
     cable.after_arming(UP + 0.3, leave)
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end and not (code.exists() and code.read_text()):
@@ -522,16 +520,16 @@ def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> Ended:
     shell.kill()
     shell.wait()
     os.close(terminal)
-    for name in ("told", "said"):
+    for name in ("stdout", "stderr"):
         (folder / name).touch()
-    return Ended.read(int(code.read_text()), folder)
+    return DeployResult.read(int(code.read_text()), folder)
 
 
 def _settle(robot: EmulatorHere, seconds: float) -> None:
-    """Let a robot sink for a while."""
-    somebody = Client(robot.port, OTHER)
-    somebody.send(Hello(OTHER, 0.1))
-    somebody.pass_time(seconds)
-    somebody.send(Bye(OTHER))
-    somebody.pass_time(0.0)
-    os.close(somebody.file)
+    """Let a robot sink for a time [s]."""
+    operator = Client(robot.port, OTHER_SESSION)
+    operator.send(Hello(OTHER_SESSION, 0.1))
+    operator.pass_time(seconds)
+    operator.send(Bye(OTHER_SESSION))
+    operator.pass_time(0.0)
+    os.close(operator.file)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.report.pages.recorded_runs import Recording
+from surefoot.report.pages.recorded_runs import ShownTrace
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -23,7 +23,7 @@ def standing_height(robot: RobotDescription) -> float:
 
 def swinging(
     make_run: Callable[..., EpisodeTrace], name: str = "go2", speed: float = 0.5, seconds: float = 2.0, **given: Any
-) -> Recording:
+) -> ShownTrace:
     """Return a robot whose motors swing by .2 rad at 1 Hz; `arrays` and meta as `make_run` takes them."""
     robot = RobotDescription.load(name)
     time = 0.01 * np.arange(1, round(seconds * 100) + 1)
@@ -39,7 +39,7 @@ def swinging(
         **given.pop("arrays", {}),
     }
     meta = {"robot": name, "leg_names": robot.leg_names, "motor_names": robot.motor_names, "policy": name}
-    return Recording(name, robot, make_run(steps=len(time), arrays=arrays, **(meta | given)))
+    return ShownTrace(name, robot, make_run(steps=len(time), arrays=arrays, **(meta | given)))
 
 
 def data_of(page: str) -> dict[str, Any]:

@@ -97,12 +97,12 @@ class Config:
         ({"word": "\udc80"}, "c.word is .* Unicode text"),
     ],
 )
-def test_what_is_out_of_bounds_is_refused(values: dict[str, Any], said: str):
+def test_values_out_of_bounds_are_refused(values: dict[str, Any], said: str):
     with pytest.raises(SurefootError, match=f"^{said}"):
         Config(**values)
 
 
-def test_what_is_within_bounds_is_taken():
+def test_values_within_bounds_are_accepted():
     Config(number=1.0, count=10, units=(1, 10), free=-1e15, word="\u00e9", anything={"a": [True, None, 1]})
 
 
@@ -113,12 +113,12 @@ def test_a_number_too_large_for_a_float_is_refused():
 
 
 @pytest.mark.parametrize("name", ["trot", "gallop-robust", "_1", "A" * 100])
-def test_a_plain_name_is_taken(name):
+def test_a_plain_name_is_accepted(name):
     check_name("name", name)
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "../../x", "a/b", "a b", "a.b", "-x", "a\n", "\u00e9", "A" * 101])
-def test_what_could_leave_its_folder_or_be_none_is_refused(name):
+def test_names_that_are_no_plain_file_names_are_refused(name):
     with pytest.raises(SurefootError, match=r"^name is .*letters, digits, - and _ only"):
         check_name("name", name)
 
@@ -142,7 +142,7 @@ def test_a_configuration_is_a_regular_file_of_limited_size(tmp_path: Path):
 
 
 @pytest.mark.timeout(10)
-def test_what_has_no_end_is_not_begun(tmp_path: Path):
+def test_only_regular_files_are_read(tmp_path: Path):
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
         for read in (check_readable, read_configuration):
@@ -150,7 +150,7 @@ def test_what_has_no_end_is_not_begun(tmp_path: Path):
                 read(path)
 
 
-def test_files_under_way_of_killed_processes_are_removed_alone(tmp_path: Path):
+def test_only_unfinished_files_of_killed_processes_are_removed(tmp_path: Path):
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
     gone = [tmp_path / f".fresh.ckpt.{pid}.tmp" for pid in (dead.pid, 10**30)]

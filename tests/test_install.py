@@ -20,7 +20,7 @@ BARE = [Requirement(line) for line in PROJECT["dependencies"]]
 EXTRAS = {extra: [Requirement(line) for line in lines] for extra, lines in PROJECT["optional-dependencies"].items()}
 DIRECT = [r for r in [*BARE, *(r for lines in EXTRAS.values() for r in lines)] if r.name != PROJECT["name"]]
 
-NOT_ON_THE_ROBOT = {"torch", "mujoco", "mujoco-core", "numba", "gymnasium", "rsl-rl-lib", "pybullet", "scipy"}
+NOT_ON_THE_ROBOT = {"torch", "mujoco", "mujoco-core", "numba", "gymnasium", "rsl-rl-lib", "pybullet", "scipy", "pandas"}
 LEFT_TO_TORCH = ("nvidia-", "cuda-", "triton", "pytorch-triton")  # what a GPU build of torch adds for itself
 LARGEST_FILE = 5_000_000  # bytes
 

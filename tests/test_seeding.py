@@ -17,7 +17,7 @@ def test_another_seed_name_or_index_gives_another_stream(other):
     assert not np.array_equal(generator(3, "pushes", 5).random(10), generator(*other).random(10))
 
 
-def test_a_robots_stream_does_not_depend_on_their_number():
+def test_a_robots_stream_does_not_depend_on_the_batch():
     few, many = generators(3, "pushes", 2), generators(3, "pushes", 50)
     assert [one.random() for one in few] == [one.random() for one in many[:2]]
 

@@ -20,7 +20,7 @@ def test_the_first_signal_asks_to_sit_down(number):
         assert stop.stops == 1
 
 
-def test_only_ctrl_c_asks_for_haste():
+def test_only_ctrl_c_again_damps_at_once():
     with StopSignals() as stop:
         for _ in range(3):
             os.kill(os.getpid(), signal.SIGTERM)
@@ -34,14 +34,14 @@ def test_only_ctrl_c_asks_for_haste():
         assert stop.stops == 2
 
 
-def test_signals_belong_to_whom_they_belonged_afterwards():
+def test_signal_handlers_are_restored():
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
     with StopSignals():
         pass
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
 
 
-def test_signals_are_counted_told_and_those_that_nohup_ignores_stay_ignored():
+def test_signals_are_counted_and_reported_and_nohup_is_respected():
     told: list[int] = []
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:

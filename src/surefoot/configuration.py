@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 import tomllib
 import types
@@ -102,11 +103,10 @@ def _bounds(kind: type) -> dict[str, Within]:
 
 
 def _within(hint: Any) -> Within | None:
-    for given in getattr(hint, "__metadata__", ()):
-        if isinstance(given, Within):
-            return given
-    args = typing.get_args(hint)[:1] if hasattr(hint, "__metadata__") else typing.get_args(hint)
-    return next((found for arg in args if (found := _within(arg)) is not None), None)
+    marks = getattr(hint, "__metadata__", ())
+    args = typing.get_args(hint)[:1] if marks else typing.get_args(hint)
+    candidates = (mark if isinstance(mark, Within) else None for mark in marks), map(_within, args)
+    return next((within for within in itertools.chain(*candidates) if within is not None), None)
 
 
 def is_number(value: Any) -> bool:
@@ -208,61 +208,57 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
             values[name] = _convert(hints[name], data[name], prefix + name, values.get(name))
         elif base is None and item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
             raise SurefootError(f"{prefix}{name} is missing; it must be given")
-    made = kind(**values)
-    check_bounds(made, where)
-    return made
+    config = kind(**values)
+    check_bounds(config, where)
+    return config
 
 
 def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
-    origin = typing.get_origin(hint)
+    """Return a value as the type that a field has; `base` is what the field has without it."""
+    origin, args, is_bool = typing.get_origin(hint), typing.get_args(hint), isinstance(value, bool)
     if dataclasses.is_dataclass(hint):
         return from_mapping(hint, value, where, base)  # type: ignore[arg-type]
+    if hint is Any:
+        return value
     if origin is typing.Literal:
-        if value not in typing.get_args(hint):
-            raise SurefootError(f"{where} is {quote(value)}; choices: {choices(typing.get_args(hint))}")
+        if value not in args:
+            raise SurefootError(f"{where} is {quote(value)}; choices: {choices(args)}")
         return value
     if origin in (typing.Union, types.UnionType):
-        tables = [option for option in typing.get_args(hint) if dataclasses.is_dataclass(option)]
+        tables = [option for option in args if dataclasses.is_dataclass(option)]
         if isinstance(value, Mapping) and len(tables) == 1:
             return _convert(tables[0], value, where, base)
-        for option in typing.get_args(hint):
+        for option in args:
             try:
                 return _convert(option, value, where, base)
             except SurefootError:
                 continue
-        wanted = " or ".join(map(_name, typing.get_args(hint)))
-        raise SurefootError(f"{where} is {quote(value)}; it must be {wanted}")
-    if origin is tuple:
-        args = typing.get_args(hint)
-        if not isinstance(value, list | tuple) or (args[-1] is not Ellipsis and len(value) != len(args)):
-            raise SurefootError(f"{where} is {quote(value)}; it must be {_name(hint)}")
-        kinds = [args[0]] * len(value) if args[-1] is Ellipsis else args
-        return tuple(_convert(kinds[k], item, f"{where}[{k}]", None) for k, item in enumerate(value))
-    if origin is dict:
-        if not isinstance(value, Mapping):
-            raise SurefootError(f"{where} is {quote(value)}; it must be a table")
-        return {
-            str(key): _convert(typing.get_args(hint)[1], item, f"{where}.{key}", None) for key, item in value.items()
-        }
-    if hint is Any:
-        return value
-    is_bool = isinstance(value, bool)
-    if hint is float and isinstance(value, int | float) and not is_bool:
+    elif origin is tuple:
+        if isinstance(value, list | tuple) and (args[-1] is Ellipsis or len(value) == len(args)):
+            kinds = [args[0]] * len(value) if args[-1] is Ellipsis else args
+            return tuple(_convert(kinds[k], item, f"{where}[{k}]", None) for k, item in enumerate(value))
+    elif origin is dict:
+        if isinstance(value, Mapping):
+            return {str(key): _convert(args[1], item, f"{where}.{key}", None) for key, item in value.items()}
+    elif hint is float and isinstance(value, int) and not is_bool:
         try:
             return float(value)
         except OverflowError:
             raise SurefootError(f"{where} is {quote(value)}; it must be a finite number") from None
-    if isinstance(value, hint) and is_bool == (hint is bool):
+    elif isinstance(value, hint) and is_bool == (hint is bool):
         return value
     raise SurefootError(f"{where} is {quote(value)}; it must be {_name(hint)}")
 
 
 def _name(hint: Any) -> str:
-    if typing.get_origin(hint) is tuple:
-        args = typing.get_args(hint)
+    """Return a type in words."""
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(map(_name, args))
+    if origin is tuple:
         return f"a list of {'' if args[-1] is Ellipsis else f'{len(args)} '}values, each {_name(args[0])}"
-    if typing.get_origin(hint) is dict:
-        return f"a table of values, each {_name(typing.get_args(hint)[1])}"
+    if origin is dict:
+        return f"a table of values, each {_name(args[1])}"
     if dataclasses.is_dataclass(hint):
         return f"a table with keys out of: {choices(item.name for item in dataclasses.fields(hint))}"
     return _KIND.get(hint, str(hint))

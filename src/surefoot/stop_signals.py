@@ -1,4 +1,4 @@
-"""The user's wish to stop: Ctrl-C, a terminal that closes, a process that is asked to end."""
+"""Signals that stop a program: Ctrl-C, a closed terminal, a request to terminate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def enable_interrupt() -> None:
 
 
 class StopSignals:
-    """Count signals instead of being ended by them, while entered.
+    """Count signals while entered, so that they do not end the process.
 
     Args:
         names: of the signals.
@@ -36,20 +36,20 @@ class StopSignals:
         respect_nohup: bool = False,
     ) -> None:
         self.count = 0
-        """Signals that came."""
+        """Signals so far."""
         self._names, self._on_signal, self._respect_nohup = names, on_signal, respect_nohup
         self._interrupts = 0
         self._before: dict[int, Any] = {}
 
     @property
     def stops(self) -> int:
-        """What is asked of a robot: 0: go on; 1: sit down; 2, by Ctrl-C once more: damp at once.
+        """Request to a robot. 0: go on; 1: sit down; 2, after Ctrl-C twice: damp at once.
 
-        A closing terminal sends several signals; none of them means haste.
+        A closing terminal sends several signals, which count once.
         """
         return min(max(self._interrupts, int(self.count > 0)), 2)
 
-    def _heard(self, number: int, frame: FrameType | None) -> None:
+    def _count(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
         self._interrupts += number == signal.SIGINT
         if self._on_signal is not None:
@@ -60,11 +60,10 @@ class StopSignals:
             number = getattr(signal, name, None)
             ignored = number is not None and signal.getsignal(number) == signal.SIG_IGN
             if number is not None and not (self._respect_nohup and name == "SIGHUP" and ignored):
-                self._before[number] = signal.signal(number, self._heard)
+                self._before[number] = signal.signal(number, self._count)
         return self
 
     def __exit__(self, *_: object) -> None:
-        # Signals go back to whom they belonged.
         for number, handler in self._before.items():
             signal.signal(number, handler)
         self._before.clear()

@@ -1,14 +1,16 @@
-"""Tables as lists of rows, each a mapping from column to value: written as CSV, as Markdown, or to a terminal."""
+"""Tables, as lists of rows or as data frames: written as CSV, as Markdown, or to a terminal."""
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from surefoot.files import atomic_write
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Rows = Sequence[Mapping[str, object]]
 """Rows of a table, all with the columns of the first one."""
@@ -19,30 +21,25 @@ def plain_value(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def plain_rows(rows: Rows) -> list[dict[str, object]]:
-    """Return rows as JSON holds them."""
+def plain_rows(table: Rows | pd.DataFrame) -> list[dict[str, object]]:
+    """Return the rows of a table as JSON holds them."""
+    rows: Rows = table if isinstance(table, Sequence) else table.to_dict("records")
     return [{name: plain_value(value) for name, value in row.items()} for row in rows]
 
 
-def write_csv(path: str | Path, rows: Rows) -> Path:
-    """Write rows as CSV, whole or not at all, with the file's folder; returns the path.
+def write_csv(path: str | Path, table: Rows | pd.DataFrame) -> Path:
+    """Write a table as CSV, whole or not at all, with the file's folder; return the path.
 
-    Numbers have nine significant digits, flags are 0 or 1, and what is not known (None or NaN) is empty.
+    Numbers have nine significant digits, flags are 0 or 1, and missing values (None or NaN) are empty.
     """
-    path, text = Path(path), io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: _csv_cell(value) for name, value in row.items()} for row in rows)
+    import pandas as pd
+
+    frame = pd.DataFrame(table).convert_dtypes()
+    frame = frame.astype(dict.fromkeys(frame.select_dtypes("boolean"), "Int8"))
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(path, text.getvalue())
+    atomic_write(path, frame.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
     return path
-
-
-def _csv_cell(value: object) -> object:
-    value = plain_value(value)
-    if isinstance(value, bool):
-        return int(value)
-    return f"{value:.9g}" if isinstance(value, float) else value
 
 
 def markdown(rows: Rows) -> str:
@@ -53,7 +50,7 @@ def markdown(rows: Rows) -> str:
 
 
 def print_table(rows: Rows, title: str = "", text_columns: int = 1) -> None:
-    """Print one row or more to standard output, numbers aligned to the right; into a file as wide as it takes.
+    """Print one row or more to standard output, numbers aligned to the right; a file gets whole lines.
 
     The first `text_columns` columns hold text, which may be folded.
     """
@@ -77,8 +74,8 @@ def print_table(rows: Rows, title: str = "", text_columns: int = 1) -> None:
 
 
 def print_files(files: Sequence[Path], folder: Path) -> None:
-    """Print the names of files that were written, counted from a folder, in one line."""
+    """Print the names of written files, relative to a folder, in one line."""
     from rich.console import Console
 
-    told = f"wrote {folder}: {', '.join(str(file.relative_to(folder)) for file in files)}"
-    Console().print(told, highlight=False, markup=False, soft_wrap=True)
+    message = f"wrote {folder}: {', '.join(str(file.relative_to(folder)) for file in files)}"
+    Console().print(message, highlight=False, markup=False, soft_wrap=True)

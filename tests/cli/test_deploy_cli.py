@@ -244,7 +244,7 @@ def test_what_cannot_be_done_is_told_in_one_line(words, match):
     ("words", "change", "match"),
     [
         (["deploy", "--port", "x"], {"control_latency": float("nan")}, "contract: is not JSON: it holds NaN"),
-        (["deploy", "--port", "x"], {"task": {"fall_angle": 1e9}}, "policy 'trot': fall_angle is 1e+09; it must be"),
+        (["deploy", "--port", "x"], {"task": {"fall_angle": 1e9}}, "fall_angle is 1e+09; it must be"),
         (["evaluate"], {"control_latency": -0.02}, "contract.control_latency is -0.02; it must be 0 or more"),
     ],
 )

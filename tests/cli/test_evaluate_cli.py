@@ -61,7 +61,7 @@ def test_help_is_fast_and_names_the_commands():
     assert surefoot("--version").stdout.startswith("surefoot ")
 
 
-def test_what_is_wrong_is_told_before_anything_heavy_is_loaded():
+def test_errors_come_before_anything_heavy_is_imported():
     lines = ("evaluate no.onnx --episodes 0", "sensitivity no.onnx --episodes 0", "gap no.onnx --to bullet --runs 0")
     script = (
         "import sys; from surefoot.cli.main import main;"
@@ -78,7 +78,7 @@ def test_an_unknown_command_is_refused():
     assert surefoot().returncode == 2
 
 
-def test_json_is_one_object_with_the_keys_promised(policy: Path):
+def test_json_is_one_object_with_all_keys(policy: Path):
     done = surefoot("evaluate", policy, "--episodes", "3", "--json", "--seed", "4")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("\n") == 1
@@ -90,7 +90,7 @@ def test_json_is_one_object_with_the_keys_promised(policy: Path):
     assert result["randomize"] == {}
 
 
-def test_settings_and_pushes_make_a_difference(policy: Path):
+def test_settings_and_pushes_change_the_result(policy: Path):
     calm, weak, pushed, mildly = (
         json.loads(surefoot("evaluate", policy, "--episodes", "2", "--json", *more).stdout)
         for more in (
@@ -130,7 +130,7 @@ def test_settings_and_pushes_make_a_difference(policy: Path):
         ("evaluate --trace run.npz", "trace folder run.npz does not exist"),
     ],
 )
-def test_what_does_not_fit_is_refused(policy: Path, line: str, part: str, tmp_path: Path):
+def test_evaluate_and_play_refuse_options_that_do_not_fit(policy: Path, line: str, part: str, tmp_path: Path):
     refused(surefoot(*line.replace("POLICY", str(policy)).split(), cwd=tmp_path), part)
     assert list(tmp_path.iterdir()) == []
 
@@ -162,7 +162,7 @@ def test_play_writes_a_video_where_there_is_no_display(policy: Path, tmp_path: P
     frames.close()
 
 
-def test_what_is_not_installed_is_told_with_the_command_that_installs_it(
+def test_a_missing_package_is_named_with_the_command_that_installs_it(
     policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     hide = "import sys; sys.modules['mujoco'] = None"
@@ -224,7 +224,7 @@ def recorded(policy: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     return folder, json.loads(done.stdout)
 
 
-def test_recorded_runs_are_measured_by_the_same_ruler(recorded: tuple[Path, dict[str, object]]):
+def test_recorded_runs_have_the_same_figures(recorded: tuple[Path, dict[str, object]]):
     folder, ran = recorded
     done = surefoot("evaluate", "--trace", folder, "--json")
     assert done.returncode == 0, done.stderr
@@ -240,7 +240,7 @@ def test_recorded_runs_are_measured_by_the_same_ruler(recorded: tuple[Path, dict
     assert re.search(r"falls +\d of 2", two.stdout)
 
 
-def test_a_robot_that_nobody_sees_still_tells_its_power(recorded: tuple[Path, dict[str, object]], tmp_path: Path):
+def test_a_robot_without_a_measured_position_has_a_power(recorded: tuple[Path, dict[str, object]], tmp_path: Path):
     from surefoot.task.trace import EpisodeTrace
 
     trace = EpisodeTrace.load(sorted(recorded[0].glob("*.npz"))[0])
@@ -255,7 +255,7 @@ def test_a_robot_that_nobody_sees_still_tells_its_power(recorded: tuple[Path, di
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["episode.png"]
 
 
-def test_a_steered_policy_is_measured_over_a_grid_of_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     from surefoot.evaluate import tracking
     from surefoot.task.trace import EpisodeTrace
 

@@ -195,7 +195,7 @@ def test_a_recording_is_fitted(recorded: Recorded, robot: RobotDescription, tmp_
     assert " contact_friction " in done.stdout
     assert f"wrote {params}, {out / 'report.png'}, {out / 'report.html'}" in done.stdout
     found = read_params(params, robot)
-    assert {"voltage", "motor_strength", "contact_friction"} <= set(found.given)
+    assert {"voltage", "motor_strength", "contact_friction"} <= set(found.names)
     assert (found.params.voltage[0], found.tables["note"]) == (15.5, {"by": "hand"})
     low, high = found.tables["intervals"]["contact_friction"]
     assert low <= found.params.contact_friction[0] <= high

@@ -14,7 +14,7 @@ pytest.importorskip("mujoco")
 
 from surefoot.cli.evaluate import EvaluateCommand
 from surefoot.cli.helpers import paper_runs
-from surefoot.cli.helpers.paper_runs import Runs, Stage, command, evaluate
+from surefoot.cli.helpers.paper_runs import PaperRuns, Stage, command, evaluate
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.search import SearchCommand
 from surefoot.cli.sensitivity import SensitivityCommand
@@ -42,7 +42,9 @@ def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
         (["--root", "REPOSITORY", "--quick", "--folder", "file"], ["file; it must be a folder"]),
     ],
 )
-def test_what_does_not_go_together_is_refused(words: list[str], parts: list[str], repository: Path, tmp_path: Path):
+def test_paper_refuses_options_that_do_not_go_together(
+    words: list[str], parts: list[str], repository: Path, tmp_path: Path
+):
     (tmp_path / "file").touch()
     refused(surefoot("paper", *(word.replace("REPOSITORY", str(repository)) for word in words), cwd=tmp_path), *parts)
 
@@ -55,16 +57,16 @@ def shipped(repository: Path, tmp_path: Path) -> Path:
     return tmp_path / "runs"
 
 
-def test_runs_are_made_once_stopped_and_gone_on_with(
+def test_runs_are_made_once_and_go_on_after_a_stop(
     repository: Path, shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     made: list[str] = []
 
-    def once(runs: Runs) -> None:
+    def once(runs: PaperRuns) -> None:
         made.append("once")
         (runs.folder / "once").touch()
 
-    def stopped(runs: Runs) -> None:
+    def stopped(runs: PaperRuns) -> None:
         made.append("stopped")
         if made.count("stopped") == 1:
             raise KeyboardInterrupt
@@ -135,7 +137,7 @@ PARSERS = {
 }
 
 
-def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     said: list[list[str]] = []
 
     def main(words: list[str]) -> int:
@@ -164,7 +166,7 @@ def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: P
     run = mock.Mock(return_value=mock.Mock(returncode=0))
     monkeypatch.setattr(paper_runs.subprocess, "run", run)
     (tmp_path / "results/search").mkdir(parents=True)
-    quick = Runs(repository, tmp_path, True, workers=2)
+    quick = PaperRuns(repository, tmp_path, True, workers=2)
     for stage in paper_runs.STAGES:
         stage.make(quick)
     told = {tuple(words) for words in said}
@@ -185,7 +187,7 @@ def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: P
     # The full version has none of the words that make it small, and what was stopped goes on.
     said.clear()
     (tmp_path / "results/search/search.yaml").touch()
-    full = Runs(repository, tmp_path, False, ray="head:6379")
+    full = PaperRuns(repository, tmp_path, False, ray="head:6379")
     for stage in paper_runs.STAGES:
         stage.make(full)
     assert ["train", "--resume", str(tmp_path / "runs/trot/first")] in said
@@ -201,8 +203,8 @@ def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: P
         paper_runs.search(full)
 
 
-def test_a_run_that_makes_nothing_is_told(repository: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_run_without_its_file_is_an_error(repository: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(paper_runs, "STAGES", (Stage("results/none.json", lambda runs: None),))
     done = surefoot("paper", "--root", repository, "--quick", "--folder", shipped)
-    refused_late = "surefoot: error: results/none.json was not made; see what was said above\n"
+    refused_late = "surefoot: error: results/none.json was not made; see the output above\n"
     assert (done.returncode, done.stderr.endswith(refused_late)) == (2, True)

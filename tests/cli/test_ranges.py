@@ -10,7 +10,7 @@ import pytest
 import yaml
 from processes import surefoot
 
-from surefoot.cli.helpers.simulator import ranges_help, take_ranges
+from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.errors import SurefootError
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.randomization import Ranges, RelativeRange, load_ranges

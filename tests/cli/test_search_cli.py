@@ -62,7 +62,7 @@ def untimed(row: dict[str, object]) -> dict[str, object]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_every_trial_counts_once_whatever_dies(tmp_path: Path) -> None:
+def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TASK)
     (tmp_path / "space.yaml").write_text(SPACE)
     with cluster(tmp_path, cpus=1) as made:
@@ -84,7 +84,7 @@ def test_every_trial_counts_once_whatever_dies(tmp_path: Path) -> None:
         result = surefoot(*SEARCH, "--trials", "3", "--ray", made.address, "--resume", cwd=tmp_path)
         assert result.returncode == 0, result.stderr
         assert result.stderr == ""
-        assert "trials.log: the last record was cut off and is left out" in result.stdout
+        assert "trials.log: the last record was cut off and is removed" in result.stdout
     check(tmp_path, 3)
     check_same(tmp_path, int(lost))
     check_report(tmp_path / "out", 3)
@@ -157,10 +157,10 @@ BAD = [
 
 
 @pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words) for words, _ in BAD])
-def test_bad_input_gets_one_line_and_exit_code_2(
+def test_search_refuses_bad_input_in_one_line(
     words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("surefoot.studies.workers._CONNECTING", 0.5)
+    monkeypatch.setattr("surefoot.studies.workers._CONNECT_TIMEOUT", 0.5)
     (tmp_path / "unknown.yaml").write_text("ppo.leg: {low: 0, high: 1}")
     (tmp_path / "reversed.yaml").write_text("ppo.gamma: {low: 0.9, high: 0.8}")
     (tmp_path / "robot.yaml").write_text("task.robot: {choices: [minitaur, centipede]}")

@@ -40,7 +40,7 @@ def test_tables_and_figures(tmp_path: Path):
     assert "wrote sensitivity: sensitivity.csv, episodes.csv, aggregate.png, base_mass_ratio.png" in done.stdout
 
 
-def test_json_is_one_object_and_the_ranges_are_the_user_s(tmp_path: Path):
+def test_json_is_one_object_with_the_ranges_of_a_file(tmp_path: Path):
     (tmp_path / "mine.yaml").write_text("voltage: [12.0, 16.0]\nresistance: [0.15, 0.25]\n")
     words = ("gallop", *SHORT, "--values", "3", "--ranges", "mine.yaml", "--json", "--seed", "4", "--out", "a/b")
     done = surefoot("sensitivity", *words, cwd=tmp_path)
@@ -75,7 +75,7 @@ def test_the_force_of_pushes_is_a_row(tmp_path: Path):
     assert [int(world["falls"]) for world in worlds.values()] == [0, 0, 0, 2]
 
 
-def test_policies_of_one_name_are_told_apart(tmp_path: Path):
+def test_policies_of_one_name_get_distinct_names(tmp_path: Path):
     for folder, name in (("a", "mine"), ("b", "mine"), ("b", "other")):
         (tmp_path / folder).mkdir(exist_ok=True)
         shutil.copy(find_policy("trot"), tmp_path / folder / f"{name}.onnx")

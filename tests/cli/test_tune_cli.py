@@ -42,7 +42,7 @@ def test_a_gait_is_found_written_measured_and_started_from(tmp_path: Path):
         (("--robot", "nobody"), ["robot 'nobody': no such robot"]),
     ],
 )
-def test_what_does_not_fit_is_refused_in_one_line(tmp_path: Path, words: tuple[str, ...], parts: list[str]):
+def test_tune_refuses_options_and_files_that_do_not_fit(tmp_path: Path, words: tuple[str, ...], parts: list[str]):
     task = "reference: {kind: foot}\n"
     (tmp_path / "task.yaml").write_text(task)
     (tmp_path / "hand.yaml").write_text(f"{task}handcrafted: {{}}\n")

@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
-import json
 import os
 import signal
 import threading
@@ -25,19 +24,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from edited import edited_policy
 from processes import Emulator, EmulatorHere, TooBusyError, emulators
 
 from surefoot.deploy.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
 from surefoot.deploy.poses import sitting_pose
-from surefoot.policy.contract import METADATA_KEY
-from surefoot.policy.digest import DIGEST_KEY, add_digest
 from surefoot.robot import RobotDescription
 from surefoot.task.partial_trace import SUFFIX, recover
 
 pytest.importorskip("mujoco")
+pytest.importorskip("onnx")
 
 from fault_bench import (
-    OTHER,
+    OTHER_SESSION,
     PATIENCE,
     QUICK_UP,
     RUNNING,
@@ -45,7 +44,7 @@ from fault_bench import (
     STEP,
     Cable,
     Client,
-    Ended,
+    DeployResult,
     Host,
     Record,
     deploy_words,
@@ -54,7 +53,6 @@ from fault_bench import (
 )
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
-TROT = Path(__file__).resolve().parents[2] / "policies" / "trot.onnx"
 MINITAUR = RobotDescription.load("minitaur")
 DAMPED_WITHIN = 0.100
 """What the table allows between a host's last command and damped motors [s]."""
@@ -105,61 +103,38 @@ def client(operators: Callable[[], Client]) -> Iterator[Client]:
 @pytest.fixture(scope="module")
 def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Trots that break when the body pitches faster than .5 rad/s, and one for which a slight lean is a fall."""
-    onnx = pytest.importorskip("onnx")
     from onnx import helper, numpy_helper
 
     folder = tmp_path_factory.mktemp("policies")
-    numbers = {
-        "pitch_rate": [[0.0, 0.0, 0.0, -1.0]],
-        "limit": [0.5],
-        "zero": [0.0],
-        "tiny": [1e-30],
+    numbers = {"pitch_rate": [[0.0, 0.0, 0.0, -1.0]], "limit": [0.5], "zero": [0.0], "tiny": [1e-30]}
+    nodes: dict[str, list[tuple[str, str, str]]] = {
+        "nan": [("Div", "left_only left_only", "ratio"), ("Mul", "ratio zero", "extra")],
+        "infinite": [("Sigmoid", "left", "some"), ("Div", "some left_only", "large"), ("Mul", "large tiny", "extra")],
     }
-    left = [
-        ("Gemm", "observation pitch_rate limit", "left", {"transB": 1}),
-        ("Relu", "left", "left_only", {}),
-    ]
-    ways: dict[str, list[tuple[str, str, str, dict[str, Any]]]] = {
-        "nan": [("Div", "left_only left_only", "ratio", {}), ("Mul", "ratio zero", "extra", {})],
-        "infinite": [
-            ("Sigmoid", "left", "some", {}),
-            ("Div", "some left_only", "large", {}),
-            ("Mul", "large tiny", "extra", {}),
-        ],
-    }
+    for name, added in nodes.items():
 
-    def write(model: Any, name: str) -> None:
-        helper.set_model_props(model, {one.key: one.value for one in model.metadata_props if one.key != DIGEST_KEY})
-        (folder / f"{name}.onnx").write_bytes(add_digest(model.SerializeToString()))
+        def extend(graph: Any, added: list[tuple[str, str, str]] = added) -> None:
+            graph.node[-1].output[0] = "plain"
+            for key, value in numbers.items():
+                graph.initializer.append(numpy_helper.from_array(np.array(value, np.float32), key))
+            graph.node.append(helper.make_node("Gemm", ["observation", "pitch_rate", "limit"], ["left"], transB=1))
+            for kind, inputs, output in (("Relu", "left", "left_only"), *added, ("Add", "plain extra", "feedback")):
+                graph.node.append(helper.make_node(kind, inputs.split(), [output]))
 
-    for name, nodes in ways.items():
-        model = onnx.load(TROT)
-        graph = model.graph
-        graph.node[-1].output[0] = "plain"
-        graph.initializer.extend(
-            numpy_helper.from_array(np.array(value, np.float32), key) for key, value in numbers.items()
-        )
-        for kind, inputs, output, how in (*left, *nodes, ("Add", "plain extra", "feedback", {})):
-            graph.node.append(helper.make_node(kind, inputs.split(), [output], **how))
-        write(model, name)
-    model = onnx.load(TROT)
-    (contract,) = (one for one in model.metadata_props if one.key == METADATA_KEY)
-    said = json.loads(contract.value)
-    said["task"]["fall_angle"] = LEAN
-    contract.value = json.dumps(said)
-    write(model, "leaning")
+        edited_policy(folder / f"{name}.onnx", policy="trot", graph=extend)
+    edited_policy(folder / "leaning.onnx", lambda contract: contract["task"].update(fall_angle=LEAN), "trot")
     return folder
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory, policies: Path) -> Callable[[str], Ended]:
+def played(tmp_path_factory: pytest.TempPathFactory, policies: Path) -> Callable[[str], DeployResult]:
     """Give what came of a scenario, by its name; each is played once."""
     folder = tmp_path_factory.mktemp("lockstep")
     return functools.cache(lambda name: play(SCENARIOS[name], folder / name, policies))
 
 
 @pytest.fixture
-def ended(scenario: str, played: Callable[[str], Ended]) -> Ended:
+def ended(scenario: str, played: Callable[[str], DeployResult]) -> DeployResult:
     """What came of the test's scenario."""
     return played(scenario)
 
@@ -206,14 +181,14 @@ def wait_for(event: threading.Event, host: Host) -> None:
     end = time.monotonic() + PATIENCE
     while not event.wait(0.05):
         if host.popen.poll() is not None or time.monotonic() > end:
-            raise TooBusyError(f"the run ended before its time: {(host.folder / 'said').read_text()}")
+            raise TooBusyError(f"the run ended before its time: {(host.folder / 'stderr').read_text()}")
 
 
 def damped_after(record: Record) -> float:
     """How long after the last command that it took a robot damped its motors by itself [s], on its own clock."""
-    faults = [frame for frame in record.of_robot(Fault) if frame.message.reason == Reason.TIMEOUT]
+    faults = [frame for frame in record.robot_packets(Fault) if frame.message.reason == Reason.TIMEOUT]
     assert faults, "the robot never missed its host"
-    since = record.of_robot(State, faults[-1].time)
+    since = record.robot_packets(State, faults[-1].time)
     # It stays so.
     assert {(state.message.mode, state.message.reason) for state in since} == {(Mode.FAULT, Reason.TIMEOUT)}
     assert since[-1].time - since[0].time > 0.15
@@ -225,18 +200,18 @@ def damped_after(record: Record) -> float:
 
 def assert_damped_at_once(record: Record) -> float:
     """The host damped, and commanded nothing since; when [s], on its clock."""
-    damped = record.of_host(Damp)[0].time
-    assert record.of_host(Position, damped) == []
+    damped = record.host_packets(Damp)[0].time
+    assert record.host_packets(Position, damped) == []
     return float(damped)
 
 
 def assert_sat_and_disarmed(record: Record) -> None:
     """The last command was to sit, then the robot was disarmed."""
-    last = record.of_host(Position)[-1]
+    last = record.host_packets(Position)[-1]
     np.testing.assert_allclose(last.message.target, sitting_pose(MINITAUR), atol=1e-6)
-    assert record.of_host(Disarm)[0].time >= last.time
-    assert record.of_host(Position, record.of_host(Disarm)[0].time + 1e-6) == []
-    assert record.left == AT_EASE
+    assert record.host_packets(Disarm)[0].time >= last.time
+    assert record.host_packets(Position, record.host_packets(Disarm)[0].time + 1e-6) == []
+    assert record.final_mode == AT_EASE
 
 
 # 1: the host dies, hangs, or the cable is pulled.
@@ -253,7 +228,7 @@ def test_row_1_a_host_that_dies_or_hangs_and_a_cable_that_is_pulled(living_robot
             host.popen.send_signal(signal.SIGKILL if how == "killed" else signal.SIGSTOP)
         time.sleep(0.3)
         assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
-        told = len(cable.record.told)
+        count = len(cable.record.from_robot)
         if how == "hangs":
             host.popen.send_signal(signal.SIGCONT)
         if how != "killed":
@@ -261,22 +236,22 @@ def test_row_1_a_host_that_dies_or_hangs_and_a_cable_that_is_pulled(living_robot
             assert ended.code == 3
             assert how == "hangs" or ended.outcome == (3, "fault", "stale state")
         # Nothing that a host says when it wakes moves the robot.
-        modes = {frame.message.mode for frame in cable.record.told[told:] if isinstance(frame.message, State)}
+        modes = {frame.message.mode for frame in cable.record.from_robot[count:] if isinstance(frame.message, State)}
         assert modes <= {Mode.FAULT, Mode.DISARMED}
 
 
 @scenarios("unplug")
 def test_row_1_the_trace_of_a_run_whose_cable_was_pulled_is_kept(ended):
     assert ended.outcome == (3, "fault", "link")
-    assert ended.kept.meta["ended"] == "fault"
-    assert ended.kept.num_steps > 20
+    assert ended.saved_trace.meta["ended"] == "fault"
+    assert ended.saved_trace.num_steps > 20
 
 
 def test_row_1_damped_50_ms_after_the_last_command_to_the_servo_step(client):
-    said = client.pass_time(3.0)
-    (fault,) = (frame for frame in said if isinstance(frame.message, Fault))
+    packets = client.pass_time(3.0)
+    (fault,) = (frame for frame in packets if isinstance(frame.message, Fault))
     assert fault.message.reason == Reason.TIMEOUT
-    states = [frame for frame in said if isinstance(frame.message, State)]
+    states = [frame for frame in packets if isinstance(frame.message, State)]
     state = next(frame for frame in states if frame.message.mode == Mode.FAULT)
     assert state.time - fault.time <= 1e-3 + 1e-9
     assert state.message.command_age == pytest.approx(0.051, abs=1e-5)
@@ -305,9 +280,9 @@ def test_row_1_a_new_host_arms_it_after_500_ms_of_clean_link(client, tmp_path):
     ended = in_this_process(deploy_words(cable.path, tmp_path, "--duration", "0.06"), tmp_path)
     cable.close()
     assert ended.outcome == (0, "time", "time")
-    found = cable.record.of_robot(State)[0].message
-    assert (found.mode, found.reason) == (Mode.DISARMED, Reason.TIMEOUT)
-    assert cable.record.armed - cable.record.of_host(Hello)[0].time >= 0.5
+    state = cable.record.robot_packets(State)[0].message
+    assert (state.mode, state.reason) == (Mode.DISARMED, Reason.TIMEOUT)
+    assert cable.record.armed - cable.record.host_packets(Hello)[0].time >= 0.5
     assert_sat_and_disarmed(cable.record)
 
 
@@ -317,18 +292,18 @@ def test_row_1_a_new_host_arms_it_after_500_ms_of_clean_link(client, tmp_path):
 @scenarios("stale-state", "repeat-sequence", "backward-sequence")
 def test_row_2_states_that_are_old_repeated_or_backward(ended):
     assert ended.outcome == (3, "fault", "stale state")
-    assert ended.kept.meta["ended"] == "fault"
-    assert ended.kept.num_steps > 20
+    assert ended.saved_trace.meta["ended"] == "fault"
+    assert ended.saved_trace.num_steps > 20
     damped = assert_damped_at_once(ended.record)
     highest, fresh = 0, 0.0
-    for frame in ended.record.told:
+    for frame in ended.record.from_robot:
         if frame.sequence > highest and frame.time < damped:
             highest = frame.sequence
             fresh = frame.time if isinstance(frame.message, State) else fresh
     # The step that finds the newest state older than three steps is the one that damps.
     assert 3 * STEP < damped - fresh <= 4 * STEP + 1e-6
     assert ended.record.reasons == [Reason.HOST]
-    assert ended.record.of_robot(Fault)[0].time == damped
+    assert ended.record.robot_packets(Fault)[0].time == damped
 
 
 # 3: numbers that are none, exceptions, a contract that does not fit.
@@ -345,34 +320,34 @@ def test_row_2_states_that_are_old_repeated_or_backward(ended):
 def test_row_3_a_policy_that_breaks(ended, reason, text):
     assert ended.outcome == (3, "fault", reason)
     assert text in ended.run["what"]
-    trace = ended.kept
+    trace = ended.saved_trace
     assert trace.meta["ended"] == "fault"
     assert trace.num_steps > 2
     damped = assert_damped_at_once(ended.record)
     # In the step that would have sent the command: one step after the last one.
-    assert ended.record.of_host(Position)[-1].time == pytest.approx(damped - STEP, abs=1e-6)
-    at = damped + ended.record.ahead
+    assert ended.record.host_packets(Position)[-1].time == pytest.approx(damped - STEP, abs=1e-6)
+    at = damped + ended.record.clock_offset
     assert at == pytest.approx(trace.meta["robot_time_start"] + trace.num_steps * STEP, abs=1e-6)
-    (fault,) = ended.record.of_robot(Fault)
+    (fault,) = ended.record.robot_packets(Fault)
     assert (fault.message.reason, fault.time) == (Reason.HOST, pytest.approx(at, abs=1e-6))
-    assert ended.record.left == (Mode.FAULT, Reason.HOST)
+    assert ended.record.final_mode == (Mode.FAULT, Reason.HOST)
 
 
 @pytest.mark.parametrize(
     ("scenario", "text"),
     [
-        ("other-robot", "is 'minitaur' (policy), 'not-minitaur' (robot)"),
+        ("other-robot", "it is 'not-minitaur', the data sheet is of 'minitaur'"),
         ("other-order", "names and order must be the same"),
         ("other-gains", "the robot's servos have kp 1.5"),
         ("other-schema", "the robot has version 1 and schema"),
     ],
 )
 def test_row_3_a_robot_that_does_not_fit(ended, text):
-    assert (ended.code, ended.told, ended.trace) == (2, {}, None)
-    assert ended.said[-1].startswith("surefoot: error: ")
-    assert text in ended.said[-1]
-    assert ended.record.of_host(Arm) + ended.record.of_host(Position) == []
-    assert {frame.message.mode for frame in ended.record.of_robot(State)} <= {Mode.DISARMED}
+    assert (ended.code, ended.output, ended.trace) == (2, {}, None)
+    assert ended.messages[-1].startswith("surefoot: error: ")
+    assert text in ended.messages[-1]
+    assert ended.record.host_packets(Arm) + ended.record.host_packets(Position) == []
+    assert {frame.message.mode for frame in ended.record.robot_packets(State)} <= {Mode.DISARMED}
 
 
 @pytest.mark.realtime
@@ -381,7 +356,7 @@ def test_row_3_a_robot_that_starts_anew(emulate, tmp_path):
     with deployed(robot, tmp_path) as (cable, host):
         ended = host.end()
         assert ended.outcome == (3, "fault", "stale state")
-        assert ended.kept.num_steps > 20
+        assert ended.saved_trace.num_steps > 20
         assert_damped_at_once(cable.record)
     assert "mode DISARMED, reason NONE" in robot.stop()[1]
 
@@ -396,24 +371,24 @@ def test_row_3_a_robot_that_starts_anew(emulate, tmp_path):
 def test_row_4_roll_or_pitch_over_the_limit(ended, scenario, limit, after):
     assert ended.outcome == (3, "fall", "tilt")
     assert ended.run["what"].endswith(after)
-    assert ended.kept.fell
+    assert ended.saved_trace.fell
     record = ended.record
     over = next(
         frame.time
-        for frame in record.of_robot(State, ended.kept.meta["robot_time_start"] - 1e-6)
+        for frame in record.robot_packets(State, ended.saved_trace.meta["robot_time_start"] - 1e-6)
         if np.abs(frame.message.roll_pitch_yaw[:2]).max() > limit
     )
-    damped = record.of_host(Damp)[0].time
-    assert damped + record.ahead == pytest.approx(over, abs=1e-6)
+    damped = record.host_packets(Damp)[0].time
+    assert damped + record.clock_offset == pytest.approx(over, abs=1e-6)
     if scenario == "tilt":
         assert_damped_at_once(record)
-        assert len(record.of_host(Arm)) == 1
-        assert record.left == (Mode.FAULT, Reason.HOST)
+        assert len(record.host_packets(Arm)) == 1
+        assert record.final_mode == (Mode.FAULT, Reason.HOST)
         return
     # It lies still on a clean link for half a second, is armed again, sits, and is disarmed.
-    again = record.of_host(Arm, damped)[0].time
+    again = record.host_packets(Arm, damped)[0].time
     assert again - damped >= 0.5
-    assert record.of_host(Position, damped)[0].time >= again
+    assert record.host_packets(Position, damped)[0].time >= again
     assert_sat_and_disarmed(record)
 
 
@@ -437,7 +412,7 @@ def test_row_5_late_steps_are_held_and_counted_and_too_many_damp(emulate, tmp_pa
         print(f"{ended.run['timing']['missed']} missed; {ended.run['what']}")
         assert ended.run["timing"]["missed"] >= 4 + 3
         # It held its target then, and went on.
-        trace = ended.kept
+        trace = ended.saved_trace
         held = [k for k in trace.meta["missed_steps"] if k < trace.num_steps - 20]
         assert len(held) >= 4
         for k in held:
@@ -470,14 +445,14 @@ def stop_for(host: Host, seconds: float) -> None:
 )
 def test_row_6_battery_low_or_motor_hot(ended, reason, warning, worse):
     assert ended.outcome == (3, "stopped", reason)
-    assert ended.said.count(f"surefoot: warning: {warning}") == 1
-    assert ended.kept.num_steps > 50
+    assert ended.messages.count(f"surefoot: warning: {warning}") == 1
+    assert ended.saved_trace.num_steps > 50
     # 16 V fall by 2 V a second, 25 degC grow by 40 a second; a battery sags a little besides.
-    began = ended.record.armed + ended.record.ahead + QUICK_UP - 0.5
-    half = next(frame.time for frame in ended.record.of_robot(State) if worse(frame.message)) - began
+    began = ended.record.armed + ended.record.clock_offset + QUICK_UP - 0.5
+    half = next(frame.time for frame in ended.record.robot_packets(State) if worse(frame.message)) - began
     assert 0.25 < half < 0.55
     assert_sat_and_disarmed(ended.record)
-    assert ended.record.of_host(Damp) == []
+    assert ended.record.host_packets(Damp) == []
 
 
 # 7: a second operator.
@@ -489,24 +464,24 @@ def test_row_7_a_second_program_is_refused_at_the_port(ended):
     assert ended.refusal.endswith(": another program has it; one operator at a time")
     # The first one's run is whole: no frame was lost, and only one operator was ever heard.
     assert ended.outcome == (0, "stopped", "operator")
-    assert {**ended.told["frames"], "received": 0} == dict.fromkeys(ended.told["frames"], 0)
-    assert ended.kept.num_steps > 20
-    assert len(ended.record.of_host(Hello)) == 1
+    assert {**ended.output["frames"], "received": 0} == dict.fromkeys(ended.output["frames"], 0)
+    assert ended.saved_trace.num_steps > 20
+    assert len(ended.record.host_packets(Hello)) == 1
 
 
 @scenarios("stranger")
 def test_row_7_a_second_operator_on_the_line_is_refused_by_the_robot(ended, played):
     assert ended.outcome == (0, "time", "time")
-    theirs = [frame.message for frame in ended.record.of_robot(Fault)]
-    assert {message.session for message in theirs} == {OTHER}
+    faults = [frame.message for frame in ended.record.robot_packets(Fault)]
+    assert {message.session for message in faults} == {OTHER_SESSION}
     assert ended.record.reasons == [Reason.BUSY] + [Reason.SESSION] * 5
     assert_same_run(ended, played("whole"))
 
 
-def assert_same_run(one: Ended, other: Ended) -> None:
+def assert_same_run(one: DeployResult, other: DeployResult) -> None:
     """Two runs are the same to the last bit."""
     for name in ("observation", "feedback", "target", "motor_angle", "motor_torque", "energy", "time"):
-        assert getattr(one.kept, name).tolist() == getattr(other.kept, name).tolist(), name
+        assert getattr(one.saved_trace, name).tolist() == getattr(other.saved_trace, name).tolist(), name
 
 
 # 8: a bad line.
@@ -515,23 +490,23 @@ def assert_same_run(one: Ended, other: Ended) -> None:
 @scenarios("whole")
 def test_row_8_a_good_line_loses_nothing(ended):
     assert ended.outcome == (0, "time", "time")
-    assert ended.kept.num_steps == 50
-    frames = ended.told["frames"]
-    assert frames == {**dict.fromkeys(frames, 0), "received": len(ended.record.told)}
-    assert f"frames received {len(ended.record.said)}, damaged 0" in ended.summary
+    assert ended.saved_trace.num_steps == 50
+    frames = ended.output["frames"]
+    assert frames == {**dict.fromkeys(frames, 0), "received": len(ended.record.from_robot)}
+    assert f"frames received {len(ended.record.from_host)}, damaged 0" in ended.summary
     assert_sat_and_disarmed(ended.record)
 
 
 @scenarios("corrupt", "cut-frames", "drop", "reorder", "duplicate", "garbage")
 def test_row_8_a_bad_line_costs_nothing_but_the_damaged_frames(ended, scenario, played):
     assert ended.outcome == (0, "time", "time")
-    assert ended.kept.num_steps == 50
+    assert ended.saved_trace.num_steps == 50
     assert_sat_and_disarmed(ended.record)
-    frames, told = ended.told["frames"], ended.record.told
+    frames, packets = ended.output["frames"], ended.record.from_robot
     # Every frame that the robot sent was taken once, or counted as missing.
-    assert frames["received"] == len(told)
+    assert frames["received"] == len(packets)
     counted = frames["received"] - frames["repeated"] + frames["missing"]
-    sent = max(frame.sequence for frame in told)
+    sent = max(frame.sequence for frame in packets)
     assert sent - 3 <= counted <= sent  # what was lost before the greeting is not known
     if scenario in ("corrupt", "cut-frames"):
         assert frames["missing"] > 10
@@ -548,11 +523,11 @@ def test_row_8_a_bad_line_costs_nothing_but_the_damaged_frames(ended, scenario, 
         assert frames["repeated" if scenario == "duplicate" else "damaged"] > 20
         assert_same_run(ended, played("whole"))
     if scenario == "garbage":
-        assert f"frames received {len(ended.record.said)}, " in ended.summary
+        assert f"frames received {len(ended.record.from_host)}, " in ended.summary
     # What the robot followed was always a command of this run, and never an older one than before.
-    told.sort(key=lambda frame: frame.sequence)
-    followed = [frame.message.command for frame in ended.record.of_robot(State) if frame.message.command]
-    assert set(followed) <= {frame.sequence for frame in ended.record.of_host(Position)}
+    packets.sort(key=lambda frame: frame.sequence)
+    followed = [frame.message.command for frame in ended.record.robot_packets(State) if frame.message.command]
+    assert set(followed) <= {frame.sequence for frame in ended.record.host_packets(Position)}
     assert followed == sorted(followed)
 
 
@@ -560,8 +535,8 @@ def test_row_8_a_bad_line_costs_nothing_but_the_damaged_frames(ended, scenario, 
 def test_row_8_a_host_that_comes_in_the_middle_of_a_frame(ended, played):
     assert ended.outcome == (0, "time", "time")
     # It heard the end of a frame, whole ones that were for somebody else and had higher numbers, and a beginning.
-    assert ended.told["frames"]["damaged"] == 2
-    assert ended.told["frames"]["received"] == 28 + len(ended.record.told)
+    assert ended.output["frames"]["damaged"] == 2
+    assert ended.output["frames"]["received"] == 28 + len(ended.record.from_robot)
     assert_same_run(ended, played("whole"))
 
 
@@ -573,30 +548,30 @@ def test_row_9_a_signal_or_a_terminal_that_closes(ended, scenario):
     assert ended.code == 0
     if scenario != "terminal":
         assert ended.outcome == (0, "stopped", "operator")
-    assert (ended.kept.meta["ended"], ended.kept.meta["reason"]) == ("stopped", "operator")
-    assert ended.kept.num_steps > 20
+    assert (ended.saved_trace.meta["ended"], ended.saved_trace.meta["reason"]) == ("stopped", "operator")
+    assert ended.saved_trace.num_steps > 20
     assert not list(ended.traces.glob(f"*{SUFFIX}"))
     assert_sat_and_disarmed(ended.record)
-    assert ended.record.of_host(Damp) == []
+    assert ended.record.host_packets(Damp) == []
 
 
 @scenarios("SIGINT while it arms", "SIGTERM while it lies", "SIGHUP while it lies")
 def test_row_9_a_robot_that_still_lies_is_let_go(ended):
     assert ended.outcome == (0, "stopped", "operator")
     assert ended.run["what"] == "stopped by the operator"
-    assert ended.said[-2:] == ["surefoot: lay legs flat (1.0 s)", "surefoot: disarm"]
-    assert ended.record.left == AT_EASE
-    assert ended.record.of_host(Damp) == []
-    assert min(frame.message.voltage for frame in ended.record.of_robot(State)) > 15.0
+    assert ended.messages[-2:] == ["surefoot: lay legs flat (1.0 s)", "surefoot: disarm"]
+    assert ended.record.final_mode == AT_EASE
+    assert ended.record.host_packets(Damp) == []
+    assert min(frame.message.voltage for frame in ended.record.robot_packets(State)) > 15.0
 
 
 @scenarios("SIGINT twice")
 def test_row_9_ctrl_c_twice(ended):
     assert ended.outcome == (3, "stopped", "operator")
-    assert ended.kept.num_steps > 20
+    assert ended.saved_trace.num_steps > 20
     damped = assert_damped_at_once(ended.record)
     assert 0 <= damped - ended.record.armed - (RUNNING + 0.1) < 0.1
-    assert ended.record.left == (Mode.FAULT, Reason.HOST)
+    assert ended.record.final_mode == (Mode.FAULT, Reason.HOST)
 
 
 # 10: the disk is full.
@@ -605,11 +580,11 @@ def test_row_9_ctrl_c_twice(ended):
 @scenarios("disk full")
 def test_row_10_a_full_disk(ended):
     assert (ended.run["ended"], ended.run["steps"], ended.run["trace"]) == ("time", 100, None)
-    assert "surefoot: recording stopped: File too large; the robot goes on" in ended.said
+    assert "surefoot: recording stopped: File too large; the robot goes on" in ended.messages
     assert any(note.startswith("recording stopped") for note in ended.run["notes"])
     # The robot went on to the end; only the code tells that the trace was lost.
     assert_sat_and_disarmed(ended.record)
-    assert ended.record.of_host(Damp) == []
+    assert ended.record.host_packets(Damp) == []
     assert ended.code == 3
     (partial,) = ended.traces.glob(f"*{SUFFIX}")
     assert recover(partial).num_steps > 5

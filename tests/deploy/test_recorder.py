@@ -12,9 +12,9 @@ from surefoot.deploy.background_file import BackgroundFile
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.run_saver import next_free
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import Layout, head_line, recover, row_bytes, trace_of
+from surefoot.task.partial_trace import RowLayout, head_line, make_trace, recover, row_bytes
 
-LAYOUT = Layout(motors=8, legs=4, observations=3, actions=8)
+LAYOUT = RowLayout(motors=8, legs=4, observations=3, actions=8)
 STEP = 0.006
 META = {
     "robot": "minitaur",
@@ -95,13 +95,13 @@ def test_energy_that_starts_anew_counts_nothing(recorded):
 
 
 def test_what_the_robot_does_not_know_is_nan_in_the_trace(recorded):
-    trace = trace_of(LAYOUT, recorded[0].rows, META)
+    trace = make_trace(LAYOUT, recorded[0].rows, META)
     assert trace.num_steps == 3
     assert np.isnan(trace.base_position_world).all()
     assert np.isnan(trace.foot_contact).all()
     assert trace.motor_torque.shape == (3, 8)
     with pytest.raises(SurefootError, match="no control step was done"):
-        trace_of(LAYOUT, recorded[0].rows[:0], META)
+        make_trace(LAYOUT, recorded[0].rows[:0], META)
 
 
 @pytest.fixture
@@ -119,7 +119,7 @@ def partial(recorded, tmp_path):
 def test_a_partial_file_gives_the_same_trace(recorded, partial):
     trace = recover(partial)
     assert (trace.meta["ended"], trace.meta["reason"]) == ("fault", "cut off")
-    whole = trace_of(LAYOUT, recorded[0].rows, META)
+    whole = make_trace(LAYOUT, recorded[0].rows, META)
     for name in ("time", "target", "observation", "energy", "roll_pitch_yaw"):
         assert getattr(trace, name).tolist() == getattr(whole, name).tolist()
 
@@ -136,11 +136,11 @@ def test_a_row_that_was_cut_is_left_out(partial):
         (b"", "is not one"),
         (b"{}\n", "is not one"),
         (b"[1]\n", "is not one"),
-        (b'{"kind": "other"}\n', "is not one: of another kind"),
+        (b'{"kind": "other"}\n', "is not one"),
         (b"\xff\xfe\n", "is not one"),
         (
             json.dumps(
-                {"kind": "surefoot-partial-trace", "motors": 8, "legs": 4, "observations": 3, "meta": {}}
+                {"kind": "surefoot-partial-trace", "motors": 8, "legs": 4, "observations": 3, "actions": 8, "meta": {}}
             ).encode(),
             "holds no whole control step",
         ),

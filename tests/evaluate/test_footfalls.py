@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surefoot.evaluate.footfalls import FEET, Footfalls, analyze_footfalls, classify, stance_intervals, stride_period
+from surefoot.evaluate.footfalls import FEET, Footfalls, analyze_footfalls, stance_intervals, stride_period
 
 STEP = 0.006
 PHASES = {  # by FEET: front_left, back_left, front_right, back_right
@@ -67,20 +67,14 @@ def test_known_gaits_come_back(gait: str, period: float) -> None:
 
 
 @pytest.mark.parametrize("gait", PHASES)
-@pytest.mark.parametrize("seed", range(5))
-def test_names_survive_jitter(gait: str, seed: int) -> None:
+@pytest.mark.parametrize("seed", range(3))
+def test_jitter_and_chatter_do_not_change_the_name(gait: str, seed: int) -> None:
     duty = 0.7 if gait == "walk" else 0.35
     feet = analyzed(*contacts(PHASES[gait], duty, 0.3, jitter=0.03, seed=seed))
     assert feet.gait == gait, feet.reason
-
-
-@pytest.mark.parametrize("gait", PHASES)
-def test_names_survive_chatter(gait: str) -> None:
-    duty = 0.7 if gait == "walk" else 0.4
     touch, time = contacts(PHASES[gait], duty, 0.4)
-    rng = np.random.default_rng(1)
-    noisy = np.where(rng.random(touch.shape) < 0.05, 1.0 - touch, touch)
-    feet = analyzed(noisy, time)
+    chatter = np.random.default_rng(seed).random(touch.shape) < 0.05
+    feet = analyzed(np.where(chatter, 1.0 - touch, touch), time)
     assert feet.gait == gait, feet.reason
     assert feet.stride_period == pytest.approx(0.4, rel=0.02)
 
@@ -122,13 +116,6 @@ def test_walking_and_running_go_by_duty_factor() -> None:
     assert "duty factor 0.75" in feet.reason
 
 
-def test_classify_does_not_care_where_the_cycle_starts() -> None:
-    for gait, phases in PHASES.items():
-        for shift in np.linspace(0, 1, 13):
-            moved = {f: (p + shift) % 1.0 for f, p in zip(FEET, phases, strict=True)}
-            assert classify(moved, 0.55)[0] == gait
-
-
 @pytest.mark.parametrize("foot", range(4))
 @pytest.mark.parametrize(("value", "reason"), [(0.0, "never touches down"), (1.0, "never leaves the ground")])
 def test_a_foot_that_makes_no_steps_is_named(foot: int, value: float, reason: str) -> None:
@@ -168,15 +155,6 @@ def test_a_foot_that_drifts_has_low_concentration() -> None:
     assert feet.concentration["back_right"] < 0.5 < feet.concentration["back_left"]
 
 
-def test_standing_and_lying_have_no_gait() -> None:
-    time = STEP * np.arange(1, 1001)
-    for value in (0.0, 1.0):
-        feet = analyzed(np.full((1000, 4), value), time)
-        assert feet.gait == "other"
-        assert math.isnan(feet.stride_period)
-        assert feet.duty_factor["front_left"] == pytest.approx(value)
-
-
 def test_the_transient_does_not_count() -> None:
     touch, time = contacts(PHASES["bound"], period=0.4)
     start, _ = contacts(PHASES["pace"], period=0.23)
@@ -197,11 +175,13 @@ def test_short_episodes() -> None:
         assert feet.reason
 
 
-def test_unmeasured_contacts_say_so() -> None:
-    touch, time = contacts(PHASES["trot"])
-    feet = analyzed(np.full_like(touch, np.nan), time)
-    assert feet.reason == "foot contacts were not measured"
-    assert math.isnan(feet.duty_factor["back_left"])
+@pytest.mark.parametrize(("value", "duty"), [(0.0, 0.0), (1.0, 1.0), (np.nan, np.nan)])
+def test_contacts_that_do_not_change_have_no_gait(value: float, duty: float) -> None:
+    feet = analyzed(np.full((1000, 4), value), STEP * np.arange(1, 1001))
+    assert feet.gait == "other"
+    assert math.isnan(feet.stride_period)
+    assert feet.duty_factor["front_left"] == pytest.approx(duty, nan_ok=True)
+    assert (feet.reason == "foot contacts were not measured") == math.isnan(value)
 
 
 def test_other_feet_have_no_named_gait_but_numbers() -> None:

@@ -1,4 +1,4 @@
-"""Recorded traces: found in folders, given to their policies, refused where they do not fit."""
+"""Recorded traces: found in folders and assigned to their policies."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.recorded import by_policy, find_traces, world_of
+from surefoot.evaluate.recorded import assign_to_policies, find_traces
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
@@ -24,14 +24,14 @@ def test_traces_are_found_in_all_folders_below(tmp_path: Path, make_run: MakeRun
     assert [path for path, _ in find_traces(places[1])] == [places[1]]
 
 
-def test_where_there_are_no_traces(tmp_path: Path):
+def test_find_traces_refuses_a_folder_without_traces(tmp_path: Path):
     with pytest.raises(SurefootError, match="nowhere does not exist"):
         find_traces(tmp_path / "nowhere")
     with pytest.raises(SurefootError, match="holds no traces"):
         find_traces(tmp_path)
 
 
-def test_a_damaged_file_is_named(tmp_path: Path, make_run: MakeRun):
+def test_find_traces_refuses_a_damaged_file(tmp_path: Path, make_run: MakeRun):
     make_run().save(tmp_path / "good.npz")
     whole = (tmp_path / "good.npz").read_bytes()
     (tmp_path / "zcut.npz").write_bytes(whole[: len(whole) // 2])
@@ -39,27 +39,20 @@ def test_a_damaged_file_is_named(tmp_path: Path, make_run: MakeRun):
         find_traces(tmp_path)
 
 
-def test_traces_of_several_worlds_are_refused(make_run: MakeRun):
-    found = [(Path("a.npz"), make_run(world="robot")), (Path("b.npz"), make_run(world="bullet"))]
-    assert world_of(found[:1]) == "robot"
-    with pytest.raises(SurefootError, match="several worlds: bullet, robot"):
-        world_of(found)
-
-
-def test_traces_go_to_the_policies_that_they_name(make_run: MakeRun):
+def test_traces_are_assigned_to_the_policies_that_they_name(make_run: MakeRun):
     found = [(Path(f"{i}.npz"), make_run(policy=name)) for i, name in enumerate(("gallop", "trot", "gallop"))]
-    given = by_policy(found, ["trot", "gallop"], "minitaur")
-    assert {name: [path.stem for path, _ in traces] for name, traces in given.items()} == {
+    assigned = assign_to_policies(found, ["trot", "gallop"], "minitaur")
+    assert {name: [path.stem for path, _ in traces] for name, traces in assigned.items()} == {
         "trot": ["1"],
         "gallop": ["0", "2"],
     }
 
 
-def test_a_trace_without_a_name_is_the_only_policy_s(make_run: MakeRun):
+def test_a_trace_without_a_policy_belongs_to_the_only_one(make_run: MakeRun):
     found = [(Path("a.npz"), make_run(policy="")), (Path("b.npz"), make_run(policy="trot"))]
-    assert len(by_policy(found, ["trot"], "minitaur")["trot"]) == 2
+    assert len(assign_to_policies(found, ["trot"], "minitaur")["trot"]) == 2
     with pytest.raises(SurefootError, match=r"a.npz: names no policy; policies: trot, gallop"):
-        by_policy(found, ["trot", "gallop"], "minitaur")
+        assign_to_policies(found, ["trot", "gallop"], "minitaur")
 
 
 @pytest.mark.parametrize(
@@ -70,6 +63,8 @@ def test_a_trace_without_a_name_is_the_only_policy_s(make_run: MakeRun):
         (["trot"], "spot", r"a.npz: is of robot 'minitaur'; the policies are for 'spot'"),
     ],
 )
-def test_what_does_not_fit_is_refused(policies: list[str], robot: str, message: str, make_run: MakeRun):
+def test_assign_refuses_traces_of_another_policy_or_robot(
+    policies: list[str], robot: str, message: str, make_run: MakeRun
+):
     with pytest.raises(SurefootError, match=message):
-        by_policy([(Path("a.npz"), make_run())], policies, robot)
+        assign_to_policies([(Path("a.npz"), make_run())], policies, robot)

@@ -1,18 +1,18 @@
-"""The sensitivity study: test worlds, returns over the same time, and words that name what breaks a gait."""
+"""The sensitivity study: test worlds, returns over the same time, and values at which a gait breaks."""
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.typing import ArrayLike, NDArray
+from run_tables import sensitivity_table
 from scripted import ScriptedWorld
 
 pytest.importorskip("mujoco")
@@ -21,19 +21,10 @@ pytest.importorskip("gymnasium")
 
 from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import run_episodes
-from surefoot.evaluate.runs import Runs
-from surefoot.evaluate.sensitivity import (
-    Nominal,
-    Sensitivity,
-    TestWorld,
-    find_breaks,
-    make_test_worlds,
-    row_unit,
-    run_sensitivity,
-)
+from surefoot.evaluate.runs import measure_runs
+from surefoot.evaluate.sensitivity import Sensitivity, find_breaks, make_test_worlds, row_unit, run_sensitivity
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.randomization import Ranges, load_ranges
-from surefoot.tables import write_csv
+from surefoot.robot.randomization import Ranges, RelativeRange, load_ranges
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.world.interface import Readings
 from surefoot.world.sim_world import SimWorld
@@ -42,25 +33,25 @@ MASS, LATENCY = "base_mass_ratio", "control_latency"
 
 
 class Constant:
-    """Gives the same feedback whatever it sees, and counts the robots that it was asked about."""
+    """Gives constant feedback, and records the number of robots in each call."""
 
     def __init__(self) -> None:
-        self.asked: list[int] = []
+        self.counts: list[int] = []
 
     def feedback(self, observation: ArrayLike) -> NDArray[np.float64]:
-        self.asked.append(len(np.asarray(observation)))
-        return np.tile(np.repeat([0.05, -0.02], 4), (self.asked[-1], 1))
+        self.counts.append(len(np.asarray(observation)))
+        return np.tile(np.repeat([0.05, -0.02], 4), (self.counts[-1], 1))
 
 
 class Reactive:
-    """Answers the roll that it sees, so that latency matters."""
+    """Gives feedback in proportion to the measured roll, so that latency matters."""
 
     def feedback(self, observation: ArrayLike) -> NDArray[np.float64]:
         return np.clip(0.5 * np.asarray(observation, float)[:, :1] + np.linspace(-0.05, 0.05, 8), -0.2, 0.2)
 
 
 class Walker(ScriptedWorld):
-    """A base that goes 1 m/s for each unit of friction, takes 10 W, and tilts or diverges on a date."""
+    """A base that goes 1 m/s for each unit of friction, takes 10 W, and tilts or diverges at a time."""
 
     fall_time: Callable[[PhysicalParams], NDArray[np.float64]] = staticmethod(lambda p: np.full(p.num_envs, math.inf))
     diverge_time = math.inf
@@ -86,25 +77,37 @@ def scripted(**attributes: Any) -> Any:
     return type("World", (Walker,), attributes)
 
 
-def of_row(result: Sensitivity, row: str, part: NDArray[Any]) -> list[Any]:
-    return part[result.of_row(row)].tolist()
+def of_row(result: Sensitivity, row: str, column: str) -> list[list[Any]]:
+    """Return a column of the episodes in a row's test worlds, world by world."""
+    tests = result.tests[result.tests.row == row]
+    return [part.tolist() for _, part in tests.groupby("value")[column]]
 
 
 def test_table_1_gives_ten_worlds_a_parameter(robot: RobotDescription):
     worlds = make_test_worlds(load_ranges("table1"), PhysicalParams.nominal(robot))
     assert len(worlds) == 120
-    assert worlds[0] == TestWorld(MASS, 0.8)
-    latency = [world.value for world in worlds if world.row == LATENCY]
+    assert worlds[0][:2] == (MASS, 0.8)
+    latency = [value for row, value, _ in worlds if row == LATENCY]
     assert np.allclose(latency, np.arange(10) * 0.04 / 9)
     assert latency[-1] == 0.04
-    assert {row_unit(world.row) for world in worlds} == {"", "N m", "s", "V", "rad"}
+    assert {row_unit(row) for row, *_ in worlds} == {"", "N m", "s", "V", "rad"}
 
 
-def test_worlds_are_the_ends_and_what_lies_between(robot: RobotDescription):
+def test_worlds_are_the_ends_and_evenly_spaced_values_between(robot: RobotDescription):
     ranges: Ranges = {MASS: (0.9, 1.1), "voltage": (15.0, 15.0)}
     worlds = make_test_worlds(ranges, PhysicalParams.nominal(robot), 3)
-    mass = tuple(TestWorld(MASS, value) for value in (0.9, 1.0, 1.1))
-    assert worlds == (*mass, TestWorld("voltage", 15.0))
+    assert [world[:2] for world in worlds] == [(MASS, 0.9), (MASS, 1.0), (MASS, 1.1), ("voltage", 15.0)]
+    with pytest.raises(SurefootError, match="the table of ranges is empty"):
+        make_test_worlds({}, PhysicalParams.nominal(robot))
+
+
+def test_a_relative_range_scales_the_values_of_all_motors():
+    robot = RobotDescription.load("go2")
+    nominal = PhysicalParams.nominal(robot)
+    least, greatest = make_test_worlds({"motor_friction": RelativeRange(scale=(0.5, 1.5))}, nominal, 2)
+    assert np.ptp(nominal.motor_friction) > 0
+    np.testing.assert_allclose(least.values, 0.5 * nominal.motor_friction[0])
+    assert greatest.value == pytest.approx(1.5 * nominal.motor_friction.mean())
 
 
 def test_returns_by_hand_over_the_same_time():
@@ -112,55 +115,54 @@ def test_returns_by_hand_over_the_same_time():
     policy = Constant()
     result = run_sensitivity(policy, trot(), scripted(), ranges=ranges, values=2, episodes=2, duration=0.6)
     # 0.6 s at 1 m/s and 10 W with w = 0.008 m/J: 0.6 - 0.048, whether in 200 control steps or in 30.
-    assert result.returns.shape == result.fell.shape == result.speed.shape == (4, 2)
-    assert np.allclose(of_row(result, "control_step", result.returns), 0.552)
-    assert np.allclose(of_row(result, "contact_friction", result.returns), [[0.252] * 2, [0.552] * 2])
-    assert np.allclose(of_row(result, "contact_friction", result.speed), [[0.5] * 2, [1.0] * 2])
-    assert np.allclose(result.nominal.returns, 0.552)
-    assert result.nominal.values == pytest.approx({"control_step": 0.006, "contact_friction": 1.0})
-    assert not result.fell.any()
-    # Robots whose time is over are not asked about: 10 until 30 control steps, 8 until 100, 2 until 200.
-    assert policy.asked == [10] * 30 + [8] * 70 + [2] * 100
+    assert np.allclose(of_row(result, "control_step", "return"), [[0.552] * 2] * 2)
+    assert np.allclose(of_row(result, "contact_friction", "return"), [[0.252] * 2, [0.552] * 2])
+    assert np.allclose(of_row(result, "contact_friction", "speed"), [[0.5] * 2, [1.0] * 2])
+    assert np.allclose(result.nominal["return"], 0.552)
+    assert result.nominal_values == pytest.approx({"control_step": 0.006, "contact_friction": 1.0})
+    assert not result.tests.fell.any()
+    # The policy sees 10 robots until 30 control steps, 8 until 100, 2 until 200.
+    assert policy.counts == [10] * 30 + [8] * 70 + [2] * 100
 
 
 def test_an_episode_ends_with_the_control_step_nearest_to_its_duration():
     ranges: Ranges = {"control_step": (0.007, 0.017)}
     result = run_sensitivity(Constant(), trot(), scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
     # 14 control steps of 7 ms and 6 of 17 ms.
-    assert np.allclose(result.returns[:, 0], np.array([0.098, 0.102]) * 0.92)
+    assert np.allclose(result.tests["return"], np.array([0.098, 0.102]) * 0.92)
 
 
 def test_a_robot_that_falls_counts_to_its_fall():
     world = scripted(fall_time=staticmethod(lambda p: np.where(p.voltage > 15.9, math.inf, 0.3)))
     ranges: Ranges = {"voltage": (15.0, 16.0), MASS: (0.8, 1.2)}
     result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=3, duration=0.6)
-    assert of_row(result, "voltage", result.fell) == [[True] * 3, [False] * 3]
-    assert np.allclose(of_row(result, "voltage", result.returns), [[0.276] * 3, [0.552] * 3])
-    assert np.allclose(result.speed, 1.0)
+    assert of_row(result, "voltage", "fell") == [[True] * 3, [False] * 3]
+    assert np.allclose(of_row(result, "voltage", "return"), [[0.276] * 3, [0.552] * 3])
+    assert np.allclose(result.tests.speed, 1.0)
     assert result.fall_rate == 0.25
 
 
-def test_a_robot_that_diverges_fell_where_it_was():
+def test_a_robot_that_diverges_counts_as_a_fall_a_step_before():
     world = scripted(diverge_time=0.3)
     ranges: Ranges = {MASS: (0.8, 1.2)}
     result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=1, duration=0.6)
-    assert result.fell.all()
+    assert result.tests.fell.all()
     # The 50th control step is lost; the robot was at 0.294 m after 0.294 s.
-    assert np.allclose(result.returns, 0.294 * 0.92)
-    assert np.allclose(result.speed, 1.0)
+    assert np.allclose(result.tests["return"], 0.294 * 0.92)
+    assert np.allclose(result.tests.speed, 1.0)
 
 
-def test_the_default_time_is_the_task_s():
+def test_the_default_duration_is_that_of_the_task():
     ranges: Ranges = {"control_step": (0.003, 0.020)}
     result = run_sensitivity(Constant(), trot(100), scripted(), ranges=ranges, values=2, episodes=1)
-    assert np.allclose(result.returns, 0.552)
+    assert np.allclose(result.tests["return"], 0.552)
     task = trot(100, params={"control_step": 0.012})
     slower = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1)
-    assert np.allclose(slower.returns, 1.104)
-    assert slower.nominal.values["control_step"] == 0.012
+    assert np.allclose(slower.tests["return"], 1.104)
+    assert slower.nominal_values["control_step"] == 0.012
 
 
-def test_robots_are_pushed_only_when_asked():
+def test_robots_are_pushed_only_with_the_option():
     made: list[Walker] = []
 
     def make(*arguments: Any) -> Walker:
@@ -187,63 +189,45 @@ def test_an_episode_is_the_one_that_evaluate_runs():
     }
     options: dict[str, Any] = {"ranges": ranges, "values": 2, "episodes": 2, "seed": 7, "threads": 1}
     result = run_sensitivity(Reactive(), task, SimWorld, pushes=True, **options)
-    assert [world.row for world in result.worlds[::2]] == list(ranges)
-    checked: list[tuple[dict[str, float], int, Any, Any]] = [
-        ({}, max_steps, result.nominal.returns, result.nominal.speed),
-        ({MASS: 1.2}, max_steps, result.returns[1], result.speed[1]),
-        ({"motor_strength": 0.8}, max_steps, result.returns[2], result.speed[2]),
-        ({"control_step": 0.003}, 2 * max_steps, result.returns[4], result.speed[4]),
-        ({LATENCY: 0.04}, max_steps, result.returns[7], result.speed[7]),
+    assert list(result.worlds.row[::2]) == list(ranges)
+    checked: list[tuple[dict[str, float], int, int]] = [  # parameters, control steps and number of the world
+        ({}, max_steps, 0),
+        ({MASS: 1.2}, max_steps, 2),
+        ({"motor_strength": 0.8}, max_steps, 3),
+        ({"control_step": 0.003}, 2 * max_steps, 5),
+        ({LATENCY: 0.04}, max_steps, 8),
     ]
-    for params, steps, returns, speed in checked:
+    for params, steps, world in checked:
         same = replace(task, params=params, max_steps=steps)
-        runs = Runs.of_traces(run_episodes(Reactive(), same, 2, SimWorld, seed=7, threads=1))
-        assert np.allclose([returns, speed], [runs.returns, runs.speed], rtol=0, atol=1e-9), params
-    assert len(np.unique(result.returns.round(9))) == result.returns.size
+        runs = measure_runs(run_episodes(Reactive(), same, 2, SimWorld, seed=7, threads=1))[["return", "speed"]]
+        episodes = result.episodes[["return", "speed"]][2 * world : 2 * world + 2]
+        assert np.allclose(episodes, runs, rtol=0, atol=1e-9), params
+    assert result.tests["return"].round(9).is_unique
 
 
-def test_robots_side_by_side_change_nothing_but_the_memory():
+def test_the_number_of_robots_side_by_side_does_not_change_the_result():
     ranges: Ranges = {"motor_strength": (0.8, 1.1), "control_step": (0.003, 0.02)}
-    seen: list[float] = []
+    shares: list[float] = []
     options: dict[str, Any] = {"ranges": ranges, "values": 3, "episodes": 2, "seed": 7, "threads": 1}
     whole = run_sensitivity(Reactive(), trot(30), SimWorld, **options)
     for robots in (1, 6):  # a world at a time, two at a time
-        parts = run_sensitivity(Reactive(), trot(30), SimWorld, robots=robots, progress=seen.append, **options)
-        assert parts.worlds == whole.worlds
-        for name in ("returns", "fell", "speed"):
-            np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
-            np.testing.assert_array_equal(getattr(parts.nominal, name), getattr(whole.nominal, name))
-        assert seen[-1] == pytest.approx(1.0)
-        assert seen == sorted(seen)
-        seen.clear()
+        parts = run_sensitivity(Reactive(), trot(30), SimWorld, robots=robots, progress=shares.append, **options)
+        pd.testing.assert_frame_equal(parts.episodes, whole.episodes, check_exact=True)
+        assert shares[-1] == pytest.approx(1.0)
+        assert shares == sorted(shares)
+        shares.clear()
 
 
 def test_progress_counts_to_the_end():
-    seen: list[float] = []
+    shares: list[float] = []
     ranges: Ranges = {"control_step": (0.003, 0.020)}
     world = scripted(fall_time=staticmethod(lambda p: np.where(p.control_step < 0.005, 0.3, math.inf)))
     options: dict[str, Any] = {"ranges": ranges, "values": 2, "episodes": 1, "duration": 0.6}
-    run_sensitivity(Constant(), trot(), world, progress=seen.append, **options)
+    run_sensitivity(Constant(), trot(), world, progress=shares.append, **options)
     # 100 nominal steps, 200 of 3 ms of which a fall spares the second half, 30 of 20 ms.
-    assert seen == sorted(seen)
-    assert seen[0] == pytest.approx(3 / 330)
-    assert seen[-1] == 1.0
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"episodes": 0}, "episodes is 0; it must be 1 or more"),
-        ({"seed": -1}, "seed is -1; it must be 0 or more"),
-        ({"values": 1}, "values is 1; it must be 2 or more"),
-        ({"ranges": {}}, "the table of ranges is empty"),
-        ({"duration": 0.0}, "duration is 0 s; it must be over 0"),
-        ({"duration": math.nan}, "duration is nan s"),
-    ],
-)
-def test_what_does_not_fit_is_refused(options: dict[str, Any], message: str):
-    with pytest.raises(SurefootError, match=message):
-        run_sensitivity(Constant(), trot(), scripted(), **{"ranges": load_ranges("table1"), **options})
+    assert shares == sorted(shares)
+    assert shares[0] == pytest.approx(3 / 330)
+    assert shares[-1] == 1.0
 
 
 def made_up(
@@ -252,32 +236,23 @@ def made_up(
     """A study of 4 episodes a world over 0 to 40 ms of latency and other rows, from mean returns and falls."""
     spans = {LATENCY: (0.0, 0.04), MASS: (0.8, 1.2), "motor_friction": (0.0, 0.05)}
     centres = {LATENCY: 0.02, MASS: 1.0, "motor_friction": 0.0}
-    worlds, means, downs = [], [], []
-    for row, values in returns.items():
-        worlds += [TestWorld(row, float(value)) for value in np.linspace(*spans[row], len(values))]
-        means += values
-        downs += (falls or {}).get(row, [0] * len(values))
-    shape = (len(worlds), 4)
+    worlds = [(row, float(x)) for row, means in returns.items() for x in np.linspace(*spans[row], len(means))]
+    downs = [n for row, means in returns.items() for n in (falls or {}).get(row, [0] * len(means))]
     spread = np.array([-1.0, 1.0, -1.0, 1.0])
-    return Sensitivity(
-        policy="trot",
-        worlds=tuple(worlds),
-        returns=np.array(means)[:, None] + spread,
-        fell=np.arange(4) < np.array(downs)[:, None],
-        speed=np.full(shape, 0.5),
-        nominal=Nominal({row: centres[row] for row in returns}, nominal + spread, np.arange(4) < fell, np.full(4, 0.5)),
-    )
+    table = np.array([mean for means in returns.values() for mean in means])[:, None] + spread
+    around = {row: centres[row] for row in returns}, nominal + spread, np.arange(4) < fell
+    return sensitivity_table("trot", worlds, table, np.arange(4) < np.array(downs)[:, None], around)
 
 
 def test_aggregates_by_hand():
     study = made_up({LATENCY: [4.0, 8.0]}, {LATENCY: [3, 0]})
-    assert study.mean_return.tolist() == [4.0, 8.0]
+    assert study.worlds.return_mean.tolist() == [4.0, 8.0]
     # Four numbers at 1 from their mean: variance 4/3, and 4/3/4 of the mean.
-    assert np.allclose(study.standard_error, math.sqrt(1 / 3))
+    assert np.allclose(study.worlds.return_error, math.sqrt(1 / 3))
     assert (study.mean, study.std, study.fall_rate) == (6.0, 2.0, 0.375)
     assert study.rows == (LATENCY,)
-    once = replace(study, returns=study.returns[:, :1], fell=study.fell[:, :1], speed=study.speed[:, :1])
-    assert np.isnan(once.standard_error).all()
+    once = replace(study, episodes=study.episodes[study.episodes.run == 0])
+    assert once.worlds.return_error.isna().all()
 
 
 def test_the_nearest_break_comes_first():
@@ -289,7 +264,7 @@ def test_the_nearest_break_comes_first():
         },
         {MASS: [0, 0, 0, 0, 4], LATENCY: [0, 0, 0, 1, 3]},
     )
-    latency, mass = find_breaks(study)
+    latency, mass = find_breaks(study).itertuples()
     assert (latency.row, latency.value, latency.above, latency.fraction) == (
         LATENCY,
         0.03,
@@ -317,41 +292,31 @@ def test_the_nearest_break_comes_first():
         ([-5.0, -5.0], [0, 2], [(0.04, 0, 0)]),
     ],
 )
-def test_breaks_on_both_sides_everywhere_never_and_here_and_there(
-    returns: list[float], falls: list[int], breaks: list[tuple[float, int, int]]
-):
-    found = find_breaks(made_up({LATENCY: returns}, {LATENCY: falls}, nominal=10.0 if returns[0] > 0 else -1.0))
-    assert [(item.value, item.beyond, item.broken_beyond) for item in found] == [
+def test_breaks_on_both_sides(returns: list[float], falls: list[int], breaks: list[tuple[float, int, int]]):
+    result = find_breaks(made_up({LATENCY: returns}, {LATENCY: falls}, nominal=10.0 if returns[0] > 0 else -1.0))
+    assert [(item.value, item.beyond, item.broken_beyond) for item in result.itertuples()] == [
         (pytest.approx(value), beyond, broken) for value, beyond, broken in breaks
     ]
 
 
-def test_tables_hold_the_worlds_and_the_raw_episodes(tmp_path: Path):
+def test_a_table_has_a_row_for_each_test_world():
     study = made_up({LATENCY: [4.0, 8.0], MASS: [5.0, 6.0]}, {LATENCY: [3, 0]})
-    first, *_, last = study.world_rows()
     numbers = {"return_mean": 4.0, "return_error": pytest.approx(math.sqrt(1 / 3)), "return_std": 1.0}
-    about = {"policy": "trot", "row": LATENCY, "unit": "s", "value": 0.0, "episodes": 4}
-    assert first == about | numbers | {"speed_mean": 0.5, "falls": 3}
-    assert (last["row"], last["unit"], last["value"], last["return_mean"]) == (MASS, "", 1.2, 6.0)
-    with write_csv(tmp_path / "e.csv", study.episode_rows()).open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 5 * 4
-    assert [row["return"] for row in rows[:4]] == ["9", "11", "9", "11"]
-    assert {(row["row"], row["value"]) for row in rows[:4]} == {("nominal", "")}
-    assert [int(row["fell"]) for row in rows[4:8]] == [1, 1, 1, 0]
-    again = np.array([float(row["return"]) for row in rows[4:]]).reshape(4, 4)
-    assert np.array_equal(again, study.returns)
+    about = {"row": LATENCY, "unit": "s", "value": 0.0, "episodes": 4}
+    assert study.worlds.iloc[0].to_dict() == about | numbers | {"speed_mean": 0.5, "falls": 3}
+    last = study.worlds.iloc[-1]
+    assert (last.row, last.unit, last.value, last.return_mean) == (MASS, "", 1.2, 6.0)
 
 
 def test_results_come_back_from_json():
     study = made_up({LATENCY: [4.0, 8.0]}, {LATENCY: [3, 0]})
     again = Sensitivity.from_mapping(json.loads(json.dumps(study.to_mapping(), allow_nan=False)), "trot")
-    assert again.to_mapping() == study.to_mapping()
-    assert again.episode_rows()[4:] == study.episode_rows()[4:]
+    assert again.nominal_values == study.nominal_values
+    pd.testing.assert_frame_equal(again.episodes, study.episodes[list(again.episodes)])
 
 
-def test_the_robot_s_nominal_values_are_told():
+def test_nominal_values_are_those_of_the_task():
     ranges: Ranges = {LATENCY: (0.0, 0.04), "motor_strength": (0.8, 1.2), MASS: (0.8, 1.2)}
     task = trot(params={"motor_strength": 0.9})
     result = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
-    assert result.nominal.values == pytest.approx({LATENCY: 0.02, "motor_strength": 0.9, MASS: 1.0})
+    assert result.nominal_values == pytest.approx({LATENCY: 0.02, "motor_strength": 0.9, MASS: 1.0})

@@ -10,8 +10,7 @@ import pytest
 pytest.importorskip("scipy")
 from scipy import stats
 
-from surefoot.errors import SurefootError
-from surefoot.evaluate.statistics import Interval, crossed_interval, t_interval, welch_interval
+from surefoot.evaluate.statistics import Interval, MeanEstimate, crossed_interval, t_interval, welch_interval
 
 
 def test_t_interval_of_three_numbers_by_hand() -> None:
@@ -37,20 +36,21 @@ def test_welch_interval_is_scipys_for_unlike_spreads_and_counts(scale: float) ->
     assert (interval.low, interval.high) == pytest.approx((known.low, known.high), rel=1e-9)
 
 
-def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
+def test_intervals_cover_the_truth_as_often_as_their_confidence() -> None:
     random = np.random.default_rng(1)
     rounds, inside, between = 1000, 0, 0
     for _ in range(rounds):
         a, b = random.normal(2.0, 1.0, 3), random.normal(1.0, 0.3, 4)
-        inside += (found := t_interval(a)).low <= 2 <= found.high
-        between += (found := welch_interval(a, b)).low <= 1 <= found.high
+        one, change = t_interval(a), welch_interval(a, b)
+        inside += one.low <= 2 <= one.high
+        between += change.low <= 1 <= change.high
     assert inside / rounds == pytest.approx(0.95, abs=0.02)
     assert between / rounds == pytest.approx(0.95, abs=0.02)
 
 
 def test_one_number_has_no_interval() -> None:
     for interval in (t_interval([1.5]), welch_interval([2.0], [0.5]), welch_interval([2.0, 2.0], [0.5])):
-        assert (interval.mean, interval.known, interval.covers_zero) == (1.5, False, True)
+        assert (interval.mean, interval.is_finite, interval.covers_zero) == (1.5, False, True)
 
 
 def test_numbers_that_do_not_vary_give_a_point() -> None:
@@ -65,17 +65,42 @@ def test_covers_zero() -> None:
     assert [interval.covers_zero for interval in intervals] == [True, False, False]
 
 
-@pytest.mark.parametrize("values", [[], [1.0, math.nan], [[1.0, 2.0]]])
-def test_what_has_no_mean_is_refused(values: list[float]) -> None:
-    with pytest.raises(SurefootError, match=r"finite"):
-        t_interval(values)
+@pytest.mark.parametrize(
+    ("values", "mean", "error"),
+    [
+        # Deviations -1, 0, 1: variance 1, of the mean 1/3.
+        ([1.0, 2.0, 3.0], 2.0, 1 / math.sqrt(3)),
+        ([math.nan, 1.0, 3.0], 2.0, 1.0),
+        ([math.nan, 4.0], 4.0, math.nan),
+        ([math.nan, math.nan], math.nan, math.nan),
+        ([], math.nan, math.nan),
+    ],
+)
+def test_a_mean_estimate_leaves_out_nan(values: list[float], mean: float, error: float):
+    assert vars(MeanEstimate.from_values(values)) == pytest.approx({"mean": mean, "error": error}, nan_ok=True)
 
 
-def test_plain_text() -> None:
-    assert Interval(1.234, 1.0, 1.5).text() == "1.23 [1.00, 1.50]"
-    assert Interval(-0.301, -0.5, 0.1).text(1, sign=True) == "-0.3 [-0.5, +0.1]"
-    assert Interval(-0.001, -0.004, 0.003).text(2, sign=True) == "0.00 [0.00, 0.00]"
-    assert t_interval([2.0]).text() == "2.00"
+def test_errors_of_a_difference_add_in_squares():
+    assert MeanEstimate(5.0, 0.3) - MeanEstimate(3.0, 0.4) == MeanEstimate(2.0, pytest.approx(0.5))
+
+
+@pytest.mark.parametrize(
+    ("estimate", "options", "text"),
+    [
+        (MeanEstimate(1.2, 0.05), {}, "1.20 ± 0.05"),
+        (MeanEstimate(1.2, math.nan), {}, "1.20"),
+        (MeanEstimate(math.nan, math.nan), {}, "-"),
+        (MeanEstimate(1.2, 0.05), {"sign": True, "digits": 1}, "+1.2 ± 0.1"),
+        (MeanEstimate(-1.2, 0.0), {"sign": True}, "-1.20 ± 0.00"),
+        (MeanEstimate(-0.001, 0.05), {"sign": True}, "0.00 ± 0.05"),
+        (Interval(1.234, 1.0, 1.5), {}, "1.23 [1.00, 1.50]"),
+        (Interval(-0.301, -0.5, 0.1), {"digits": 1, "sign": True}, "-0.3 [-0.5, +0.1]"),
+        (Interval(-0.001, -0.004, 0.003), {"sign": True}, "0.00 [0.00, 0.00]"),
+        (Interval(2.0), {}, "2.00"),
+    ],
+)
+def test_text_of_estimates_and_intervals(estimate: MeanEstimate | Interval, options: dict, text: str):
+    assert estimate.text(**options) == text
 
 
 def test_a_table_has_an_interval_over_its_rows_and_columns() -> None:
@@ -85,13 +110,11 @@ def test_a_table_has_an_interval_over_its_rows_and_columns() -> None:
     freedom = (4 / 3) ** 2 / ((1 / 3) ** 2 / 2 + 1.0)
     assert interval.mean == pytest.approx(2.0)
     assert interval.high - 2.0 == pytest.approx(stats.t.ppf(0.975, freedom) * math.sqrt(4 / 3))
-    # What columns do to both tables cancels; rows are each table's own.
+    # Effects of columns on both tables cancel; rows are each table's own.
     change = crossed_interval(values + 5.0, values)
     assert change.mean == pytest.approx(5.0)
     assert change.high - 5.0 == pytest.approx(stats.t.ppf(0.975, 4) * math.sqrt(2 / 3))
-    assert not crossed_interval(values[:1]).known
-    with pytest.raises(SurefootError, match="same columns"):
-        crossed_interval(values, values[:, :1])
+    assert not crossed_interval(values[:1]).is_finite
 
 
 def test_an_interval_over_rows_and_columns_covers_the_truth() -> None:

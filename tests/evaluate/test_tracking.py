@@ -44,25 +44,25 @@ def trace_of(speed: np.ndarray, yaw: np.ndarray, command: np.ndarray) -> Episode
     )
 
 
-def test_motion_is_seen_from_the_robot() -> None:
+def test_motion_is_in_the_heading_frame() -> None:
     yaw = np.linspace(3.0, 3.5, 101)  # through half a turn
     speed = np.tile([0.4, -0.1], (100, 1))
-    found = motion(trace_of(speed, yaw, np.zeros((100, 3))))
-    assert found[:, :2] == pytest.approx(speed)
-    assert found[:, 2] == pytest.approx(0.5 / (100 * STEP))
+    measured = motion(trace_of(speed, yaw, np.zeros((100, 3))))
+    assert measured[:, :2] == pytest.approx(speed)
+    assert measured[:, 2] == pytest.approx(0.5 / (100 * STEP))
 
 
-def test_an_oscillation_within_a_stride_counts_at_once_and_not_over_strides() -> None:
+def test_an_oscillation_within_a_stride_is_an_error_of_steps_but_not_of_strides() -> None:
     steps, count = 500, 25  # a stride of .5 s
     wave = 0.2 * np.sin(2 * np.pi * np.arange(steps) / count)
     speed = np.stack([0.5 + wave, np.full(steps, 0.03)], -1)
     command = np.tile([0.5, 0.0, 0.1], (steps, 1))
-    found = Tracking.of_traces([trace_of(speed, np.zeros(steps + 1), command)], count * STEP)
-    assert found.rmse == pytest.approx([0.2 / np.sqrt(2), 0.03, 0.1], rel=2e-3)  # not whole strides count
-    assert found.rmse_stride == pytest.approx([0.0, 0.03, 0.1], abs=1e-6)
+    errors = Tracking.from_traces([trace_of(speed, np.zeros(steps + 1), command)], count * STEP)
+    assert errors.rmse == pytest.approx([0.2 / np.sqrt(2), 0.03, 0.1], rel=2e-3)  # not whole strides count
+    assert errors.rmse_stride == pytest.approx([0.0, 0.03, 0.1], abs=1e-6)
 
 
-def test_the_second_after_a_change_does_not_count() -> None:
+def test_the_second_after_a_change_of_command_is_left_out() -> None:
     steps = 200
     command = np.zeros((steps, 3))
     command[100:, 0] = 1.0
@@ -73,15 +73,15 @@ def test_the_second_after_a_change_does_not_count() -> None:
     assert np.flatnonzero(~settled[:100]).tolist() == list(range(49))
     assert np.flatnonzero(~settled[100:]).tolist() == list(range(49))
     # One step counts in which the robot had not followed yet: step 149 ends a second after the change.
-    errors = Tracking.of_traces([trace], 0.5)
+    errors = Tracking.from_traces([trace], 0.5)
     assert errors.rmse[0] == pytest.approx(np.sqrt(1 / settled.sum()))
 
 
-def test_runs_without_commands_tell_nothing() -> None:
+def test_errors_are_nan_without_commands() -> None:
     trace = replace(trace_of(np.zeros((60, 2)), np.zeros(61), np.zeros((60, 3))), command=np.empty(0))
     assert np.isnan(trace.command).all()
-    found = Tracking.of_traces([trace], 0.5)
-    assert found.to_mapping()["rmse"] == {"forward": None, "sideways": None, "yaw_rate": None}
+    errors = Tracking.from_traces([trace], 0.5)
+    assert errors.to_mapping()["rmse"] == {"forward": None, "sideways": None, "yaw_rate": None}
 
 
 def test_a_trace_keeps_its_commands_in_its_file(tmp_path) -> None:

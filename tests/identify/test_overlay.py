@@ -56,7 +56,7 @@ def test_what_was_found_is_written_and_read_to_the_last_bit(robot: RobotDescript
     write_known(path, robot, after)
     again = read_known(path, robot)
     # Parameters stand in the order of `PhysicalParams`; what was not identifiable is not there.
-    assert again.given == ("motor_strength", "motor_friction", "voltage")
+    assert again.given == ("motor_friction", "motor_strength", "voltage")
     assert again.tables == {"robot": "minitaur", **after.tables}
     np.testing.assert_array_equal(again.params.motor_strength, after.params.motor_strength)
     expected = 0.9 + 0.01 * np.arange(8)
@@ -98,7 +98,7 @@ def test_everything_else_in_the_file_stays(robot: RobotDescription, tmp_path: Pa
     known = read_known(path, robot)
     assert known.tables["owner"] == "lab 3"
     assert known.tables["note"] == {"by": "hand", "more": {"deep": [[1, 2], [3]]}}
-    assert known.given == ("motor_strength", "motor_friction", "voltage", "contact_friction")
+    assert known.given == ("motor_friction", "motor_strength", "voltage", "contact_friction")
     # The motor that was not identifiable keeps what the file said of it.
     assert known.params.motor_strength[0, 3] == 0.97
     assert (known.params.voltage[0], known.params.contact_friction[0]) == (15.2, 0.7)
@@ -143,6 +143,6 @@ def test_training_takes_it(robot: RobotDescription, tmp_path: Path):
 
     path = tmp_path / "robot.toml"
     write_known(path, robot, overlay(read_known(None, robot), motor(), robot))
-    task = Simulator(params=path).of(TaskConfig())
+    task = Simulator(params=path).apply(TaskConfig())
     assert set(task.params) == {"motor_strength", "motor_friction", "voltage"}
     assert task.nominal(robot).motor_strength[0, 0] == 0.9

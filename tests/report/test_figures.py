@@ -1,32 +1,31 @@
-"""Figures: what is drawn is what the data say, and matplotlib's global state stays as it was."""
+"""Figures show their data, and leave matplotlib's global state as it was."""
 
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 pytest.importorskip("gymnasium")
 pytest.importorskip("matplotlib")
 import matplotlib
 from matplotlib.figure import Figure
+from run_tables import policy_gap, runs_table, sensitivity_table
 
 from surefoot.errors import SurefootError
 from surefoot.evaluate.gap import PolicyGap
-from surefoot.evaluate.runs import Runs
-from surefoot.evaluate.sensitivity import Nominal, Sensitivity, TestWorld
+from surefoot.evaluate.sensitivity import Sensitivity
 from surefoot.report.figures.parameters import aggregate_figure, parameter_figure, parameters_figure
 from surefoot.report.figures.runs import _mean_power, episode_plot, footfall_diagram, side_by_side
 from surefoot.report.figures.tracking import tracking_figure
 from surefoot.robot import RobotDescription
-from surefoot.studies.comparison import Comparison, Curve
+from surefoot.studies.comparison import Comparison
 from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
 from surefoot.task.trace import EpisodeTrace
 
@@ -77,7 +76,7 @@ def trot(make_run: MakeRun, steps: int = 700, known: bool = True) -> EpisodeTrac
 
 
 @pytest.mark.parametrize(("steps", "known"), [(700, True), (1, True), (700, False)])
-def test_footfalls_and_an_episode(
+def test_episode_figures_show_footfalls_tilt_angles_and_power(
     steps: int, known: bool, robot: RobotDescription, make_run: MakeRun, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     trace = trot(make_run, steps, known)
@@ -100,32 +99,20 @@ def test_footfalls_and_an_episode(
     assert np.mean(power) == pytest.approx(trace.energy.mean() / 0.006)
 
 
-def test_a_figure_is_a_png(make_run: MakeRun, tmp_path: Path) -> None:
+def test_figure_is_a_png_with_the_same_bytes_for_the_same_data(make_run: MakeRun, tmp_path: Path) -> None:
     with pytest.raises(SurefootError, match=r"must end in \.png"):
         footfall_diagram(trot(make_run), tmp_path / "a.pdf")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_same_data_give_the_same_bytes(make_run: MakeRun, tmp_path: Path) -> None:
     first, second = (footfall_diagram(trot(make_run), tmp_path / name) for name in ("a.png", "b.png"))
     assert first.read_bytes() == second.read_bytes()
 
 
-def test_matplotlib_is_imported_only_when_drawing() -> None:
-    code = "import sys, surefoot.report.figures.runs; sys.exit('matplotlib' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
-
-
-def runs(world: str, *returns: float, falls: int = 0) -> Runs:
-    gained = np.array(returns)
-    fell, ones = np.arange(len(gained)) < falls, np.ones(len(gained))
-    return Runs(world, gained, gained + 1, ones, 20 * ones, 100 * ones, fell, ~fell)
-
-
 @pytest.mark.parametrize(("count", "worlds"), [(1, 1), (3, 8), (200, 1)])
-def test_a_bar_for_each_policy_and_world(count: int, worlds: int, tmp_path: Path, drawn: list[Figure]) -> None:
-    away = tuple(runs(f"world {i}", *[2.0 - 0.1 * i] * count, falls=i) for i in range(worlds))
-    policy = PolicyGap("trot", runs("mujoco", *[3.0] * count), away)
+def test_gap_figure_has_a_bar_for_each_policy_and_world(
+    count: int, worlds: int, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    away = [runs_table(f"world {i}", *[2.0 - 0.1 * i] * count, falls=i) for i in range(worlds)]
+    policy = PolicyGap.from_runs("trot", [runs_table("mujoco", *[3.0] * count), *away])
     gap_figure([policy, replace(policy, name="gallop, slow")], tmp_path / "gap.png")
     expected = [3.0, *(2.0 - 0.1 * i for i in range(worlds))]
     np.testing.assert_allclose(heights(drawn[0]), expected * 2)
@@ -140,38 +127,27 @@ def test_a_bar_for_each_policy_and_world(count: int, worlds: int, tmp_path: Path
     )
 
 
-def test_returns_that_are_not_known_or_below_zero(tmp_path: Path, drawn: list[Figure]) -> None:
-    unknown = PolicyGap("p", runs("a", 1.0), (runs("b", math.nan, falls=1),))
-    gap_figure([unknown], tmp_path / "a.png")
-    gap_figure([PolicyGap("p", runs("a", -1.0, -3.0), (runs("b", 0.5, 0.5),))], tmp_path / "b.png")
+def test_gap_figure_shows_unknown_and_negative_returns(tmp_path: Path, drawn: list[Figure]) -> None:
+    gap_figure([policy_gap("p", [1.0], {"b": [math.nan]}, falls=1)], tmp_path / "a.png")
+    gap_figure([policy_gap("p", [-1.0, -3.0], {"b": [0.5, 0.5]})], tmp_path / "b.png")
     assert heights(drawn[0]) == [1.0]
     assert "return\nnot known\n1 of 1\nfell" in [text.get_text() for text in drawn[0].axes[0].texts]
     assert heights(drawn[1]) == [-2.0, 0.5]
     assert drawn[1].axes[0].get_ylim()[0] < -3.0
 
 
-def test_a_gap_figure_takes_one_set_of_worlds(tmp_path: Path) -> None:
-    one, two = (PolicyGap("p", runs("a", 1.0), tuple(runs(name, 1.0) for name in names)) for names in ("b", "bc"))
-    for policies, message in (([], "0 policies"), ([one, two], "2 policies in 2 sets of worlds")):
-        with pytest.raises(SurefootError, match=message):
-            gap_figure(policies, tmp_path / "a.png")
-    assert list(tmp_path.iterdir()) == []
-
-
 def sensitivity(policy: str = "trot", values: int = 5, episodes: int = 4, level: float = 3.0) -> Sensitivity:
     """Test worlds of latency and mass, in which the robot falls at the upper end of each."""
-    worlds = [TestWorld("control_latency", float(value)) for value in np.linspace(0.0, 0.04, values)]
-    worlds += [TestWorld("base_mass_ratio", float(value)) for value in np.linspace(0.8, 1.2, values)]
+    worlds = [("control_latency", float(value)) for value in np.linspace(0.0, 0.04, values)]
+    worlds += [("base_mass_ratio", float(value)) for value in np.linspace(0.8, 1.2, values)]
     along = np.tile(np.linspace(0.0, 1.0, values), 2)[:, None]
     returns = level - 2.0 * along + np.linspace(-0.2, 0.2, episodes)
     fell = np.broadcast_to(along > 0.7, returns.shape)
-    nominal = Nominal(
-        {"control_latency": 0.02, "base_mass_ratio": 1.0}, np.full(4, 2.0), np.zeros(4, np.bool_), np.zeros(4)
-    )
-    return Sensitivity(policy, tuple(worlds), returns, fell, returns / 6.0, nominal)
+    nominal = {"control_latency": 0.02, "base_mass_ratio": 1.0}, np.full(episodes, 2.0), np.zeros(episodes, np.bool_)
+    return sensitivity_table(policy, worlds, returns, fell, nominal)
 
 
-def test_returns_and_falls_against_a_parameter(tmp_path: Path, drawn: list[Figure]) -> None:
+def test_parameter_figure_shows_returns_and_falls(tmp_path: Path, drawn: list[Figure]) -> None:
     group = [sensitivity(level=3.0), sensitivity(level=4.0)]
     groups = {"trot": [sensitivity()], "group": group, **{f"other {i}": [sensitivity(episodes=1)] for i in range(9)}}
     parameter_figure("control_latency", groups, tmp_path / "a.png")
@@ -187,7 +163,7 @@ def test_returns_and_falls_against_a_parameter(tmp_path: Path, drawn: list[Figur
     assert len({ax.get_ylim() for ax in drawn[1].axes}) == 1
 
 
-def test_the_range_trained_in_is_shaded(tmp_path: Path, drawn: list[Figure]) -> None:
+def test_parameter_figure_shades_the_trained_range(tmp_path: Path, drawn: list[Figure]) -> None:
     groups = {"trot": [sensitivity()], "gallop": [sensitivity("gallop")]}
     parameter_figure(
         "control_latency", groups, tmp_path / "a.png", {"trot": {}, "gallop": {"control_latency": (0.01, 0.03)}}
@@ -198,7 +174,7 @@ def test_the_range_trained_in_is_shaded(tmp_path: Path, drawn: list[Figure]) -> 
     assert [line.get_xdata()[0] for line in drawn[0].axes[0].lines if len(line.get_xdata()) == 2] == [0.02, 0.02]
 
 
-def test_the_return_over_all_test_worlds(tmp_path: Path, drawn: list[Figure]) -> None:
+def test_aggregate_figure_shows_the_return_over_all_test_worlds(tmp_path: Path, drawn: list[Figure]) -> None:
     few = sensitivity("gallop", values=1, episodes=1)
     aggregate_figure([sensitivity(), few], tmp_path / "a.png")
     widths = [bar.get_width() for bar in drawn[0].axes[0].patches]
@@ -206,16 +182,16 @@ def test_the_return_over_all_test_worlds(tmp_path: Path, drawn: list[Figure]) ->
     assert sorted(drawn[0].axes[0].lines[0].get_xdata()) == pytest.approx(sorted([3.0, 2.5, 2.0, 1.5, 1.0] * 2))
 
 
-def test_a_parameter_figure_refuses_a_row_that_was_not_varied(tmp_path: Path) -> None:
+def test_parameter_figure_refuses_a_parameter_that_was_not_varied(tmp_path: Path) -> None:
     with pytest.raises(SurefootError, match="row 'voltage' is in no test world of trot"):
         parameter_figure("voltage", {"trot": [sensitivity()]}, tmp_path / "a.png")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_learning_curves_are_means_over_seeds(tmp_path: Path, drawn: list[Figure]) -> None:
-    steps, nothing = np.arange(1, 41) * 1e5, np.full(1, np.nan)
-    curves = [Curve(steps, level + 0 * steps, 0.5 + 0 * steps, 0 * steps, 1 + 0 * steps) for level in (1.0, 3.0)]
-    young = Curve(steps[:1], nothing, nothing, nothing, np.zeros(1))
+    columns = {"steps": np.arange(1, 41) * 1e5, "speed": 0.5, "falls": 0.0, "episodes": 1}
+    curves = [pd.DataFrame({**columns, "return": level}) for level in (1.0, 3.0)]
+    young = curves[0][:1].assign(**dict.fromkeys(("return", "speed", "falls"), np.nan), episodes=0)
     learning_curves({"a": curves, "one": curves[:1], "young": [young]}, tmp_path / "a.png")
     first, second = lines(drawn[0], 0)
     assert (set(first), set(second)) == ({2.0}, {1.0})
@@ -226,19 +202,21 @@ def test_learning_curves_are_means_over_seeds(tmp_path: Path, drawn: list[Figure
 
 
 @pytest.mark.parametrize("seeds", [1, 5])
-def test_groups_side_by_side(seeds: int, tmp_path: Path, drawn: list[Figure], gap_comparison: MakeComparison) -> None:
+def test_group_figure_shows_intervals_and_seeds(
+    seeds: int, tmp_path: Path, drawn: list[Figure], gap_comparison: MakeComparison
+) -> None:
     study = gap_comparison(seeds)
     group_figure(study, tmp_path / "a.png", ("nominal_return", "gap"))
     first, second = drawn[0].axes
     assert (first.get_title(loc="left"), second.get_title(loc="left")) == ("Return, nominal (m)", "Gap (m)")
     widths = [bar.get_width() for bar in first.patches]
-    assert widths == pytest.approx([group.interval("nominal_return").mean for group in study.groups])
+    assert widths == pytest.approx([study.interval(group, "nominal_return").mean for group in study.groups])
     dots = [line.get_xdata() for line in first.lines if line.get_marker() == "o"]
-    assert [list(values) for values in dots] == [list(group.values("nominal_return")) for group in study.groups]
+    assert [list(values) for values in dots] == [list(study.of_group(group).nominal_return) for group in study.groups]
 
 
 @pytest.mark.parametrize("steps", [1, 200])
-def test_runs_in_several_worlds_side_by_side(
+def test_side_by_side_leaves_out_unknown_places(
     steps: int, make_run: MakeRun, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     options = {"energy": 0.2 * steps, "steps": steps}
@@ -250,7 +228,7 @@ def test_runs_in_several_worlds_side_by_side(
     np.testing.assert_allclose(lines(drawn[0], 2, 1), 20.0)
 
 
-def test_power_is_the_energy_of_the_last_half_second(make_run: MakeRun) -> None:
+def test_mean_power_is_the_energy_of_the_last_half_second(make_run: MakeRun) -> None:
     # 20 W for a second, then 60 W.
     energy = np.where(np.arange(1, 201) > 100, 0.6, 0.2)
     times, power = _mean_power(make_run(steps=200, arrays={"energy": energy}))
@@ -259,9 +237,7 @@ def test_power_is_the_energy_of_the_last_half_second(make_run: MakeRun) -> None:
     assert power[-1] == pytest.approx(60.0)
 
 
-def test_errors_over_a_grid_of_commands_stand_where_their_command_is(
-    tmp_path: Path, make_run: MakeRun, drawn: list[Figure]
-):
+def test_tracking_figure_places_errors_at_their_commands(tmp_path: Path, make_run: MakeRun, drawn: list[Figure]):
     grid = [(x, 0.0, w) for w in (-0.5, 0.5) for x in (0.0, 0.5, 1.0)] + [(1.0, y, 0.0) for y in (-0.2, 0.2)]
     # All go ahead at .5 m/s and never turn: 2 s, of which the first does not count.
     runs = [

@@ -1,42 +1,145 @@
-"""Leg space and the five-bar leg against figures worked by hand."""
+"""Leg space of five-bar and serial legs: what holds for every kind, and figures worked by hand."""
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.errors import SurefootError
-from surefoot.robot import FiveBar, leg_to_motor, motor_to_leg
+from surefoot.robot import FiveBar, SerialLegs
+from surefoot.robot.leg import Legs
 
 MINITAUR = FiveBar(upper=0.101, lower=(0.200, 0.208), foot=0.240, foot_radius=0.0085)
-ANGLE = st.floats(-10, 10)
+EQUAL = FiveBar(upper=0.1, lower=(0.2, 0.2), foot=0.3, foot_radius=0.0)
+SHORT = FiveBar(upper=0.2, lower=(0.1, 0.1), foot=0.15, foot_radius=0.0)
+UPPER, LOWER, ASIDE = 0.2, 0.25, 0.08
+RIGHT = np.full(2, np.pi / 2)
 
 
-def test_motor_angles_are_extension_plus_and_minus_swing():
-    theta_1, theta_2 = leg_to_motor(0.25, 2.0)
-    assert (theta_1, theta_2) == (2.25, 1.75)
+def serial_legs(
+    knee: float = -1.0, abducts: bool = True, angles: tuple[float, float] = (0.0, 0.0), turn: float = 1.0
+) -> SerialLegs:
+    """Return a left and a right leg; links at zero are turned by `angles` from straight down."""
+    side = np.array([1.0, -1.0])
+    return SerialLegs(
+        turn=np.full((2, 3 if abducts else 2), turn),
+        side=side,
+        hip=np.stack([side * (ASIDE if abducts else 0.0), np.zeros(2)], -1),
+        upper=np.full(2, UPPER),
+        lower=np.full(2, LOWER),
+        upper_angle=np.full(2, angles[0]),
+        lower_angle=np.full(2, angles[1]),
+        knee=np.full(2, knee),
+    )
 
 
-@given(swing=ANGLE, extension=ANGLE)
-def test_motor_to_leg_undoes_leg_to_motor(swing: float, extension: float):
-    back = motor_to_leg(*leg_to_motor(swing, extension))
-    np.testing.assert_allclose(back, (swing, extension), atol=1e-12)
+KINDS: dict[str, Legs] = {
+    "five bars": MINITAUR,
+    "backward": serial_legs(),
+    "forward": serial_legs(knee=1.0),
+    "without abduction": serial_legs(abducts=False),
+    "other zero": serial_legs(angles=(0.4, -0.9)),
+    "turned motors": serial_legs(turn=-1.0, angles=(-0.2, 0.3)),
+}
+each_kind = pytest.mark.parametrize("legs", KINDS.values(), ids=KINDS.keys())
 
 
-def test_leg_space_broadcasts():
-    theta_1, theta_2 = leg_to_motor(np.zeros((5, 4)), 2.0)
-    assert theta_1.shape == theta_2.shape == (5, 4)
+def pose_of(legs: Legs, abduction: float, swing: float, extension: float) -> np.ndarray:
+    """Return one pose (C, 2) for both legs."""
+    return np.tile(np.array([abduction, swing, extension][-len(legs.coordinates) :])[:, None], 2)
+
+
+def grid(legs: Legs) -> np.ndarray:
+    """Return poses (..., C, 2) over the range of commands, both legs alike."""
+    extension = np.linspace(0.6, 2.7, 9) if isinstance(legs, FiveBar) else np.linspace(0.35, 0.97, 9)
+    axes = (np.linspace(-0.5, 0.5, 5), np.linspace(-1.0, 1.0, 9), extension)[-len(legs.coordinates) :]
+    return np.repeat(np.stack(np.meshgrid(*axes, indexing="ij"), -1)[..., None], 2, axis=-1)
+
+
+@each_kind
+def test_motor_angles_and_feet_lead_back_to_the_pose(legs: Legs):
+    poses = grid(legs)
+    angles = legs.to_motors(poses)
+    np.testing.assert_allclose(legs.to_pose(angles), poses, atol=1e-9)
+    np.testing.assert_allclose(np.stack(legs.plane_pose(legs.foot_in_plane(angles)), -2), poses[..., -2:, :], atol=1e-9)
+    np.testing.assert_allclose(legs.foot_pose(legs.foot_position(angles)), poses, atol=1e-9)
+    assert legs.closes(angles).all()
+
+
+@given(st.sampled_from(sorted(KINDS)), *map(partial(st.floats, -1.0), (1.0, 1.0, 1.0)))
+def test_any_pose_in_the_range_leads_back_to_itself(kind: str, abduction: float, swing: float, extension: float):
+    legs = KINDS[kind]
+    low, high = (0.6, 2.7) if legs is MINITAUR else (0.35, 0.97)
+    pose = pose_of(legs, abduction / 2, swing, low + (high - low) * (extension + 1) / 2)
+    angles = legs.to_motors(pose)
+    np.testing.assert_allclose(legs.to_pose(angles), pose, atol=1e-9)
+    np.testing.assert_allclose(legs.plane_pose(legs.foot_in_plane(angles)), pose[-2:], atol=1e-9)
+
+
+@each_kind
+def test_positive_swing_moves_the_foot_backward_and_extension_makes_the_leg_longer(legs: Legs):
+    poses = grid(legs)
+    # The foot of a five-bar leg goes backward over swings to .5 rad, if the leg is not short.
+    poses = poses[2:-2, 3:] if legs is MINITAUR else poses
+    foot = legs.foot_in_plane(legs.to_motors(poses))
+    assert np.all(np.diff(foot[..., 0], axis=-3) < 0)
+    assert np.all(np.diff(np.linalg.norm(foot, axis=-1), axis=-2) > 0)
+
+
+@each_kind
+def test_the_jacobian_is_the_derivative_of_the_foots_position(legs: Legs):
+    angles, step = legs.to_motors(grid(legs)), 1e-6
+    motors = angles.shape[-1]
+    jacobian = legs.jacobian(angles)
+    assert jacobian.shape == (*angles.shape[:-1], 3, motors)
+    for motor, turn in enumerate(step * np.eye(motors)):
+        moved = (legs.foot_position(angles + turn) - legs.foot_position(angles - turn)) / (2 * step)
+        np.testing.assert_allclose(jacobian[..., motor], moved, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("legs", "feet"),
+    [
+        # Straight down it reaches .101 + .240 m; motor 2 alone would reach closer than .240 - .101 m through its link.
+        (MINITAUR, [(0.0, -0.342), (0.0, -0.138), (0.4, -0.1), (np.nan, 0.0), (10.0, -10.0)]),
+        # Straight it reaches .45 m; folded, .25 - .2 = .05 m.
+        (serial_legs(), [(0.0, -0.4501), (0.0, -0.0499), (0.4, -0.3), (np.nan, 0.0)]),
+    ],
+)
+def test_a_foot_out_of_reach_has_no_pose(legs: Legs, feet: list[tuple[float, float]]):
+    for foot in feet:
+        assert np.isnan(legs.plane_pose([foot, foot])).all()
+
+
+@pytest.mark.parametrize(
+    ("legs", "coordinates", "units", "length"),
+    [
+        (MINITAUR, ("swing", "extension"), ("rad", "rad"), 0.341),
+        (serial_legs(), ("abduction", "swing", "extension"), ("rad", "rad", "1"), UPPER + LOWER),
+        (serial_legs(abducts=False), ("swing", "extension"), ("rad", "1"), UPPER + LOWER),
+    ],
+)
+def test_coordinates_units_and_length(legs: Legs, coordinates: tuple, units: tuple, length: float):
+    assert (legs.coordinates, legs.units) == (coordinates, units)
+    assert legs.length == pytest.approx(length)
+
+
+# --- five-bar legs: theta_1 = e + s, theta_2 = e - s ---
+
+
+def test_motor_angles_of_a_five_bar_leg_are_extension_plus_and_minus_swing():
+    np.testing.assert_array_equal(MINITAUR.to_motors([[0.25, 0.0], [2.0, 1.0]]), [(2.25, 1.75), (1.0, 1.0)])
 
 
 # theta = pi/2 is horizontal, motor 1 forward and motor 2 backward; at pi both point straight down and meet.
 @pytest.mark.parametrize(
-    ("theta", "front", "back"),
-    [(np.pi / 2, (0.101, 0), (-0.101, 0)), (np.pi, (0, -0.101), (0, -0.101))],
+    ("theta", "front", "back"), [(np.pi / 2, (0.101, 0), (-0.101, 0)), (np.pi, (0, -0.101), (0, -0.101))]
 )
-def test_upper_links(theta: float, front: tuple[float, float], back: tuple[float, float]):
-    np.testing.assert_allclose(MINITAUR.knees(theta, theta), (front, back), atol=1e-15)
+def test_knees_are_at_the_ends_of_the_upper_links(theta: float, front: tuple, back: tuple):
+    np.testing.assert_allclose(MINITAUR.knees([theta, theta]), (front, back), atol=1e-15)
 
 
 # At e = pi/2 the knees are at x = +-.101, z = 0, a distance d = .202 apart. From knee 2 the pin lies
@@ -48,123 +151,39 @@ def test_upper_links(theta: float, front: tuple[float, float], back: tuple[float
     ("leg", "pin", "foot"),
     [
         (MINITAUR, (-0.101 + 0.109079, -0.177104), (-0.101 + 0.125860, -0.204350)),
-        (FiveBar(upper=0.1, lower=(0.2, 0.2), foot=0.3, foot_radius=0.0), (0, -0.173205), (0.05, -0.259808)),
+        (EQUAL, (0, -0.173205), (0.05, -0.259808)),
     ],
 )
 def test_pin_and_foot_at_a_right_angle(leg: FiveBar, pin: tuple[float, float], foot: tuple[float, float]):
-    np.testing.assert_allclose(leg.pin([np.pi / 2, np.pi / 2]), pin, atol=1e-6)
-    np.testing.assert_allclose(leg.foot_in_plane([np.pi / 2, np.pi / 2]), foot, atol=1e-6)
+    np.testing.assert_allclose(leg.pin(RIGHT), pin, atol=1e-6)
+    np.testing.assert_allclose(leg.foot_in_plane(RIGHT), foot, atol=1e-6)
+    np.testing.assert_allclose(leg.foot_position(RIGHT), (foot[0], 0.0, foot[1]), atol=1e-6)
 
 
-@pytest.mark.parametrize("extension", np.linspace(0.6, 2.7, 8))
-@pytest.mark.parametrize("swing", [-0.5, 0.0, 0.5])
-def test_loop_keeps_every_length_and_knee_angles_lead_to_the_pin(swing: float, extension: float):
-    theta = leg_to_motor(swing, extension)
-    (knee_1, knee_2), pin, foot = MINITAUR.knees(*theta), MINITAUR.pin(theta), MINITAUR.foot_in_plane(theta)
-    lengths = [np.linalg.norm(x) for x in (knee_1, knee_2, pin - knee_1, pin - knee_2, foot - knee_2)]
-    np.testing.assert_allclose(lengths, (0.101, 0.101, 0.200, 0.208, 0.240), rtol=1e-12)
+def test_the_loop_keeps_every_length_and_knee_angles_lead_to_the_pin():
+    theta = MINITAUR.to_motors(grid(MINITAUR))
+    knees, pin, foot = np.stack(MINITAUR.knees(theta), -2), MINITAUR.pin(theta), MINITAUR.foot_in_plane(theta)
+    lengths = [*np.moveaxis(knees, -2, 0), *np.moveaxis(pin[..., None, :] - knees, -2, 0), foot - knees[..., 1, :]]
+    for link, length in zip(lengths, (0.101, 0.101, 0.200, 0.208, 0.240), strict=True):
+        np.testing.assert_allclose(np.linalg.norm(link, axis=-1), length, rtol=1e-12)
     # Absolute angle from straight up, about +y: motor 1 turns by theta_1, motor 2 by -theta_2.
-    angles = np.array([theta[0], -theta[1]]) + MINITAUR.knee_angles(theta)
-    ends = [knee_1, knee_2] + np.array([MINITAUR.lower] * 2).T * np.stack([np.sin(angles), np.cos(angles)], axis=1)
-    np.testing.assert_allclose(ends, [pin, pin], atol=1e-12)
+    angles = theta * [1.0, -1.0] + MINITAUR.knee_angles(theta)
+    ends = knees + np.array(MINITAUR.lower)[:, None] * np.stack([np.sin(angles), np.cos(angles)], axis=-1)
+    np.testing.assert_allclose(ends, np.stack([pin, pin], -2), atol=1e-12)
 
 
 def test_knees_bend_to_either_side():
     # Lower link 1 runs from (.101, 0) to the pin at (.008079, -.177104):
     # pi + atan(.092921 / .177104) = 3.62478 from straight up, less the upper link's pi/2.
     # Link 2, from (-.101, 0): -(pi + atan(.109079 / .177104)) + pi/2.
-    knee_1, knee_2 = MINITAUR.knee_angles([np.pi / 2, np.pi / 2])
-    assert knee_1 == pytest.approx(2.05398, abs=1e-5)
-    assert knee_2 == pytest.approx(-2.12283, abs=1e-5)
-
-
-def test_more_extension_makes_the_leg_longer():
-    extension = np.linspace(0.6, 2.7, 100)
-    height = MINITAUR.foot_in_plane(np.stack([extension, extension], -1))[:, 1]
-    assert np.all(np.diff(height) < 0)
-
-
-@pytest.mark.parametrize("extension", [1.2, 1.6, 2.0, 2.4])
-def test_positive_swing_moves_the_foot_backward(extension: float):
-    forward = MINITAUR.foot_in_plane(np.stack(leg_to_motor(np.linspace(-0.5, 0.5, 50), extension), -1))[:, 0]
-    assert np.all(np.diff(forward) < 0)
+    np.testing.assert_allclose(MINITAUR.knee_angles(RIGHT), (2.05398, -2.12283), atol=1e-5)
 
 
 def test_swing_turns_the_whole_leg_about_the_motor_axis():
     # Both upper links turn about +y by the swing, so the leg turns as one rigid body.
-    at_rest, swung = (MINITAUR.foot_in_plane(leg_to_motor(s, 2.0)) for s in (0.0, 0.3))
-    turned = [
-        np.cos(0.3) * at_rest[0] + np.sin(0.3) * at_rest[1],
-        -np.sin(0.3) * at_rest[0] + np.cos(0.3) * at_rest[1],
-    ]
-    np.testing.assert_allclose(swung, turned, atol=1e-12)
-
-
-def test_short_lower_links_do_not_close():
-    leg = FiveBar(upper=0.2, lower=(0.1, 0.1), foot=0.15, foot_radius=0.0)
-    assert not leg.closes([np.pi / 2, np.pi / 2])
-    assert leg.closes([0.9 * np.pi, 0.9 * np.pi])
-
-
-@pytest.mark.parametrize(
-    ("upper", "lower", "foot", "radius", "key"),
-    [
-        (0.0, (0.2, 0.2), 0.2, 0.0, "upper"),
-        (0.1, (0.2, -0.2), 0.2, 0.0, "lower"),
-        (0.1, (0.2, 0.2), 0.0, 0.0, "foot"),
-        (0.1, (0.2, 0.2), 0.2, 0.3, "foot_radius"),
-        (0.1, (0.2, 0.2), 0.2, -0.1, "foot_radius"),
-        (float("nan"), (0.2, 0.2), 0.2, 0.0, "upper"),
-    ],
-)
-def test_lengths_that_are_none_are_refused(upper, lower, foot, radius, key):
-    with pytest.raises(SurefootError, match=rf"leg_geometry\.{key} is "):
-        FiveBar(upper, lower, foot, radius)
-
-
-@given(swing=st.floats(-1.0, 1.0), extension=st.floats(0.6, 2.7))
-def test_plane_pose_undoes_foot_in_plane(swing: float, extension: float):
-    foot = MINITAUR.foot_in_plane(leg_to_motor(swing, extension))
-    np.testing.assert_allclose(MINITAUR.plane_pose(foot), (swing, extension), atol=1e-9)
-
-
-# Straight down it reaches .101 + .240 m; motor 2 alone would reach closer than .240 - .101 m only through its link.
-@pytest.mark.parametrize("foot", [(0.0, -0.342), (0.0, -0.138), (0.4, -0.1), (np.nan, 0.0), (10.0, -10.0)])
-def test_plane_pose_out_of_reach_is_not_a_number(foot: tuple[float, float]):
-    assert np.isnan(MINITAUR.plane_pose(foot)).all()
-
-
-def test_poses_of_legs_go_to_pairs_of_motors_and_back(rng: np.random.Generator):
-    pose = np.stack([rng.uniform(-0.5, 0.5, (7, 4)), rng.uniform(1.0, 2.0, (7, 4))], -2)
-    angles = MINITAUR.to_motors(pose)
-    assert (pose.shape, angles.shape) == ((7, 2, 4), (7, 4, 2))
-    np.testing.assert_array_equal(angles[..., 0], pose[:, 1] + pose[:, 0])
-    np.testing.assert_array_equal(angles[..., 1], pose[:, 1] - pose[:, 0])
-    np.testing.assert_allclose(MINITAUR.to_pose(angles), pose, atol=1e-15)
-
-
-def test_a_five_bar_leg_has_two_coordinates_and_is_as_long_as_its_links():
-    assert MINITAUR.coordinates == ("swing", "extension")
-    assert MINITAUR.units == ("rad", "rad")
-    assert MINITAUR.length == pytest.approx(0.341)
-
-
-def test_the_foot_stays_in_the_plane_of_its_leg(rng: np.random.Generator):
-    angles = MINITAUR.to_motors(np.stack([rng.uniform(-0.5, 0.5, (7, 4)), rng.uniform(1.0, 2.0, (7, 4))], -2))
-    foot, plane = MINITAUR.foot_position(angles), MINITAUR.foot_in_plane(angles)
-    assert foot.shape == (7, 4, 3)
-    np.testing.assert_array_equal(foot[..., [0, 2]], plane)
-    np.testing.assert_array_equal(foot[..., 1], 0.0)
-
-
-def test_jacobian_is_how_the_foot_moves_with_each_motor():
-    swing, extension = np.meshgrid(np.linspace(-1.0, 1.0, 5), np.linspace(0.6, 2.7, 8))
-    angles = MINITAUR.to_motors(np.stack([swing, extension], -2))
-    jacobian, step = MINITAUR.jacobian(angles), 1e-6
-    assert jacobian.shape == (8, 5, 3, 2)
-    for motor, turn in enumerate(step * np.eye(2)):
-        moved = (MINITAUR.foot_position(angles + turn) - MINITAUR.foot_position(angles - turn)) / (2 * step)
-        np.testing.assert_allclose(jacobian[..., motor], moved, atol=1e-8)
+    at_rest, swung = MINITAUR.foot_in_plane(MINITAUR.to_motors([[0.0, 0.3], [2.0, 2.0]]))
+    turn = np.array([(np.cos(0.3), np.sin(0.3)), (-np.sin(0.3), np.cos(0.3))])
+    np.testing.assert_allclose(swung, turn @ at_rest, atol=1e-12)
 
 
 # Equal links .1 and .2 at theta = pi/2: knees (+-.1, 0), pin p (0, -.173205), foot .3 along link 2. A turn of motor 1
@@ -172,13 +191,90 @@ def test_jacobian_is_how_the_foot_moves_with_each_motor():
 #   u_1 . dp = u_1 . (0, -.1) = .0173205,   u_2 . dp = 0   so   dp = (-.0866025, -.05);
 # the foot moves 1.5 times as far, for knee 2 rests: (-.1299038, -.075). A turn of motor 2 moves knee 2 by (0, -.1):
 # dp = (.0866025, -.05), and the foot by 1.5 dp - .5 (0, -.1) = (.1299038, -.025).
-def test_jacobian_by_hand():
-    leg = FiveBar(upper=0.1, lower=(0.2, 0.2), foot=0.3, foot_radius=0.0)
-    jacobian = leg.jacobian([np.pi / 2, np.pi / 2])
-    np.testing.assert_allclose(jacobian.T, [(-0.1299038, 0.0, -0.075), (0.1299038, 0.0, -0.025)], atol=1e-7)
+def test_jacobian_of_a_five_bar_leg_by_hand():
+    expected = [(-0.1299038, 0.0, -0.075), (0.1299038, 0.0, -0.025)]
+    np.testing.assert_allclose(EQUAL.jacobian(RIGHT).T, expected, atol=1e-7)
 
 
 def test_where_no_loop_closes_there_is_no_foot_and_no_jacobian():
-    leg = FiveBar(upper=0.2, lower=(0.1, 0.1), foot=0.15, foot_radius=0.0)
-    assert np.isnan(leg.foot_in_plane([np.pi / 2, np.pi / 2])).all()
-    assert np.isnan(leg.jacobian([np.pi / 2, np.pi / 2])[[0, 2]]).all()
+    assert not SHORT.closes(RIGHT)
+    assert SHORT.closes(1.8 * RIGHT)
+    assert np.isnan(SHORT.foot_in_plane(RIGHT)).all()
+    assert np.isnan(SHORT.jacobian(RIGHT)[[0, 2]]).all()
+
+
+# --- serial legs ---
+
+
+def test_a_straight_leg_hangs_down_as_long_as_it_is():
+    legs, angles = serial_legs(), np.zeros((2, 3))
+    np.testing.assert_allclose(legs.foot_position(angles), [(0.0, 0.08, -0.45), (0.0, -0.08, -0.45)], atol=1e-15)
+    np.testing.assert_allclose(legs.to_pose(angles), pose_of(legs, 0.0, 0.0, 1.0), atol=1e-15)
+    np.testing.assert_allclose(legs.to_motors(pose_of(legs, 0.0, 0.0, 1.0)), angles, atol=1e-9)
+
+
+# The upper link points straight down and the lower one to the back (knee forward) or to the front (knee backward):
+# r = sqrt(.2^2 + .25^2) = .3201562 of .45 m is .7114583, the swing atan(.25 / .2) = .8960554.
+@pytest.mark.parametrize(("knee", "bend", "x"), [(1.0, np.pi / 2, -0.25), (-1.0, -np.pi / 2, 0.25)])
+@pytest.mark.parametrize("abducts", [True, False])
+def test_a_knee_at_a_right_angle(knee: float, bend: float, x: float, abducts: bool):
+    legs = serial_legs(knee=knee, abducts=abducts)
+    angles = np.tile([0.0, 0.0, bend][-legs.turn.shape[1] :], (2, 1))
+    np.testing.assert_allclose(legs.foot_in_plane(angles), [(x, -0.2)] * 2, atol=1e-15)
+    pose = pose_of(legs, 0.0, knee * 0.8960554, 0.7114583)
+    np.testing.assert_allclose(legs.to_pose(angles), pose, atol=1e-7)
+    np.testing.assert_allclose(legs.to_motors(pose), angles, atol=1e-6)
+
+
+# Straight legs turn by .3 rad about the base's x axis: the foot is at y = .08 cos .3 + .45 sin .3 = .2094111 on the
+# left and z = .08 sin .3 - .45 cos .3 = -.4062598; the right leg is its mirror image.
+def test_abduction_moves_feet_outward_on_both_sides():
+    legs = serial_legs()
+    angles = legs.to_motors(pose_of(legs, 0.3, 0.0, 1.0))
+    np.testing.assert_allclose(angles[:, 0], [0.3, -0.3])
+    feet = [(0.0, 0.2094111, -0.4062598), (0.0, -0.2094111, -0.4062598)]
+    np.testing.assert_allclose(legs.foot_position(angles), feet, atol=1e-7)
+
+
+def test_a_hip_that_is_not_at_the_height_of_the_abduction_axis():
+    legs = serial_legs()
+    legs.hip[:, 1] = -0.05
+    # The quarter turn brings the left foot, .08 to the left and .05 + .45 below, to .5 to the left and .08 above.
+    feet = legs.foot_position([[np.pi / 2, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(feet, [(0.0, 0.5, 0.08), (0.0, -0.08, -0.5)], atol=1e-15)
+
+
+def test_links_that_are_turned_at_zero():
+    # Upper link forward by .4, lower link back by .9: with motors at zero they stay so.
+    legs = serial_legs(knee=1.0, angles=(-0.4, 0.9))
+    x, z = 0.2 * np.sin(0.4) - 0.25 * np.sin(0.9), -0.2 * np.cos(0.4) - 0.25 * np.cos(0.9)
+    np.testing.assert_allclose(legs.foot_in_plane(np.zeros((2, 3))), [(x, z)] * 2, atol=1e-15)
+    # Straight down: the hip turns by .4, the knee by as much as both links are apart, 1.3, the other way.
+    np.testing.assert_allclose(legs.to_motors(pose_of(legs, 0.0, 0.0, 1.0)), [[0.0, 0.4, -1.3]] * 2, atol=1e-9)
+
+
+def test_motors_that_turn_the_other_way_have_the_opposite_angles():
+    poses = grid(serial_legs())
+    np.testing.assert_array_equal(serial_legs(turn=-1.0).to_motors(poses), -serial_legs().to_motors(poses))
+
+
+def test_a_pose_out_of_reach_has_no_motor_angles():
+    legs = serial_legs()
+    # Folded, the leg is .25 - .2 = .05 m long, a ninth of .45 m.
+    for extension, reached in ((1.001, False), (0.11, False), (1.0, True), (0.112, True)):
+        angles = legs.to_motors(pose_of(legs, 0.0, 0.0, extension))
+        assert np.isfinite(angles[:, 1:]).all() == legs.closes(angles).all() == reached
+    # Each leg has its own result.
+    swing, extension = legs.plane_pose([(0.0, -0.5), (0.0, -0.225)])
+    np.testing.assert_allclose([swing, extension], [(np.nan, 0.0), (np.nan, 0.5)])
+
+
+# A straight left leg, .08 m to the side and .45 m long: abduction moves the foot by (0, .45, .08) m/rad, the hip by .45
+# and the knee by .25 m/rad backward.
+def test_jacobian_of_a_serial_leg_by_hand():
+    expected = [(0.0, 0.45, 0.08), (-0.45, 0.0, 0.0), (-0.25, 0.0, 0.0)]
+    np.testing.assert_allclose(serial_legs().jacobian(np.zeros((2, 3)))[0].T, expected, atol=1e-15)
+
+
+def test_every_joint_of_a_serial_leg_has_a_motor():
+    assert serial_legs().knee_angles(np.zeros((7, 2, 3))).shape == (7, 2, 0)

@@ -43,7 +43,7 @@ ROBOTS, MOTORS = [0.8, 0.9, 1.0, 1.1, 1.2], np.linspace(0.8, 1.2, 8)
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "expected"),
+    ("name", "value", "expected"),
     [
         ("motor_strength", 0.8, 0.8),
         ("voltage", [14, 15, 16, 16.5, 16.8], [14, 15, 16, 16.5, 16.8]),
@@ -53,8 +53,8 @@ ROBOTS, MOTORS = [0.8, 0.9, 1.0, 1.1, 1.2], np.linspace(0.8, 1.2, 8)
         ("servo_kd", [0.01, 0.02, 0.03, 0.04, 0.05], np.array([0.01, 0.02, 0.03, 0.04, 0.05])[:, None]),
     ],
 )
-def test_values_go_to_robots_and_motors(robot, params, name, given, expected):
-    assert np.all(getattr(params.with_values(robot, **{name: given}), name) == expected)
+def test_values_go_to_robots_and_motors(robot, params, name, value, expected):
+    assert np.all(getattr(params.with_values(robot, **{name: value}), name) == expected)
 
 
 def test_with_values_leaves_the_original_alone(robot, params):
@@ -80,7 +80,7 @@ def test_with_values_leaves_the_original_alone(robot, params):
         ({"motor_strength": np.ones((5, 3))}, ["motor_strength has shape (5, 3)", "(5, 8)"]),
     ],
 )
-def test_values_that_do_not_fit_are_refused_in_one_line(robot, params, values, pieces):
+def test_values_that_do_not_fit_are_refused(robot, params, values, pieces):
     with pytest.raises(SurefootError) as caught:
         params.with_values(robot, **values)
     message = str(caught.value)
@@ -98,12 +98,12 @@ def test_rows_takes_robots_by_index(robot, params):
 
 
 def test_rows_are_set_by_index(robot, params):
-    given = params.rows([0, 0]).with_values(robot, voltage=[14.0, 15.0])
-    params.set_rows([4, 1], given)
+    rows = params.rows([0, 0]).with_values(robot, voltage=[14.0, 15.0])
+    params.set_rows([4, 1], rows)
     assert params.voltage.tolist() == [16.0, 15.0, 16.0, 16.0, 14.0]
-    given.imu_noise[0] = 9.0
+    rows.imu_noise[0] = 9.0
     with pytest.raises(SurefootError, match="imu_noise is 9"):
-        given.check(robot)
+        rows.check(robot)
 
 
 def test_settings_of_a_command_line():
@@ -115,7 +115,7 @@ def test_settings_of_a_command_line():
     ("word", "piece"),
     [("volts=3", "'volts' is not a physical parameter; choices: "), ("voltage", "write voltage=VALUE")],
 )
-def test_settings_that_are_none(word: str, piece: str):
+def test_a_setting_that_does_not_fit_is_refused(word: str, piece: str):
     with pytest.raises(SurefootError) as caught:
         parse_settings([word])
     assert piece in str(caught.value)

@@ -8,7 +8,7 @@ from scipy import stats
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
-from surefoot.robot.randomization import Randomizer, Ranges, RelativeRange, load_ranges
+from surefoot.robot.randomization import Randomizer, Ranges, RelativeRange, draw_hidden, load_ranges
 from surefoot.seeding import generators
 
 FULL: Ranges = {
@@ -216,3 +216,36 @@ def test_each_axis_draws_from_its_own_interval(robot):
     assert np.all((drawn[:, 1] >= -0.2) & (drawn[:, 1] <= -0.1))
     assert np.all((drawn[:, 2] >= 0.1) & (drawn[:, 2] <= 0.2))
     assert abs(np.corrcoef(drawn[:, 1], drawn[:, 2])[0, 1]) < 0.5
+
+
+# --- hidden parameters ------------------------------------------------------------------------------------
+
+TABLE_1 = load_ranges("table1")
+
+
+def test_hidden_parameters_are_within_their_ranges_and_the_rest_is_nominal(robot):
+    nominal, motor = PhysicalParams.nominal(robot), robot.dc_motor
+    drawn = [draw_hidden(robot, TABLE_1, seed) for seed in range(200)]
+    ranges = {
+        name: (0.9 * getattr(motor, name), 1.1 * getattr(motor, name)) for name in ("torque_constant", "resistance")
+    }
+    ranges |= {"servo_latency": (0.001, 0.005), **TABLE_1}
+    del ranges["control_step"]  # that of the control computer
+    for name in PhysicalParams.names():
+        values = np.array([getattr(params, name)[0] for params in drawn])
+        if name in ranges:
+            low, high = ranges[name]
+            assert low <= values.min() <= values.max() <= high
+            assert np.ptp(values) > 0.9 * (high - low), name
+        else:
+            np.testing.assert_array_equal(values, np.broadcast_to(getattr(nominal, name)[0], values.shape))
+
+
+def test_a_seed_gives_the_same_hidden_robot_again(robot):
+    one, same, other = (draw_hidden(robot, TABLE_1, seed) for seed in (4, 4, 5))
+    assert_same(one, same)
+    assert one.voltage != other.voltage
+    assert len(set(one.motor_strength[0])) == 8
+    assert len(set(one.motor_friction[0])) == 1
+    # Draws of a parameter do not change with the other ranges.
+    assert draw_hidden(robot, {"voltage": TABLE_1["voltage"]}, 4).voltage == one.voltage

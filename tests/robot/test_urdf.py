@@ -1,16 +1,20 @@
-"""Reading of URDFs: links, shapes, joints, their frames, and files with one thing wrong."""
+"""URDFs: links, shapes, joints, frames, links fused by hand and by MuJoCo, and files with one thing wrong."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.urdf import GREY, Urdf
-from surefoot.robot.urdf_file import read_urdf
+from surefoot.robot.urdf_file import format_urdf, read_urdf
+from surefoot.rotations import matrix_rpy, rpy_matrix
+from surefoot.world.mujoco_model import build_model
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
 
@@ -174,3 +178,98 @@ def test_an_invalid_file_is_refused(tmp_path: Path, elements: tuple[str, ...], m
     with pytest.raises(SurefootError) as caught:
         read(tmp_path, *elements)
     assert str(caught.value).startswith(f"{tmp_path / 'toy.urdf'}: {message}")
+
+
+# 1 kg at the origin and, .4 m along x, .1 m up and turned a quarter about z, 3 kg whose centre is .2 m along its y:
+# that is .2 m back along x. A third link moves against the second.
+def read_dumbbell(folder: Path) -> Urdf:
+    body = '<inertial><origin xyz="0 {} 0"/><mass value="{}"/><inertia ixx="{}" iyy="{}" izz="{}"/></inertial>'
+    ball = '<origin xyz="0 {} 0"/><geometry><sphere radius="0.1"/></geometry>'
+    return read(
+        folder,
+        f'<link name="a">{body.format(0, 1, 0.1, 0.2, 0.15)}<collision>{ball.format(0)}</collision></link>',
+        f'<link name="b">{body.format(0.2, 3, 0.3, 0.4, 0.5)}<visual>{ball.format(0)}</visual>'
+        f"<collision>{ball.format(0.1)}</collision></link>",
+        joint("bolt", "a", "b", f'<origin xyz="0.4 0 0.1" rpy="0 0 {np.pi / 2}"/>', "fixed"),
+        link("c"),
+        joint("hinge", "b", "c", '<origin xyz="0 1 0"/><axis xyz="0 1 0"/>'),
+    )
+
+
+def test_parallel_axes_by_hand(tmp_path: Path):
+    fused = read_dumbbell(tmp_path).fuse_fixed_links()
+    assert list(fused.links) == ["a", "c"]
+    body = fused.links["a"].body
+    assert body.mass == 4.0
+    # The second centre is at (.4 - .2, 0, .1); both together at 3/4 of that.
+    np.testing.assert_allclose(body.centre, [0.15, 0.0, 0.075], atol=1e-15)
+    # m1 m2 / (m1 + m2) = .75 kg at the distance (.2, 0, .1); the second body's xx and yy change places.
+    np.testing.assert_allclose(
+        body.inertia,
+        [
+            [0.1 + 0.4 + 0.75 * 0.01, 0, -0.75 * 0.02],
+            [0, 0.2 + 0.3 + 0.75 * 0.05, 0],
+            [-0.75 * 0.02, 0, 0.15 + 0.5 + 0.75 * 0.04],
+        ],
+        atol=1e-15,
+    )
+
+
+def test_shapes_and_joints_keep_their_places(tmp_path: Path):
+    urdf = read_dumbbell(tmp_path)
+    (tmp_path / "fused.urdf").write_text(format_urdf(urdf.fuse_fixed_links(), "dumbbell", principal=True))
+    for fused in (urdf.fuse_fixed_links(), read_urdf(tmp_path / "fused.urdf")):
+        assert list(fused.joints) == ["hinge"]
+        assert fused.joints["hinge"].parent == "a"
+        assert fused.links["a"].visuals == ()
+        # The second link's y points backward along the first one's x.
+        places = [fused.links["a"].collisions[1].position, fused.joints["hinge"].frame[:3, 3]]
+        np.testing.assert_allclose(places, [[0.3, 0, 0.1], [-0.6, 0, 0.1]], atol=1e-15)
+        body = urdf.fuse_fixed_links().links["a"].body
+        np.testing.assert_allclose(fused.links["a"].body.inertia, body.inertia, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(fused.links["a"].body.centre, body.centre, rtol=1e-12)
+    top, frame = urdf.places["b"]
+    assert top == "a"
+    np.testing.assert_allclose(frame @ [0, 0.2, 0, 1], [0.2, 0, 0.1, 1], atol=1e-15)
+
+
+def test_minitaurs_fused_bodies_are_mujocos(robot: RobotDescription):
+    # MuJoCo reads the same URDF with a reader, a fusing and an eigenvalue solver of its own.
+    fused, model = robot.urdf.fuse_fixed_links(), build_model(robot)
+    assert len(fused.links) == model.nbody - 1 == 17
+    for name, link in fused.links.items():
+        body, mujoco_body = link.body, model.body(name)
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, mujoco_body.iquat)
+        turn = turn.reshape(3, 3)
+        assert body.mass == pytest.approx(mujoco_body.mass[0], rel=1e-12)
+        np.testing.assert_allclose(body.centre, mujoco_body.ipos, atol=1e-12)
+        np.testing.assert_allclose(body.inertia, turn @ np.diag(mujoco_body.inertia) @ turn.T, atol=1e-12)
+
+
+def test_principal_moments_and_axes_make_the_inertia_again(rng: np.random.Generator):
+    for _ in range(50):
+        turn = rpy_matrix(*rng.uniform(-3, 3, 3))
+        inertia = turn @ np.diag(rng.uniform(1, 2, 3)) @ turn.T
+        moments, axes = RigidBody(1.0, np.zeros(3), inertia).principal()
+        assert np.linalg.det(axes) == pytest.approx(1.0)
+        np.testing.assert_allclose(axes @ np.diag(moments) @ axes.T, inertia, atol=1e-12)
+
+
+def test_a_body_along_its_frame_keeps_its_frame():
+    moments, axes = RigidBody(1.0, np.zeros(3), np.diag([3.0, 1.0, 2.0])).principal()
+    np.testing.assert_array_equal(moments, [3.0, 1.0, 2.0])
+    np.testing.assert_array_equal(axes, np.eye(3))
+
+
+@pytest.mark.parametrize("pitch", [0.3, -1.2, np.pi / 2, -np.pi / 2])
+def test_roll_pitch_yaw_of_a_rotation_make_it_again(pitch: float, rng: np.random.Generator):
+    for roll, yaw in rng.uniform(-3, 3, (20, 2)):
+        turn = rpy_matrix(roll, pitch, yaw)
+        np.testing.assert_allclose(rpy_matrix(*matrix_rpy(turn)), turn, atol=1e-9)
+
+
+def test_rotation_turns_about_x_then_y_then_z():
+    # A quarter turn about x takes y to z, then one about z leaves it there.
+    np.testing.assert_allclose(rpy_matrix(np.pi / 2, 0, np.pi / 2) @ [0, 1, 0], [0, 0, 1], atol=1e-15)
+    np.testing.assert_allclose(rpy_matrix(0, np.pi / 2, 0) @ [1, 0, 0], [0, 0, -1], atol=1e-15)

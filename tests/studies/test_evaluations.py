@@ -1,4 +1,4 @@
-"""Evaluations of a study's policies: where each kind runs them, what is kept, and what it belongs to."""
+"""Evaluations of a study's policies: their worlds, their figures and the cache of results."""
 
 from __future__ import annotations
 
@@ -10,15 +10,26 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import pandas as pd
 import pytest
 
 pytest.importorskip("gymnasium")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.runs import measure_runs
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies import evaluations
-from surefoot.studies.evaluations import EVALUATIONS, evaluate, evaluation_names, gap_of, made_once, stored_result
+from surefoot.studies.evaluations import (
+    EVALUATIONS,
+    EvaluationRun,
+    Result,
+    Traces,
+    cached_result,
+    evaluate,
+    evaluation_names,
+    gap_from_result,
+    stored_result,
+)
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.trace import EpisodeTrace
 
@@ -26,16 +37,16 @@ POLICY: Any = SimpleNamespace(contract=SimpleNamespace(name="walker"))
 
 
 class Rollouts:
-    """Takes the place of simulations: remembers what is asked for, and gives slides forward."""
+    """Takes the place of simulations: records calls, and returns slides forward."""
 
     def __init__(self, make_run: Callable[..., EpisodeTrace]) -> None:
-        self.asked: list[dict[str, Any]] = []
+        self.calls: list[dict[str, Any]] = []
         self.make_run = make_run
 
     def __call__(
         self, policy: Any, task: TaskConfig, episodes: int, make: Any, seed: int, threads: int, **names: str
     ) -> list[EpisodeTrace]:
-        self.asked.append({"task": task, "episodes": episodes, "make": make, "seed": seed, "threads": threads, **names})
+        self.calls.append({"task": task, "episodes": episodes, "make": make, "seed": seed, "threads": threads, **names})
         far = {"mujoco": 3.5, "ensemble": 1.5}[names["world_name"]]
         options = {"step": 0.006, "world": names["world_name"], "max_steps": 100}
         ended = "fall" if names["world_name"] == "ensemble" else "time"
@@ -47,12 +58,13 @@ class Rollouts:
 def rollouts(monkeypatch: pytest.MonkeyPatch, make_run: Callable[..., EpisodeTrace]) -> Rollouts:
     made, gap = Rollouts(make_run), EVALUATIONS["gap"]
     monkeypatch.setattr(evaluations, "run_episodes", made)
+    monkeypatch.setattr(evaluations, "find_world", lambda name: f"makes {name}")
     monkeypatch.setitem(EVALUATIONS, "gap", replace(gap, settings={**gap.settings, "episodes": 3}))
     return made
 
 
-def find_world(name: str) -> Any:
-    return f"makes {name}"
+def run(kind: str, threads: int = 1) -> tuple[Result, Traces]:
+    return EVALUATIONS[kind].run(EvaluationRun(POLICY, baseline(), EVALUATIONS[kind].settings, threads))
 
 
 def baseline() -> TaskConfig:
@@ -68,42 +80,41 @@ def baseline() -> TaskConfig:
 
 
 def test_nominal_episodes_run_in_the_policys_own_simulator(rollouts: Rollouts) -> None:
-    task = baseline()
-    EVALUATIONS["nominal"].run(POLICY, task, find_world, EVALUATIONS["nominal"].settings, 1)
-    (asked,) = rollouts.asked
-    assert (asked["make"], asked["world_name"], asked["episodes"]) == ("makes mujoco", "mujoco", 20)
-    assert asked["task"].actuator == "constraint"
-    assert asked["task"].params == task.params
-    assert not asked["task"].pushes.enabled
-    assert not asked["task"].randomize
+    run("nominal")
+    (call,) = rollouts.calls
+    assert (call["make"], call["world_name"], call["episodes"]) == ("makes mujoco", "mujoco", 20)
+    assert call["task"].actuator == "constraint"
+    assert call["task"].params == baseline().params
+    assert not call["task"].pushes.enabled
+    assert not call["task"].randomize
 
 
 def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollouts) -> None:
-    result, kept = EVALUATIONS["gap"].run(POLICY, baseline(), find_world, EVALUATIONS["gap"].settings, 2)
-    home, described, away = rollouts.asked
+    result, stored = run("gap", 2)
+    home, away, described = rollouts.calls
     assert (described["make"], described["task"]) == (home["make"], away["task"])
     assert (home["make"], home["world_name"]) == ("makes mujoco", "mujoco")
     assert (away["make"], away["world_name"]) == ("makes ensemble", "ensemble")
     assert (home["task"].actuator, home["task"].params) == ("constraint", baseline().params)
     assert (away["task"].actuator, away["task"].params) == ("dc", {})
-    for asked in rollouts.asked:
-        assert (asked["episodes"], asked["threads"], asked["policy_name"]) == (3, 2, "walker")
-        assert not asked["task"].pushes.enabled
-        assert not asked["task"].randomize
+    for call in rollouts.calls:
+        assert (call["episodes"], call["threads"], call["policy_name"]) == (3, 2, "walker")
+        assert not call["task"].pushes.enabled
+        assert not call["task"].randomize
         # Not the episodes that policies are chosen by.
-        assert asked["seed"] != EVALUATIONS["nominal"].settings["seed"]
-    assert {world: len(traces) for world, traces in kept.items()} == {
-        "mujoco": 3,
-        "mujoco-described": 3,
-        "ensemble": 3,
-    }
-    assert Runs.from_mapping(result["away"]).to_mapping() == Runs.of_traces(kept["ensemble"]).to_mapping()
+        assert call["seed"] != EVALUATIONS["nominal"].settings["seed"]
+    assert {world: len(traces) for world, traces in stored.items()} == dict.fromkeys(
+        ("mujoco", "ensemble", "mujoco-described"), 3
+    )
+    away_runs = gap_from_result(result, "walker").in_world("ensemble")
+    expected = measure_runs(stored["ensemble"])
+    pd.testing.assert_frame_equal(away_runs[list(expected)].reset_index(drop=True), expected)
     json.dumps(result, allow_nan=False)
 
 
 def test_figures_of_a_gap_are_means_over_its_runs(rollouts: Rollouts) -> None:
-    result, _ = EVALUATIONS["gap"].run(POLICY, baseline(), find_world, EVALUATIONS["gap"].settings, 1)
-    figures = {one.name: one.read(result) for one in EVALUATIONS["gap"].figures}
+    result, _ = run("gap")
+    figures = EVALUATIONS["gap"].read_figures(result)
     # Distances 3.5, 3.6 and .5 m at home and 1.5, 1.6 and .5 m away; 100, 100 and 60 steps of 2 J at .008 m/J.
     spent = 0.008 * 2 * (100 + 100 + 60) / 3
     assert figures["gap_home"] == pytest.approx(7.6 / 3 - spent)
@@ -113,10 +124,10 @@ def test_figures_of_a_gap_are_means_over_its_runs(rollouts: Rollouts) -> None:
     assert figures["gap_distance"] == pytest.approx(3.6 / 3)
     assert figures["gap_speed"] == pytest.approx((1.5 / 0.6 + 1.6 / 0.6 + 0.5 / 0.36) / 3)
     assert figures["gap_power"] == pytest.approx(2 / 0.006)
-    assert gap_of(result, "walker").gap("ensemble").mean == pytest.approx(4.0 / 3)
+    assert gap_from_result(result, "walker").gap("ensemble").mean == pytest.approx(4.0 / 3)
 
 
-def test_every_kind_names_worlds_that_its_settings_have() -> None:
+def test_world_names_come_from_the_settings() -> None:
     assert {name: kind.world_names for name, kind in EVALUATIONS.items()} == {
         "nominal": ("mujoco",),
         "table1": ("mujoco",),
@@ -135,51 +146,45 @@ def policy(tmp_path: Path, repository: Path) -> Path:
     return tmp_path / "policy.onnx"
 
 
-def test_a_gap_is_measured_once_and_its_runs_are_kept(policy: Path, rollouts: Rollouts) -> None:
+def test_a_gap_is_measured_once_and_its_traces_are_stored(policy: Path, rollouts: Rollouts) -> None:
     folder = policy.parent / "evaluations" / "gap"
     (folder / "ensemble").mkdir(parents=True)
     (folder / "ensemble" / "run_007.npz").write_bytes(b"of an evaluation before")
     assert stored_result(policy, "gap") is None
-    result = evaluate(policy, "gap", find_world)
+    result = evaluate(policy, "gap")
     names = [
         f"{world}/run_{number:03d}.npz" for world in ("ensemble", "mujoco-described", "mujoco") for number in range(3)
     ]
     assert sorted(str(path.relative_to(folder)) for path in folder.rglob("*.npz")) == names
-    back = Runs.of_traces([EpisodeTrace.load(path) for path in sorted((folder / "ensemble").iterdir())])
-    assert back.to_mapping() == result["away"]
-    assert evaluate(policy, "gap", find_world) == stored_result(policy, "gap") == result
-    assert len(rollouts.asked) == 3
+    stored = measure_runs([EpisodeTrace.load(path) for path in sorted((folder / "ensemble").iterdir())])
+    assert stored["return"].tolist() == result["runs"]["return"][3:6]
+    assert evaluate(policy, "gap") == stored_result(policy, "gap") == result
+    assert len(rollouts.calls) == 3
 
 
 @pytest.mark.parametrize(("kind", "key"), [("gap", "away"), ("gap", "home"), ("nominal", "world")])
 def test_a_result_belongs_to_its_world(
     kind: str, key: str, policy: Path, rollouts: Rollouts, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    evaluate(policy, kind, find_world)
+    evaluate(policy, kind)
     assert stored_result(policy, kind) is not None
     other = replace(EVALUATIONS[kind], settings={**EVALUATIONS[kind].settings, key: "elsewhere"})
     monkeypatch.setitem(EVALUATIONS, kind, other)
     assert stored_result(policy, kind) is None
 
 
-def test_a_row_that_stays_nominal_is_no_part_of_a_result(policy: Path, rollouts: Rollouts) -> None:
-    result = evaluate(policy, "table1", find_world)
+def test_a_row_that_stays_nominal_does_not_change_the_identity_of_a_result(policy: Path, rollouts: Rollouts) -> None:
+    result = evaluate(policy, "table1")
     place = policy.parent / "evaluations" / "table1.json"
     record = json.loads(place.read_text())
-    assert set(record["of"]["ranges"]) == set(load_ranges("table1"))
+    assert set(record["identity"]["ranges"]) == set(load_ranges("table1"))
     assert stored_result(policy, "table1") == result
-    record["of"]["ranges"]["play"] = [0.0, 0.1]
+    record["identity"]["ranges"]["play"] = [0.0, 0.1]
     place.write_text(json.dumps(record))
     assert stored_result(policy, "table1") is None
 
 
-def test_a_result_belongs_to_its_policy(policy: Path, rollouts: Rollouts, repository: Path) -> None:
-    evaluate(policy, "gap", find_world)
-    shutil.copy(repository / "policies" / "trot-robust.onnx", policy)
-    assert stored_result(policy, "gap") is None
-
-
-def test_a_result_is_made_once_for_a_policy_and_its_settings(policy: Path) -> None:
+def test_a_cached_result_belongs_to_a_policy_and_its_settings(policy: Path) -> None:
     made: list[int] = []
 
     def make() -> dict[str, int]:
@@ -187,7 +192,7 @@ def test_a_result_is_made_once_for_a_policy_and_its_settings(policy: Path) -> No
         return {"number": made[-1]}
 
     settings = {"world": "mujoco", "energy_weight": 0.008}
-    assert [made_once(policy, "fresh", settings, make) for _ in range(2)] == [{"number": 0}] * 2
-    assert made_once(policy, "fresh", {**settings, "energy_weight": 0.004}, make) == {"number": 1}
+    assert [cached_result(policy, "fresh", settings, make) for _ in range(2)] == [{"number": 0}] * 2
+    assert cached_result(policy, "fresh", {**settings, "energy_weight": 0.004}, make) == {"number": 1}
     policy.write_bytes(policy.read_bytes() + b"\0")
-    assert made_once(policy, "fresh", {**settings, "energy_weight": 0.004}, make) == {"number": 2}
+    assert cached_result(policy, "fresh", {**settings, "energy_weight": 0.004}, make) == {"number": 2}

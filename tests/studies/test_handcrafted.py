@@ -33,14 +33,14 @@ GAIT = HandcraftedGait(TASK, RaibertConfig(pitch=0.5, pitch_rate=0.05, roll=0.5,
 
 
 @pytest.mark.parametrize("gait", [GAIT, HandcraftedGait(replace(TASK, observations=IMU_4D, history=1))])
-def test_a_file_gives_the_gait_back_and_is_a_task_to_learn_on(tmp_path: Path, gait: HandcraftedGait):
+def test_a_saved_gait_is_read_back_as_gait_and_as_task(tmp_path: Path, gait: HandcraftedGait):
     path = tmp_path / "hand.yaml"
     gait.save(path)
     assert HandcraftedGait.load(path) == gait
     assert load_train_config(str(path)).task == gait.task
 
 
-def test_the_gains_say_which_policy_it_is():
+def test_a_gait_without_gains_is_open_loop():
     assert isinstance(GAIT.policy(), RaibertController)
     alone = replace(GAIT, raibert=None).policy()
     assert isinstance(alone, OpenLoop)
@@ -52,7 +52,7 @@ def run(gait: HandcraftedGait, **params) -> EpisodeTrace:
     return run_episodes(gait.policy(), task, 1, SimWorld, seed=4, threads=1)[0]
 
 
-def test_raiberts_controller_rights_the_base_that_it_takes_for_tilted():
+def test_raiberts_controller_corrects_a_measured_tilt():
     """An IMU that shows a nose .1 rad too low makes the front legs longer, so that the nose is too high."""
     low, high = (run(GAIT, imu_bias=(0.0, bias)).roll_pitch_yaw[50:, 1].mean() - bias for bias in (0.1, -0.1))
     assert low < high - 0.02

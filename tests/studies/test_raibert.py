@@ -12,7 +12,7 @@ from references import read_reference
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.studies.raibert import OBSERVATIONS, RaibertConfig, RaibertController
-from surefoot.task.foot import FootReference
+from surefoot.task.foot_references import FootReference
 
 ROBOT = RobotDescription.load("minitaur")
 LEG = ROBOT.leg_geometry
@@ -45,7 +45,7 @@ def angles(time: float, **other: Any) -> np.ndarray:
 
 
 def observation(time: float, imu: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), **other: Any) -> np.ndarray:
-    """What a robot sees whose legs follow a path exactly."""
+    """Return the observation of a robot whose legs follow a path exactly."""
     speed = (angles(time + 1e-5, **other) - angles(time - 1e-5, **other)) / 2e-5
     clock = 2 * np.pi * 2.0 * time
     return np.concatenate([imu, angles(time, **other), speed, [np.sin(clock), np.cos(clock)]])
@@ -65,20 +65,20 @@ def test_speed_is_that_of_feet_in_stance(time: float):
     assert controller().speed(faster[None])[0] == pytest.approx(1.5 * SPEED, rel=1e-3)
 
 
-def test_speed_does_without_the_edges_of_a_stance():
+def test_speed_leaves_out_the_edges_of_a_stance():
     assert np.isnan(controller().speed(observation(0.01)[None])[0])
     both = np.concatenate([observation(0.01), observation(0.24), observation(0.13)])
     assert controller(history=3).speed(both[None])[0] == pytest.approx(SPEED, rel=1e-3)
 
 
-def test_legs_behind_their_reference_are_told_by_the_lag():
+def test_speed_accounts_for_the_lag_of_the_legs():
     late = controller(lag=0.03)
     # The clock is .03 s ahead of what the legs do.
     seen = np.concatenate([observation(0.06)[:-2], observation(0.09)[-2:]])
     assert late.speed(seen[None])[0] == pytest.approx(SPEED, rel=1e-3)
 
 
-def test_a_base_that_pitches_over_standing_feet_is_not_taken_for_one_that_goes():
+def test_speed_accounts_for_the_rate_of_pitch():
     # The feet are .22 m below motors that are .0185 m below the base's origin: rising pitch moves them backward.
     still = observation(0.125, (0.0, 0.0, 0.0, 1.0))
     below = -0.22 + ROBOT.leg_mounts[0, 2]
@@ -113,7 +113,7 @@ def test_a_shift_is_limited_and_a_foot_out_of_reach_stays_on_its_path():
     assert not controller(speed=10.0, reach=0.5).feedback(wild[None]).any()
 
 
-def test_each_robot_may_have_gains_and_a_path_of_its_own():
+def test_robots_have_gains_and_paths_of_their_own():
     seen = np.stack([observation(0.125, (0.0, 0.1, 0.0, 0.0), stroke=0.125)] * 2)
     alone = [controller(pitch=gain).feedback(seen[:1])[0] for gain in (0.2, 0.6)]
     column: Any = np.array([[0.2], [0.6]])
@@ -122,12 +122,8 @@ def test_each_robot_may_have_gains_and_a_path_of_its_own():
     np.testing.assert_allclose(both.feedback(seen), alone, atol=1e-12)
 
 
-def test_other_observations_and_gains_out_of_bounds_are_refused():
+def test_other_observations_are_refused():
     with pytest.raises(
         SurefootError, match="observations are roll, pitch; Raibert's controller takes roll, pitch, roll_"
     ):
         RaibertController(ROBOT, reference(), RaibertConfig(), ("roll", "pitch"))
-    with pytest.raises(SurefootError, match=r"raibert\.lag is -1; it must be 0 or more"):
-        RaibertConfig(lag=-1.0)
-    with pytest.raises(SurefootError, match=r"raibert\.pitch is nan"):
-        RaibertConfig(pitch=float("nan"))

@@ -17,7 +17,7 @@ from surefoot.errors import SurefootError
 from surefoot.studies.search import Search, SearchConfig, make_config
 from surefoot.studies.search_space import get
 from surefoot.studies.training import Training
-from surefoot.studies.workers import Told
+from surefoot.studies.workers import ProgressReport
 
 SPACE = """
 ppo.learning_rate: {low: 0.0001, high: 0.01, log: true}
@@ -33,11 +33,8 @@ def make(folder: Path, seed: int = 3) -> SearchConfig:
 
 
 def settings(training: Training) -> tuple[Any, ...]:
-    return training.config.seed, *(get(training.config, name) for name in make_space())
-
-
-def make_space() -> tuple[str, ...]:
-    return "ppo.learning_rate", "ppo.epochs", "ppo.value_hidden"
+    names = ("ppo.learning_rate", "ppo.epochs", "ppo.value_hidden")
+    return training.config.seed, *(get(training.config, name) for name in names)
 
 
 def evaluated(steps: int, value: float) -> dict[str, Any]:
@@ -50,7 +47,7 @@ def finish(search: Search, training: Training, value: float, steps: int = STEPS)
     found = tuple(evaluated(n * every, value) for n in range(1, steps // every + 1))
     training.path.mkdir(parents=True, exist_ok=True)
     write_yaml(training.path / "config.yaml", training.config)
-    search.told(training, Told(steps, None, found, True))
+    search.on_report(training, ProgressReport(steps, None, found, True))
 
 
 def values(search: Search) -> list[tuple[int, str, Any, Any]]:
@@ -79,15 +76,15 @@ def test_a_trial_under_way_goes_on_as_itself(tmp_path: Path) -> None:
     search = Search(make(tmp_path), tmp_path, False)
     trials = search.trainings(4)
     first, second = next(trials), next(trials)
-    assert not search.told(first, Told(100, None, (evaluated(100, 0.5),)))
+    assert not search.on_report(first, ProgressReport(100, None, (evaluated(100, 0.5),)))
     finish(search, second, 1.0)
     again = Search(search.config, tmp_path, True)
     assert again.counts == {"running": 1, "complete": 1}
     trials = again.trainings(4)
     taken = next(trials)
     assert taken == first
-    # The worker tells all evaluations so far; what is known already changes nothing.
-    assert not again.told(taken, Told(200, None, (evaluated(100, 9.9), evaluated(200, 0.6))))
+    # A worker that begins reports all evaluations so far; those that are recorded stay.
+    assert not again.on_report(taken, ProgressReport(200, None, (evaluated(100, 9.9), evaluated(200, 0.6))))
     assert again.study.trials[0].intermediate_values == {1: 0.5, 2: 0.6}
     finish(again, taken, 0.7)
     rest = list(trials)
@@ -99,20 +96,22 @@ def test_a_trial_under_way_goes_on_as_itself(tmp_path: Path) -> None:
     assert list(Search(search.config, tmp_path, True).trainings(4)) == []
 
 
-def test_what_falls_behind_is_pruned_from_a_third_on(tmp_path: Path) -> None:
+def test_a_trial_that_falls_behind_is_pruned_after_a_third(tmp_path: Path) -> None:
     search = Search(make(tmp_path), tmp_path, False)
     trials = search.trainings(20)
     for _ in range(8):
         finish(search, next(trials), 1.0)
     bad, every = next(trials), search.config.train.evaluate_every
-    said = [search.told(bad, Told(n * every, None, (evaluated(n * every, 0.2),))) for n in range(1, 5)]
-    assert said == [False, False, False, True]
+    pruned = [search.on_report(bad, ProgressReport(n * every, None, (evaluated(n * every, 0.2),))) for n in range(1, 5)]
+    assert pruned == [False, False, False, True]
     finish(search, bad, 0.2, 4 * every)
     good = next(trials)
-    assert not any(search.told(good, Told(n * every, None, (evaluated(n * every, 1.2),))) for n in range(1, 10))
+    assert not any(
+        search.on_report(good, ProgressReport(n * every, None, (evaluated(n * every, 1.2),))) for n in range(1, 10)
+    )
     finish(search, good, 1.2)
     failed = next(trials)
-    search.changed(failed, "failed", "the leg broke")
+    search.on_change(failed, "failed", "the leg broke")
     assert [trial.state.name for trial in search.study.trials] == ["COMPLETE"] * 8 + ["PRUNED", "COMPLETE", "FAIL"]
     assert search.study.trials[10].user_attrs == {"why": "the leg broke"}
     assert search.study.trials[8].value == 0.2
@@ -182,8 +181,6 @@ def test_a_journal_that_is_damaged_elsewhere_is_refused_and_left(
 
 def test_another_search_is_refused(tmp_path: Path) -> None:
     config = make(tmp_path)
-    with pytest.raises(SurefootError, match="holds no search to go on with"):
-        Search(config, tmp_path, True)
     Search(config, tmp_path, False)
     with pytest.raises(SurefootError, match="holds a search; go on with it by --resume"):
         Search(config, tmp_path, False)
@@ -197,7 +194,7 @@ def test_another_search_is_refused(tmp_path: Path) -> None:
         Search(replace(config, space=one), tmp_path, True)
 
 
-def test_a_lock_that_a_killed_search_left_holds_nobody_up(tmp_path: Path) -> None:
+def test_a_lock_of_a_killed_search_is_removed(tmp_path: Path) -> None:
     search = Search(make(tmp_path), tmp_path, False)
     Path(f"{search.journal}.lock").symlink_to(search.journal)
     again = Search(search.config, tmp_path, True)

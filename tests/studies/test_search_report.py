@@ -9,74 +9,65 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import pandas as pd
 import pytest
+from run_tables import runs_table
 
 pytest.importorskip("matplotlib")
 
-from surefoot.evaluate.runs import Runs
-from surefoot.studies.paper import Counts, Source, find_counts, find_number, load_content
-from surefoot.studies.search_report import write_report
-from surefoot.studies.trials import Retest, SearchResult, TrialResult, best
+from surefoot.studies.paper import NumberSource, ValueCounts, find_counts, find_number, load_content
+from surefoot.studies.search import make_config
+from surefoot.studies.search_report import SearchResult, write_report
 from surefoot.task.trace import EpisodeTrace
 
+BULLET = runs_table("bullet", 0.5, 0.7)
 
-def trial(folder: Path, number: int, state: str, value: float, gait: str) -> TrialResult:
+
+def trial(folder: Path, number: int, state: str, value: float, gait: str) -> dict[str, Any]:
     share = 1.0 if state == "complete" else 0.4
-    curve = tuple((100_000 * n, value * n / 10) for n in range(1, round(10 * share) + 1))
+    curve = [(100_000 * n, value * n / 10) for n in range(1, round(10 * share) + 1)]
     params = {"ppo.learning_rate": 10.0 ** -(2 + number % 3), "ppo.value_hidden": "16 16" if number % 2 else "32 32"}
-    found = {"gait": gait, "pattern": f"running {gait}", "reason": "", "stride": 0.4, "duty": 0.4, "agree": 5}
-    policy = folder / f"trials/{number}/policy.onnx"
+    row = {"trial": number, "state": state, "return": value, "steps": curve[-1][0], "seconds": 36.0 * share}
+    row |= {"gait": gait, "pattern": f"running {gait}", "seed": 7 + number, **params, "why": "", "curve": curve}
+    result = {"gait": gait, "pattern": f"running {gait}", "reason": "", "stride": 0.4, "duty": 0.4, "agree": 5}
+    row |= {"policy": folder / f"trials/{number}/policy.onnx", "result": result}
     if state == "fail":
-        return TrialResult(number, state, None, math.nan, 0, 0.0, (), dict.fromkeys(params), None, None, "it broke")
-    steps = curve[-1][0]
-    return TrialResult(number, state, 7 + number, value, steps, 36.0 * share, curve, params, policy, found)
-
-
-def runs(world: str, returns: list[float]) -> Runs:
-    values, count = np.array(returns), len(returns)
-    full, stood = np.full(count, 1.0), np.full(count, True)
-    return Runs(world, values, values + 1, full, 10 * full, 1000 * full, ~stood, stood)
+        empty = dict.fromkeys(("gait", "pattern", "seed", *params, "policy", "result"))
+        row |= {**empty, "return": math.nan, "steps": 0, "seconds": 0.0, "why": "it broke", "curve": []}
+    return row
 
 
 @pytest.fixture
 def result(tmp_path: Path, make_run: Callable[..., EpisodeTrace]) -> SearchResult:
     gaits = ["gallop", "trot", "trot", "bound", "trot", "gallop"]
     states = ["complete", "complete", "pruned", "complete", "fail", "complete"]
-    trials = [
+    rows = [
         trial(tmp_path, number, state, 1.0 + 0.5 * number, gait)
         for number, (state, gait) in enumerate(zip(states, gaits, strict=True))
     ]
-    for one in trials:
-        if one.policy is not None:
-            make_run().save(one.policy.parent / "evaluations/gait/mujoco/run_000.npz")
-    tops = best([one for one in trials if one.complete], 3)
-    retests = tuple(
-        Retest(one, runs("mujoco", [one.value - d for d in (0.1, 0.2, 0.3)]), runs("bullet", [0.5, 0.7]))
-        for one in tops
-    )
+    for row in rows:
+        if row["policy"] is not None:
+            make_run().save(row["policy"].parent / "evaluations/gait/mujoco/run_000.npz")
+    fresh = [
+        pd.concat([runs_table("mujoco", *[rows[number]["return"] - d for d in (0.1, 0.2, 0.3)]), BULLET]).assign(
+            trial=number
+        )
+        for number in (5, 3, 1)
+    ]
+    config = make_config("gallop", None, 5, 1_000_000)
+    space = {name: config.space[name] for name in ("ppo.learning_rate", "ppo.value_hidden")}
     importance = {"ppo.value_hidden": 0.75, "ppo.learning_rate": 0.25}
-    return SearchResult("gallop", 5, 1_000_000, 8, tuple(trials), importance, retests)
+    return SearchResult(replace(config, space=space), pd.DataFrame(rows), pd.concat(fresh), importance)
 
 
-def test_the_best_flatter_themselves_by_what_fresh_episodes_lack(result: SearchResult) -> None:
-    first = result.retests[0]
-    assert [retest.trial.number for retest in result.retests] == [5, 3, 1]
+def test_selection_bias_is_the_claimed_return_less_that_of_fresh_episodes(result: SearchResult) -> None:
+    biases = result.selection_bias()
+    assert list(biases) == [5, 3, 1]
     # Returns of .1, .2 and .3 m less: mean .2, and Student's t for two degrees of freedom, 4.303, times .1 / sqrt(3).
-    assert first.flattery.mean == pytest.approx(0.2)
-    assert first.flattery.low == pytest.approx(0.2 - 4.303 * 0.1 / math.sqrt(3), abs=1e-4)
-    assert first.flattery.high == pytest.approx(0.2 + 4.303 * 0.1 / math.sqrt(3), abs=1e-4)
-    # All three alike: the interval over policies has no width.
-    assert (result.flattery.low, result.flattery.high) == pytest.approx((0.2, 0.2))
-
-
-def test_the_census_counts_every_policy_once(result: SearchResult) -> None:
-    census = result.census()
-    assert {name: [one.number for one in trials] for name, trials in census.items()} == {
-        "gallop": [5, 0],
-        "trot": [2, 1],
-        "bound": [3],
-    }
+    for _, bias in biases.values():
+        assert bias.mean == pytest.approx(0.2)
+        assert bias.low == pytest.approx(0.2 - 4.303 * 0.1 / math.sqrt(3), abs=1e-4)
+        assert bias.high == pytest.approx(0.2 + 4.303 * 0.1 / math.sqrt(3), abs=1e-4)
 
 
 def test_the_report_has_it_all(result: SearchResult, tmp_path: Path) -> None:
@@ -104,7 +95,7 @@ def test_the_table_of_the_best_has_each_and_all_of_them(result: SearchResult, tm
     assert [float(row["claimed"]) for row in rows] == [3.5, 2.5, 1.5, 2.5]
     assert [float(row["fresh"]) for row in rows] == pytest.approx([3.3, 2.3, 1.3, 2.3])
     assert float(rows[3]["fresh_high"]) == pytest.approx(2.3 + 4.303 / math.sqrt(3), abs=1e-3)
-    assert [float(rows[3][name]) for name in ("flattery", "flattery_low")] == pytest.approx([0.2, 0.2])
+    assert [float(rows[3][name]) for name in ("selection_bias", "selection_bias_low")] == pytest.approx([0.2, 0.2])
     assert [row["mujoco_runs"] for row in rows] == ["3", "3", "3", "9"]
     assert [row["bullet_runs"] for row in rows] == ["2", "2", "2", "6"]
     assert {row["bullet_return_mean"] for row in rows} == {"0.6"}
@@ -114,17 +105,17 @@ def test_the_page_of_the_paper_finds_its_numbers_in_the_report(result: SearchRes
     write_report(result, tmp_path / "results/search", "surefoot search gallop")
     items = [item.ours for section in load_content().sections for item in section.items]
     read = [one for one in items if not isinstance(one, str) and one.file.startswith("results/search/")]
-    assert {type(one) for one in read} == {Source, Counts}
+    assert {type(one) for one in read} == {NumberSource, ValueCounts}
     for one in read:
-        if isinstance(one, Source):
+        if isinstance(one, NumberSource):
             assert math.isfinite(find_number(tmp_path, one).mean), one
         else:
             assert find_counts(tmp_path, one), one
 
 
 def test_without_bullet_the_table_of_the_best_has_no_columns_of_it(result: SearchResult, tmp_path: Path) -> None:
-    alone = replace(result, retests=tuple(replace(one, away=None) for one in result.retests))
-    write_report(alone, tmp_path, "surefoot search gallop")
+    home = result.fresh[result.fresh.world == "mujoco"]
+    write_report(replace(result, fresh=home), tmp_path, "surefoot search gallop")
     rows: list[dict[str, Any]] = list(csv.DictReader((tmp_path / "top.csv").open()))
     assert len(rows) == 4
     assert not [name for name in rows[0] if "bullet" in name]

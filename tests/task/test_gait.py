@@ -38,14 +38,6 @@ def test_actions_span_the_bounds(robot, action: float, swing: float, extension: 
     np.testing.assert_allclose(feedback, np.tile([swing] * 4 + [extension] * 4, (2, 1)))
 
 
-def test_action_names_go_swing_then_extension(robot):
-    names = scratch(robot).action_names
-    assert names[0] == "swing.front_left"
-    assert names[3] == "swing.back_right"
-    assert names[4] == "extension.front_left"
-    assert len(names) == 8
-
-
 def test_each_action_moves_its_own_leg(robot):
     gait = scratch(robot)
     for k, name in enumerate(gait.action_names):
@@ -79,7 +71,7 @@ def test_reference_and_feedback_add(robot):
     assert targets[robot.motor_names.index("front_left_2_motor")] == pytest.approx(2.05)
 
 
-def test_rest_is_the_middle_of_what_can_be_asked_for(robot):
+def test_rest_is_the_middle_of_the_range_of_commands(robot):
     assert scratch(robot).rest == pytest.approx((0.0, 1.5))
     assert HybridGait(robot, trot(robot), (-0.25, 0.25), (-0.25, 0.25)).rest == pytest.approx((0.0, 2.0))
 
@@ -91,12 +83,7 @@ def test_rest_is_the_middle_of_what_can_be_asked_for(robot):
             0.5,
             (0.0, 0.0),
             (-0.3, 0.3),
-            [
-                "extension can be 1.200 to 2.800",
-                "reference 1.500 to 2.500",
-                "feedback -0.3 to 0.3",
-                "0.6 to 2.7",
-            ],
+            ["1.200 to 2.800", "reference 1.500 to 2.500", "feedback -0.3 to 0.3"],
         ),
         (0.35, (-0.8, 0.8), (0.0, 0.0), ["swing can be -1.100 to 1.100", "minitaur allows -1 to 1"]),
         (1.5, (0.0, 0.0), (0.0, 0.0), ["extension can be 0.500 to 3.500"]),

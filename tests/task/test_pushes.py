@@ -71,36 +71,33 @@ def test_a_ramp_lets_the_force_grow_over_a_robots_first_pushes_through_all_its_e
 
 def test_policies_are_tested_with_every_push_in_full_force():
     trained = PushConfig(probability=0.05, ramp=30, force=(1.0, 2.0))
-    assert trained.in_full(True) == PushConfig(enabled=True, force=(1.0, 2.0))
-    assert trained.in_full(False) == PushConfig(enabled=False, force=(1.0, 2.0))
-    assert trained.in_full(False, (20.0, 40.0)) == PushConfig(enabled=True, force=(20.0, 40.0), direction="horizontal")
+    assert trained.for_evaluation(True) == PushConfig(enabled=True, force=(1.0, 2.0))
+    assert trained.for_evaluation(False) == PushConfig(enabled=False, force=(1.0, 2.0))
+    assert trained.for_evaluation(False, (20.0, 40.0)) == PushConfig(
+        enabled=True, force=(20.0, 40.0), direction="horizontal"
+    )
 
 
 def test_relative_forces_count_the_robots_weight():
     config = PushConfig(enabled=True, relative=True, force=(0.5, 0.5))
     pushed = forces(make_pusher(config, 1, seed=1), 1, first=200)
     np.testing.assert_allclose(np.linalg.norm(pushed), 50.0)
-    assert config.in_full(True, (20.0, 40.0)).force_range(100.0) == (20.0, 40.0)
+    assert config.for_evaluation(True, (20.0, 40.0)).force_range(100.0) == (20.0, 40.0)
 
 
 @pytest.mark.parametrize("probability", [0.0, 0.3, 1.0])
-def test_pushes_are_given_with_their_probability(probability: float):
+def test_pushes_happen_with_their_probability(probability: float):
     pusher = make_pusher(PushConfig(enabled=True, probability=probability), 2000, seed=3)
     given = forces(pusher, 10, first=200).any(axis=2)
     assert given[0].mean() == pytest.approx(probability, abs=0.03)
     assert np.all(given == given[0])  # one draw a push, not one a step
 
 
-def test_a_robots_pushes_do_not_depend_on_the_batch():
-    few = forces(make_pusher(PushConfig(enabled=True), 2, seed=5), 450)
-    lots = forces(make_pusher(PushConfig(enabled=True), 9, seed=5), 450)
-    assert np.array_equal(few, lots[:, :2])
-
-
 @pytest.mark.parametrize(("seed", "same"), [(5, True), (6, False)])
-def test_pushes_depend_on_the_seed_alone(seed, same):
-    one, other = (forces(make_pusher(PushConfig(enabled=True), 2, seed=s), 250) for s in (5, seed))
-    assert np.array_equal(one, other) == same
+def test_pushes_depend_on_the_seed_and_not_on_the_batch(seed, same):
+    few = forces(make_pusher(PushConfig(enabled=True), 2, seed=5), 450)
+    many = forces(make_pusher(PushConfig(enabled=True), 9, seed=seed), 450)
+    assert np.array_equal(few, many[:, :2]) == same
 
 
 def test_a_reset_starts_the_clock_anew_and_ends_a_push():
@@ -141,7 +138,7 @@ def test_any_control_step_gets_every_push(step):
         ({"period": float("nan")}, "pushes.period is nan; it must be a finite number"),
     ],
 )
-def test_pushes_that_cannot_be_are_refused(values, piece):
+def test_pushes_out_of_bounds_are_refused(values, piece):
     with pytest.raises(SurefootError) as caught:
         PushConfig(**values)
     assert piece in str(caught.value)

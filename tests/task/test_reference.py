@@ -11,6 +11,7 @@ from references import read_reference
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.task.foot_references import FootReference
 from surefoot.task.reference import Reference
 
 ROBOT = RobotDescription.load("minitaur")
@@ -111,12 +112,6 @@ def test_a_table_runs_in_straight_lines_and_starts_anew(time: float, swing: floa
     np.testing.assert_allclose(got, [[np.full(4, swing), np.full(4, extension)]], atol=1e-12)
 
 
-def test_a_tables_extent_and_period():
-    reference = read_reference(ROWS, ROBOT)
-    assert reference.extent() == ((-0.4, 0.4), (1.8, 2.2))
-    assert reference.period == 0.8
-
-
 def columns() -> dict[str, list[float]]:
     return {f"{part}_{leg}": ROWS["rows"][part][leg] for part in ("swing", "extension") for leg in LEGS}
 
@@ -160,8 +155,69 @@ def test_a_foot_reference_may_count_lengths_and_natural_frequencies_of_the_leg()
     np.testing.assert_array_equal(again.pose(time), poses[0])
 
 
+def foot_reference(**other: Any) -> FootReference:
+    """Return foot trajectories without differences between the legs."""
+    reference = read_reference(foot(**{"phase": 0.0, **other}), ROBOT)
+    assert isinstance(reference, FootReference)
+    return reference
+
+
+# Touchdown at .01 + .05 m in front of the motors; stance ends after 60 % of the cycle, .05 m behind .01 m.
+@pytest.mark.parametrize(
+    ("cycle", "x", "z"),
+    [
+        (0.0, 0.06, -0.2),
+        (0.15, 0.035, -0.2025),
+        (0.3, 0.01, -0.205),
+        (0.6, -0.04, -0.2),
+        (0.8, 0.01, -0.17),
+        (1.0, 0.06, -0.2),
+    ],
+)
+def test_a_foot_at_known_parts_of_its_cycle(cycle: float, x: float, z: float):
+    np.testing.assert_allclose(foot_reference().path([cycle]), np.tile([x, z], (1, 4, 1)), atol=1e-12)
+
+
+def test_a_foot_is_as_fast_at_both_ends_of_its_swing_as_in_stance():
+    reference = foot_reference()
+    assert reference.speed[0] == pytest.approx(0.1 * 2.0 / 0.6)
+    for cycle in (0.3, 0.6 - 1e-6, 0.6 + 1e-6, 1.0 - 1e-6):
+        ahead, behind = reference.path([cycle + 1e-7])[0, 0, 0], reference.path([cycle - 1e-7])[0, 0, 0]
+        assert 2.0 * (ahead - behind) / 2e-7 == pytest.approx(-reference.speed[0], rel=1e-3)
+
+
+def test_each_leg_begins_its_cycle_at_its_own_phase():
+    phase = dict(zip(ROBOT.leg_names, (0.0, 0.25, 0.5, 1.75), strict=True))
+    path, alone = foot_reference(phase=phase).path([0.3])[0], foot_reference()
+    for leg, shift in enumerate(phase.values()):
+        np.testing.assert_allclose(path[leg], alone.path([0.3 - shift])[0, 0], atol=1e-12)
+
+
+def test_legs_bring_the_feet_to_their_paths():
+    reference, time = foot_reference(), np.linspace(0.0, 0.7, 50)
+    pose = reference.pose(time)
+    assert pose.shape == (50, 2, 4)
+    np.testing.assert_allclose(
+        ROBOT.leg_geometry.foot_in_plane(ROBOT.leg_geometry.to_motors(pose)), reference.path(2.0 * time), atol=1e-12
+    )
+    swing, extension = pose[:, 0], pose[:, 1]
+    (s_low, s_high), (e_low, e_high) = reference.extent()
+    assert s_low <= swing.min() <= swing.max() <= s_high
+    assert e_low <= extension.min() <= extension.max() <= e_high
+    assert reference.period == 0.5
+
+
+def test_robots_may_have_paths_of_their_own():
+    one, other = foot_reference(), foot_reference(frequency=3.0, stroke=0.05, duty_factor=0.5)
+    both = FootReference.stacked([one, other])
+    pose = both.pose([0.21, 0.21])
+    for row, alone in enumerate((one, other)):
+        np.testing.assert_allclose(pose[row], alone.pose([0.21])[0], atol=1e-12)
+    np.testing.assert_allclose(both.period, [0.5, 1 / 3])
+
+
 @pytest.mark.parametrize("data", [{}, TROT, ROWS, FOOT])
-def test_to_dict_makes_it_again(data):
+def test_to_dict_describes_the_same_reference(data):
     reference = read_reference(data, ROBOT)
     again = read_reference(reference.to_dict(), ROBOT)
     time = np.linspace(0, 2, 41)
@@ -177,7 +233,6 @@ def test_to_dict_makes_it_again(data):
         ({"kind": "sine", "swing": {"amp": 1.0}}, ["reference.swing.amp is not a key", "amplitude, frequency"]),
         ({"kind": "sine", "swing": {"amplitude": "big"}}, ["reference.swing.amplitude is 'big'", "a number or"]),
         ({"kind": "sine", "swing": {"amplitude": np.inf}}, ["reference.swing.amplitude is inf"]),
-        ({"kind": "sine", "swing": {"amplitude": True}}, ["reference.swing.amplitude is True"]),
         ({"kind": "sine", "swing": {"frequency": -1.0}}, ["reference.swing.frequency is -1", "0 or more"]),
         ({"kind": "sine", "abduction": {"offset": 0.1}}, ["reference.abduction is not zero", "no abduction"]),
         (
@@ -188,20 +243,15 @@ def test_to_dict_makes_it_again(data):
             {"kind": "sine", "swing": {"phase": DIAGONAL | {"tail": 0.0}}},
             ["reference.swing.phase.tail is not a key", "choices: front_left"],
         ),
-        (foot(swing=1.0), ["reference.foot.swing is not a key", "choices: frequency, stroke"]),
-        (foot(stroke=np.nan), ["reference.foot.stroke is nan", "finite number"]),
         (foot(stroke={"front_left": 0.1}), ["reference.foot.stroke lacks back_left"]),
         (foot(stroke=1e300), ["reference.foot.stroke is 1e+300", "10 or less"]),
         (foot(duty_factor=1.0), ["reference.foot.duty_factor is 1", "0.95 or less"]),
-        (foot(duty_factor=0.0), ["reference.foot.duty_factor is 0", "0.05 or more"]),
         (foot(frequency=0.0), ["reference.foot.frequency is 0", "0.01 or more"]),
         (foot(frequency={"front_left": 1.0}), ["reference.foot.frequency is {'front_left': 1.0}", "a number"]),
-        (foot(height=-0.1), ["reference.foot.height is -0.1"]),
         (foot(height=0.4), ["the foot of front_left", "below its motors, out of the leg's reach"]),
         (foot(clearance={**dict.fromkeys(LEGS, 0.02), "back_right": 0.19}), ["the foot of back_right", "reach"]),
         (FOOT | {"kind": "follow"}, ["reference.kind is follow; it needs commands"]),
         (FOOT | {"kind": "follow", "stride_gain": 4.0}, ["reference.stride_gain is 4; it must be 3 or less"]),
-        ({"kind": "sine", "swing": 3.0}, ["reference.swing is 3.0", "must be a table"]),
         ({**ROWS, "period": 0.0}, ["reference.period is 0", "over 0"]),
         ({**ROWS, "period": None}, ["reference.period is missing"]),
         ({**ROWS, "rows": 4}, ["reference.rows is 4", "a table of"]),

@@ -14,6 +14,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.reward import PAPER_REWARD, TERMS, Scales, StepMotion, energy_weight, step_reward
+from surefoot.world.ground import FLAT
 
 DURATION = 0.1
 SCALES = Scales(length=0.5, speed=2.0, rate=4.0, weight=100.0)
@@ -43,7 +44,8 @@ def step_motion(
         duration=np.array([DURATION]),
         before=before,
         after=after,
-        height=np.array([0.05]),
+        start_position=np.array([[0.0, 0.0, 0.16]]),
+        ground=FLAT,
         gait=SimpleNamespace(action=lambda feedback: feedback),
         feedback=np.full((1, 8), 0.5),
         last_feedback=np.full((1, 8), 0.2),
@@ -66,7 +68,7 @@ EXPECTED = {
     "vertical_speed": 0.0025,  # (.1 / 2)^2
     "roll_pitch_rate": 0.05,  # (.4 / 4)^2 + (.8 / 4)^2
     "tilt": 0.008,  # .04^2 + .08^2
-    "height": 0.01,  # (.05 / .5)^2
+    "height": 0.01,  # ((.21 - .16) / .5)^2
     "torque": 0.02,  # 2 (5 / 50)^2
     "heat": math.sqrt(8),  # sqrt(8 * (200 W)^2) / 200 W
     "feedback": 0.25,  # .5^2
@@ -90,7 +92,7 @@ def test_speed_is_along_the_heading_and_progress_along_the_worlds_x_axis():
 
 
 def test_yaw_rate_is_continuous_where_yaw_wraps():
-    np.testing.assert_allclose(step_motion(yaw=(np.pi - 0.05, 0.05 - np.pi)).turn[0, 2], 1.0)
+    np.testing.assert_allclose(step_motion(yaw=(np.pi - 0.05, 0.05 - np.pi)).turn[0, 2], 1.0 / SCALES.rate)
 
 
 @pytest.mark.parametrize(

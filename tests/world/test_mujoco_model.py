@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.robot import RobotDescription, leg_to_motor
+from surefoot.robot import RobotDescription
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 
@@ -51,7 +51,7 @@ class Rack:
 def foot_centre(robot: RobotDescription, angles: np.ndarray) -> np.ndarray:
     """Where the closed form puts the middle of the foot's rounding, which is one radius short of its end."""
     bars = robot.five_bar
-    _, knee = bars.knees(angles[..., 0], angles[..., 1])
+    _, knee = bars.knees(angles)
     end = bars.foot_in_plane(angles)
     return knee + (end - knee) * (1 - bars.foot_radius / bars.foot)
 
@@ -85,7 +85,7 @@ def test_feet_follow_the_closed_form_over_the_legs_range(robot: RobotDescription
 
 def test_closed_form_puts_the_foot_where_the_urdf_does(robot: RobotDescription):
     rack = Rack(robot, 2.0, gravity=False)
-    expected = foot_centre(robot, np.stack(leg_to_motor(0.0, 2.0)))
+    expected = foot_centre(robot, np.full(2, 2.0))
     np.testing.assert_allclose(rack.feet_from_axes(), np.tile(expected, (4, 1)), atol=1e-9)
 
 

@@ -50,7 +50,7 @@ def test_legs_stay_closed_while_the_robot_trots(make_world, trot, robot):
         world.step(trot(k))
         truth = world.truth()
         theta = truth.motor_angle[0, pair]
-        _, knee = bars.knees(theta[:, 0], theta[:, 1])
+        _, knee = bars.knees(theta)
         centre = knee + (bars.foot_in_plane(theta) - knee) * (1 - bars.foot_radius / bars.foot)
         in_base = (world.foot_positions()[0] - truth.base_position_world[0]) @ quat_matrix(truth.base_quat_world[0])
         worst = max(worst, float(np.abs(in_base[:, [0, 2]] - axes - centre).max()))

@@ -15,7 +15,7 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
-from surefoot.robot.params_file import given_params, write_params
+from surefoot.robot.params_file import load_params, write_params
 
 if TYPE_CHECKING:
     from surefoot.cli.helpers.viewer import EmulateViewer
@@ -115,7 +115,7 @@ def _check(command: EmulateCommand) -> None:
 
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     if command.hidden_seed is None:
-        return given_params(robot, command.params, command.settings)
+        return load_params(robot, command.params, command.settings)
     from surefoot.robot.randomization import draw_hidden, load_ranges
 
     params = draw_hidden(robot, load_ranges(command.hidden_ranges, robot=robot.folder), command.hidden_seed)

@@ -12,7 +12,8 @@ from surefoot.cli.helpers.episodes import draw_episode, print_summaries
 from surefoot.cli.helpers.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import RangeOptions, RunOptions, take_ranges
+from surefoot.cli.helpers.ranges import RangeOptions, take_ranges
+from surefoot.cli.helpers.simulator import RunOptions, describe_simulator
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
 
@@ -88,18 +89,14 @@ def _simulated(
     command: EvaluateCommand, given_ranges: RangeOptions
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
-    from surefoot.cli.helpers.policies import adjust_task, describe_simulator, find_policy, load_gait, run_policy
+    from surefoot.cli.helpers.policies import find_policy, load_gait, run_policy
     from surefoot.world.registry import find_world
 
     path = find_policy(str(command.policy))
     find_world(command.world)
     policy, robot, task, known = load_gait(path, command.robot)
     ranges = given_ranges.apply(robot.folder)
-    task = adjust_task(
-        *(task, robot, command.settings, command.pushes),
-        *(command.thermal_protection, ranges, command.simulator, command.push_force),
-        commands=command.commands,
-    )
+    task = command.apply(task, robot, ranges, command.thermal_protection)
     episodes = command.episodes
     if command.command_grid:
         from surefoot.evaluate.tracking import command_grid

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,22 +20,21 @@ from surefoot.cli.helpers.options import (
     Threads,
     make_figures_folder,
 )
-from surefoot.cli.helpers.output import show_command
+from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import Simulator
+from surefoot.cli.helpers.simulator import RunOptions, Simulator, describe_simulator, with_duration
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, check_name
 
 if TYPE_CHECKING:
     from surefoot.cli.helpers.policies import Candidate
-    from surefoot.evaluate.recorded import Recorded
+    from surefoot.evaluate.recorded import RecordedTraces
     from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
-    from surefoot.task.trace import EpisodeTrace
 
 TRACE = "trace"
-_SAME = 0.01
-"""Share of a length by which lengths may differ: whole control steps rarely make it exactly."""
+_LENGTH_TOLERANCE = 0.01
+"""Relative difference of lengths that whole control steps may cause."""
 
 
 @dataclass(frozen=True)
@@ -49,14 +47,15 @@ class Side:
     """Folder of traces; None for a world."""
 
     @classmethod
-    def of_words(cls, option: str, words: Sequence[str]) -> Side:
+    def from_words(cls, option: str, words: Sequence[str]) -> Side:
         """Read the words behind `--from` or `--to`; refuse what is neither one world nor `trace FOLDER`."""
         if len(words) == 2 and words[0] == TRACE:
             return cls(folder=Path(words[1]))
         if len(words) == 1 and words[0] != TRACE:
             return cls(world=words[0])
-        said = " ".join(words) or "nothing"
-        raise SurefootError(f"{option} is '{said}'; it takes the name of a world, or {TRACE} FOLDER")
+        raise SurefootError(
+            f"{option} is '{' '.join(words) or 'nothing'}'; it takes the name of a world, or {TRACE} FOLDER"
+        )
 
     def __str__(self) -> str:
         return self.world or f"{TRACE} {self.folder}"
@@ -78,34 +77,34 @@ def _check_sides(out: Path, home: Side, away: Sequence[Side]) -> None:
                 )
 
 
-def _check_lengths(found: Sequence[tuple[Path, EpisodeTrace]], duration: float) -> None:
-    """Refuse traces, given with their files, of runs that were not to last as long [s] as the others."""
-    for path, trace in found:
+def _check_lengths(recorded: RecordedTraces, duration: float) -> None:
+    """Refuse traces of runs that were planned for another duration than the simulated ones [s]."""
+    for path, trace in recorded:
         length = trace.meta["max_steps"] * trace.meta["control_step"]
-        if abs(length - duration) > _SAME * duration:
+        if abs(length - duration) > _LENGTH_TOLERANCE * duration:
             raise SurefootError(
                 f"trace file {path}: its run was to last {length:.3g} s, the others last {duration:.3g} s; "
                 f"give --duration {length:.3g} to compare with runs as long"
             )
 
 
-def labels(worlds: Sequence[str], sides: Sequence[Side]) -> list[str]:
-    """Names that tell sides apart, from each one's world, home first: a world that comes twice is marked."""
-    taken: list[str] = []
+def make_labels(worlds: Sequence[str], sides: Sequence[Side]) -> list[str]:
+    """Return a distinct name for each side from its world, home first: a world that comes twice is marked."""
+    labels: list[str] = []
     for world, side in zip(worlds, sides, strict=True):
         stem = world
-        if world in taken:
+        if world in labels:
             stem = f"{world}-away" if side.folder is None else f"{world}-{side.folder.resolve().name}"
         name, number = stem, 2
-        while name in taken:
+        while name in labels:
             name, number = f"{stem}-{number}", number + 1
-        taken.append(name)
-    return taken
+        labels.append(name)
+    return labels
 
 
 @dataclass(frozen=True)
 class GapCommand:
-    """Run policies at home and in other worlds, and tell how much of their return is lost there: the reality gap.
+    """Run policies at home and in other worlds, and measure the loss of return there: the reality gap.
 
     At home is the simulator that a policy was trained in, with its actuator and latencies. In the worlds of --to the
     robot is as its data sheet says. --params FILE puts the robot of a file in both places. `--to trace FOLDER` takes
@@ -143,13 +142,12 @@ class GapCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
-    from surefoot.cli.helpers.policies import find_policies, load_policies, run_policy
+    from surefoot.cli.helpers.policies import load_policies, run_policy
     from surefoot.world.registry import find_world
 
-    paths = find_policies(command.policies)
-    home, away = Side.of_words("--from", command.home), [Side.of_words("--to", words) for words in command.away]
+    home, away = Side.from_words("--from", command.home), [Side.from_words("--to", words) for words in command.away]
     _check_sides(command.out, home, away)
-    for option, given, sides in (
+    for option, value, where in (
         ("--params", command.params, [home, *away]),
         ("--set", command.settings, [home, *away]),
         ("--from-set", command.from_settings, [home]),
@@ -157,51 +155,57 @@ def main(argv: list[str]) -> int:
         ("--to-actuator", command.to_actuator != "dc", away),
         ("--pushes", command.pushes, [home, *away]),
     ):
-        if given and not any(side.world for side in sides):
-            raise SurefootError(f"{option} is given, but nothing is simulated on its side: {sides[0]}")
-    from surefoot.evaluate.recorded import by_policy, find_traces, save_runs, world_of
+        if value and not any(side.world for side in where):
+            raise SurefootError(f"{option} is given, but nothing is simulated on its side: {where[0]}")
+    from surefoot.evaluate.recorded import assign_to_policies, find_traces, save_runs
+    from surefoot.evaluate.runs import common_value
     from surefoot.evaluate.sensitivity import episode_duration
     from surefoot.world.process_world import worker_pool
 
     for side in (home, *away):
         if side.world:
             find_world(side.world)
-    candidates, robot = load_policies(paths)
+    candidates, robot = load_policies(command.policies)
     tasks = [_tasks(command, one.task, robot) for one in candidates]
     names = [one.name for one in candidates]
-    found = {side: find_traces(side.folder) for side in (home, *away) if side.folder is not None}
-    recorded = {side: by_policy(given, names, robot.name) for side, given in found.items()}
-    worlds = [world_of(found[side]) if side in found else side.world for side in (home, *away)]
-    named = labels(worlds, (home, *away))
+    sides, worlds = (home, *away), []
+    recorded: dict[Side, dict[str, RecordedTraces]] = {}
+    for side in sides:
+        world = side.world
+        if side.folder is not None:
+            traces = find_traces(side.folder)
+            recorded[side] = assign_to_policies(traces, names, robot.name)
+            world = common_value([trace for _, trace in traces], "world")
+        worlds.append(world)
+    labels = make_labels(worlds, sides)
     for one, (at_home, _) in zip(candidates, tasks, strict=True):
-        _check_lengths([trace for given in recorded.values() for trace in given[one.name]], episode_duration(at_home))
+        for by_policy in recorded.values():
+            _check_lengths(by_policy[one.name], episode_duration(at_home))
         check_name("policy name", one.name)
     make_figures_folder(command.out)
-    runs: dict[str, dict[str, Recorded]] = {one.name: {} for one in candidates}
+    runs: dict[str, dict[str, RecordedTraces]] = {one.name: {} for one in candidates}
     with worker_pool():
         for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True):
-            for number, (side, label) in enumerate(zip((home, *away), named, strict=True)):
+            for side, label in zip(sides, labels, strict=True):
                 if side in recorded:
                     runs[one.name][label] = recorded[side][one.name]
-                else:
-                    task, title = elsewhere if number else at_home, f"{one.name} in {label}: {command.runs} runs"
-                    traces = run_policy(
-                        one.policy, task, command.runs, side.world, command.seed, command.threads, one.name, title
-                    )
-                    runs[one.name][label] = save_runs(command.out / one.name / label, traces)
-    _report(command, candidates, tasks, robot.name, (home, *away), runs)
+                    continue
+                task, title = at_home if side is home else elsewhere, f"{one.name} in {label}: {command.runs} runs"
+                options = (command.runs, side.world, command.seed, command.threads, one.name, title)
+                simulated = run_policy(one.policy, task, *options)
+                runs[one.name][label] = save_runs(command.out / one.name / label, simulated)
+    _report(command, candidates, tasks, robot.name, sides, runs)
     return 0
 
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
-    """The task of a policy at home, and in the other worlds, lasting as long."""
-    from surefoot.cli.helpers.policies import adjust_task, with_duration
+    """Return the task of a policy at home, and in the other worlds, of the same duration."""
     from surefoot.evaluate.gap import away_task, home_task
     from surefoot.evaluate.sensitivity import episode_duration
 
     def adjusted(side: TaskConfig, settings: Repeated, actuator: Literal["dc", "constraint"] | None) -> TaskConfig:
-        simulator = Simulator(actuator, params=command.params)
-        side = adjust_task(side, robot, (*command.settings, *settings), command.pushes, simulator=simulator)
+        simulator, words = Simulator(actuator, params=command.params), (*command.settings, *settings)
+        side = RunOptions(pushes=command.pushes, settings=words, simulator=simulator).apply(side, robot)
         # Returns over different times could not be compared.
         return with_duration(side, robot, command.duration or episode_duration(task))
 
@@ -215,43 +219,39 @@ def _report(
     tasks: list[tuple[TaskConfig, TaskConfig]],
     robot: str,
     sides: tuple[Side, ...],
-    runs: dict[str, dict[str, Recorded]],
+    runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
-    """Measure the runs of each policy in each world; write tables and figure, and print what came out."""
-    from surefoot.cli.helpers.policies import describe_simulator
+    """Measure the runs of each policy in each world; write tables and figure, and print the results."""
     from surefoot.evaluate.gap import PolicyGap
-    from surefoot.evaluate.runs import Runs
+    from surefoot.evaluate.runs import measure_runs
     from surefoot.report.figures.runs import side_by_side
     from surefoot.studies.study_figures import gap_figure
     from surefoot.tables import plain_rows, print_files, print_table, write_csv
 
-    gaps, episodes = [], []
+    out, gaps, episodes, figures = command.out, [], [], []
     for name, worlds in runs.items():
-        home, *away = (Runs.of_traces([trace for _, trace in found], world) for world, found in worlds.items())
-        gaps.append(PolicyGap(name, home, tuple(away)))
-        for part in (home, *away):
-            for (path, _), row in zip(worlds[part.world], part.rows(), strict=True):
-                episodes.append({"policy": name, "world": part.world, **row, "trace": path})
+        traces = {world: [trace for _, trace in recorded] for world, recorded in worlds.items()}
+        gaps.append(PolicyGap.from_runs(name, [measure_runs(part, world) for world, part in traces.items()]))
+        paths = [path for recorded in worlds.values() for path, _ in recorded]
+        episodes += gaps[-1].runs.assign(trace=paths).to_dict("records")
+        figures.append(side_by_side(traces, out / name / "runs.png", name))
     pooled = [PolicyGap.pooled("all policies", gaps)] if len(gaps) > 1 else []
     rows = {gap.name: gap.rows() for gap in (*gaps, *pooled)}
-    out = command.out
     files = [
         write_csv(out / "gap.csv", [row for part in rows.values() for row in part]),
         write_csv(out / "episodes.csv", episodes),
         gap_figure([*gaps, *pooled], out / "gap.png"),
+        *figures,
     ]
-    for name, worlds in runs.items():
-        traces = {world: [trace for _, trace in found] for world, found in worlds.items()}
-        files.append(side_by_side(traces, out / name / "runs.png", name))
     if not command.json:
-        title = f"Reality gap: return in {gaps[0].home.world} less return elsewhere, ± one standard error"
+        title = f"Reality gap: return in {gaps[0].worlds[0]} less return elsewhere, ± one standard error"
         print_table([row for gap in (*gaps, *pooled) for row in gap.text_rows()], title, 2)
         print_files(files, out)
         first = next(iter(runs.values()))
-        print(show_command(found[0][0] for found in first.values()))
+        print(show_command(recorded[0][0] for recorded in first.values()))
         return
     plain = {name: plain_rows(part) for name, part in rows.items()}
-    told = {
+    result = {
         "robot": robot,
         "from": str(sides[0]),
         "to": [str(side) for side in sides[1:]],
@@ -272,4 +272,4 @@ def _report(
         "pooled": plain[pooled[0].name] if pooled else None,
         "files": [str(file) for file in files],
     }
-    print(json.dumps(told, allow_nan=False))
+    print_json(result)

@@ -6,7 +6,6 @@ Exit codes: 0 done; 2 refused before anything moved, or data that tell nothing; 
 from __future__ import annotations
 
 import datetime
-import json
 import sys
 from dataclasses import dataclass
 from importlib import import_module
@@ -15,7 +14,7 @@ from typing import Annotated, Any
 
 from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
 from surefoot.cli.helpers.options import Json, Seed, check_folder, check_suffix
-from surefoot.cli.helpers.output import table_lines
+from surefoot.cli.helpers.output import print_json, table_lines
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
@@ -246,7 +245,7 @@ def _tell_recording(command: ExperimentCommand, recording: Recording, path: Path
             "recording": str(path),
             "digest": recording.digest,
         }
-        print(json.dumps(told))
+        print_json(told)
     else:
         said = "recorded" if whole else f"stopped after {recording.duration:.1f} s: {ended}; recorded until then"
         print(f"{recording.meta['experiment']} experiment {said}: {path}", file=sys.stdout if whole else sys.stderr)

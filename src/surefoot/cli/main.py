@@ -1,4 +1,4 @@
-"""`surefoot`: find and run the command, and report errors in one line."""
+"""`surefoot`: find and run a command, report errors in one line."""
 
 from __future__ import annotations
 
@@ -40,10 +40,9 @@ commands:
 {commands}
 
 surefoot COMMAND --help lists a command's options; surefoot --version prints the version."""
-_LONGEST = 2000
-"""Characters of an error that are told."""
+_MAX_ERROR_LENGTH = 2000
 _EXTRAS = {
-    "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy"),
+    "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas"),
     "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
     "report": ("matplotlib", "imageio_ffmpeg", "PIL"),
     "search": ("optuna", "ray", "grpc"),
@@ -54,10 +53,10 @@ _EXTRAS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command, by default the process's own words; return 0, 2 for an error of the user, 130 when interrupted."""
+    """Run a command, by default that of the process; return 0, 2 for an error of the user, or 130 when interrupted."""
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in ("-h", "--help", "help"):
-        commands = table_lines({name: what for name, (_, what) in COMMANDS.items()})
+        commands = table_lines({name: purpose for name, (_, purpose) in COMMANDS.items()})
         print(_USAGE.format(commands=commands), file=sys.stdout if words else sys.stderr)
         return 0 if words else 2
     if words[0] == "--version":
@@ -65,7 +64,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     if words[0] not in COMMANDS:
         return _fail(f"'{words[0]}' is not a command; choices: {choices(COMMANDS)}")
-    # Such words could be neither printed nor kept in a file.
     if not all(word.isprintable() for word in words):
         return _fail("the arguments hold characters that can't be printed; use UTF-8 without control characters")
     enable_interrupt()
@@ -76,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SurefootError as error:
         return _fail(str(error))
     except BrokenPipeError:
-        # Whoever read the output has enough; nothing more can be written, not even at exit.
+        # The reader of the output is gone: nothing more can be written, not even at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:
@@ -101,10 +99,10 @@ def _find_extra(module: str) -> str | None:
 
 
 def _fail(message: str) -> int:
+    """Print an error in one line. Text of files in it must not control the terminal."""
     line = " ".join(message.split())
-    if len(line) > _LONGEST:
-        line = f"{line[:_LONGEST]} ..."
-    # What a file holds must not steer the terminal.
+    if len(line) > _MAX_ERROR_LENGTH:
+        line = f"{line[:_MAX_ERROR_LENGTH]} ..."
     line = "".join(letter if letter.isprintable() else "?" for letter in line)
     print(f"surefoot: error: {line}", file=sys.stderr)
     return 2

@@ -46,13 +46,13 @@ def main(argv: list[str]) -> int:
 
     root, note = command.root, ""
     if command.quick or command.full:
-        from surefoot.cli.helpers.paper_runs import QUICK_NOTE, Runs, make_all
+        from surefoot.cli.helpers.paper_runs import QUICK_NOTE, PaperRuns, make_all
         from surefoot.studies.workers import check_address
 
         check_address(command.ray)
         root = (command.folder or Path("paper-quick" if command.quick else "paper-full")).resolve()
         check_folder(root)
-        runs = Runs(command.root.resolve(), root, command.quick, command.workers, command.ray)
+        runs = PaperRuns(command.root.resolve(), root, command.quick, command.workers, command.ray)
         if not make_all(runs):
             runs.console.print(f"Stopped. To go on:\n  {shlex.join(['surefoot', 'paper', *argv])}")
             return 130

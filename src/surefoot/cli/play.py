@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from surefoot.cli.helpers.options import PAGE_PORT, PolicyName, check_suffix
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import RunOptions
+from surefoot.cli.helpers.simulator import RunOptions, with_duration
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError
-
-if TYPE_CHECKING:
-    from surefoot.robot import RobotDescription
-    from surefoot.task.config import TaskConfig
 
 
 @dataclass(frozen=True)
@@ -39,7 +34,7 @@ def main(argv: list[str]) -> int:
     command = parse(PlayCommand, argv, "surefoot play")
     check_suffix("video", command.out, ".mp4")
     from surefoot.cli.helpers.episodes import film
-    from surefoot.cli.helpers.policies import adjust_task, find_policy, load_gait, run_policy, with_duration
+    from surefoot.cli.helpers.policies import find_policy, load_gait, run_policy
     from surefoot.cli.helpers.viewer import has_display, replay
     from surefoot.world.registry import find_world
 
@@ -47,15 +42,13 @@ def main(argv: list[str]) -> int:
     find_world(command.world)
     if command.browser:
         return _serve_page(command)
-    policy, robot, task, known = load_gait(path, command.robot)
-    given = (task, robot, command.settings, command.pushes)
-    task = adjust_task(*given, simulator=command.simulator, push_force=command.push_force, commands=command.commands)
-    task = with_duration(task, robot, command.seconds)
+    policy, robot, task, origin = load_gait(path, command.robot)
+    task = with_duration(command.apply(task, robot), robot, command.seconds)
     window = command.out is None and has_display()
     # Imported before anything is simulated, so that a missing package is reported at once.
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):
         import_module(module)
-    (trace,) = run_policy(policy, task, 1, command.world, command.seed, name=known["name"])
+    (trace,) = run_policy(policy, task, 1, command.world, command.seed, name=origin["name"])
     if window:
         replay(robot, trace)
     else:
@@ -68,11 +61,7 @@ def _serve_page(command: PlayCommand) -> int:
     if command.out is not None:
         raise SurefootError("--browser and --out are given; a page makes no MP4")
     from surefoot.cli.helpers.drive_page import DrivePage, serve
-    from surefoot.cli.helpers.policies import adjust_task
 
-    def adjust(task: TaskConfig, robot: RobotDescription) -> TaskConfig:
-        return adjust_task(task, robot, command.settings, False, simulator=command.simulator)
-
-    drive = DrivePage(command.policy, command.world, command.robot, adjust)
+    drive = DrivePage(command.policy, command.world, command.robot, replace(command, commands=None).apply)
     serve(drive, None, PAGE_PORT, None if command.commands is None else str(command.commands))
     return 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -11,9 +10,10 @@ from typing import Annotated, Any
 import tyro
 
 from surefoot.cli.helpers.options import Json, Settings, World, check_suffix
+from surefoot.cli.helpers.output import print_json
 from surefoot.cli.helpers.parsing import parse
 from surefoot.robot import RobotDescription
-from surefoot.robot.params_file import given_params
+from surefoot.robot.params_file import load_params
 from surefoot.tables import plain_value
 
 
@@ -51,7 +51,7 @@ def main(argv: list[str]) -> int:
     if command.out is not None:
         import_module("matplotlib")
     robot = RobotDescription.load(command.robot)
-    params = given_params(robot, command.params, command.settings)
+    params = load_params(robot, command.params, command.settings)
     from surefoot.identify.logs.errors import errors_of_recorded, replay_log
     from surefoot.identify.logs.robot_log import read_log
     from surefoot.identify.replay import Replayer
@@ -81,7 +81,7 @@ def main(argv: list[str]) -> int:
         draw_replay(command.out, robot, errors, other, label)
         told["figure"] = str(command.out)
     if command.json:
-        print(json.dumps(told))
+        print_json(told)
         return 0
     print(f"root mean square over the joints that move: {errors.rms:.4f} rad")
     for name, value in told["rms_by_motor"].items():

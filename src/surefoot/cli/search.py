@@ -12,12 +12,13 @@ import tyro
 from rich.console import Console
 
 from surefoot.cli.helpers.options import Ray, Seed, Workers, check_folder
+from surefoot.cli.helpers.output import make_console
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Within
 from surefoot.errors import prefix_errors
 from surefoot.learn.config import Steps
-from surefoot.studies.search import Search, SearchConfig, check_there, make_config
+from surefoot.studies.search import Search, SearchConfig, check_holds_search, make_config
 from surefoot.studies.search_space import put
 from surefoot.studies.workers import check_address
 
@@ -63,9 +64,9 @@ def main(argv: list[str]) -> int:
     check_folder(out)
     going_on = command.resume or command.report_only
     if going_on:
-        check_there(out)
+        check_holds_search(out)
     _check(config)
-    console = Console(highlight=False, soft_wrap=True)
+    console = make_console()
     out.mkdir(parents=True, exist_ok=True)
     with folder_lock(out):
         search = Search(config, out, going_on)
@@ -93,21 +94,14 @@ def _check(config: SearchConfig) -> None:
 def _train(search: Search, command: SearchCommand, console: Console) -> bool:
     """Run the trials that are missing; returns whether that was stopped."""
     counts = search.counts
-    told = ", ".join(f"{count} {state}" for state, count in counts.items()) or "none yet"
-    title = f"{search.config.train.task.name}: {command.trials} trials, {told}"
+    states = ", ".join(f"{count} {state}" for state, count in counts.items()) or "none yet"
+    title = f"{search.config.train.task.name}: {command.trials} trials, {states}"
     if sum(counts.values()) >= command.trials and "running" not in counts:
         console.print(title)
         return False
     start = time.monotonic()
-    outcome = train_many(
-        title,
-        search.trainings(command.trials),
-        command.workers,
-        command.ray,
-        console,
-        search.told,
-        search.changed,
-    )
+    trainings, where = search.trainings(command.trials), (command.workers, command.ray, console)
+    outcome = train_many(title, trainings, *where, search.on_report, search.on_change)
     hours = (time.monotonic() - start) / 3600
     console.print(f"{len(outcome.done)} trials in {60 * hours:.1f} min: {len(outcome.done) / hours:.1f} an hour")
     for name, line in outcome.failed.items():

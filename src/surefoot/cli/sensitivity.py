@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,8 +17,9 @@ from surefoot.cli.helpers.options import (
     World,
     make_figures_folder,
 )
+from surefoot.cli.helpers.output import print_json
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
+from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions, describe_simulator
 from surefoot.configuration import Duration, Within, to_mapping
 
 if TYPE_CHECKING:
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SensitivityCommand:
-    """Run policies in worlds that differ from the nominal one in one physical parameter, and say what breaks them.
+    """Run policies in worlds in which one physical parameter is not nominal, and find what breaks them.
 
     Each row of a table of ranges, the paper's table I by default, takes evenly spaced values within its range while
-    all else stays nominal. Mean and standard deviation of the return over all these test worlds tell how robust a
+    all else stays nominal. Mean and standard deviation of the return over all these test worlds measure how robust a
     policy is. Written to --out: sensitivity.csv, one line a world; episodes.csv, one line an episode; a figure for
     each row and one for all of them.
     """
@@ -61,16 +61,17 @@ class SensitivityCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
-    from surefoot.cli.helpers.policies import describe_simulator, find_policies, load_policies
+    import pandas as pd
+
+    from surefoot.cli.helpers.policies import load_policies
     from surefoot.progress import ProgressBar
     from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import WORLDS, find_world
 
-    paths = find_policies(command.policies)
     make_world = find_world(command.world)
-    loaded, robot = load_policies(paths)
+    loaded, robot = load_policies(command.policies)
     ranges = load_ranges(command.ranges, robot=robot.folder)
-    tasks = [command.simulator.of(one.task) for one in loaded]
+    tasks = [command.simulator.apply(one.task) for one in loaded]
     for task in tasks:
         task.nominal(robot)  # refuses parameters that the robot does not allow
     make_figures_folder(command.out)
@@ -80,18 +81,28 @@ def main(argv: list[str]) -> int:
 
     duration = command.duration or max(episode_duration(task) for task in tasks)
     names = ("values", "episodes", "pushes", "push_force", "seed")
-    told = {name: getattr(command, name) for name in names} | {"duration": duration}
-    how = told | {"ranges": ranges, "threads": command.threads, "robots": WORLDS[command.world].robots_side_by_side}
+    settings = {name: getattr(command, name) for name in names} | {"duration": duration}
+    options = settings | {
+        "ranges": ranges,
+        "threads": command.threads,
+        "robots": WORLDS[command.world].robots_side_by_side,
+    }
     results = []
     for one, task in zip(loaded, tasks, strict=True):
         with ProgressBar(one.name) as bar:
             results.append(
-                run_sensitivity(one.policy, task, make_world, policy_name=one.name, progress=bar.advance, **how)
+                run_sensitivity(one.policy, task, make_world, policy_name=one.name, progress=bar.advance, **options)
             )
     groups, trained = {one.policy: [one] for one in results}, {one.name: trained_ranges(one.task) for one in loaded}
+    tables = {
+        "sensitivity": [one.worlds.assign(policy=one.policy) for one in results],
+        "episodes": [one.episodes.assign(policy=one.policy) for one in results],
+    }
     files = [
-        write_csv(command.out / "sensitivity.csv", [row for result in results for row in result.world_rows()]),
-        write_csv(command.out / "episodes.csv", [row for result in results for row in result.episode_rows()]),
+        *(
+            write_csv(command.out / f"{name}.csv", pd.concat(parts).set_index("policy").reset_index())
+            for name, parts in tables.items()
+        ),
         aggregate_figure(results, command.out / "aggregate.png"),
         *(parameter_figure(row, groups, command.out / f"{row}.png", trained) for row in results[0].rows),
     ]
@@ -100,7 +111,7 @@ def main(argv: list[str]) -> int:
             "world": command.world,
             "robot": robot.name,
             "ranges": to_mapping(ranges),
-            **told,
+            **settings,
             "policies": [
                 _summary(result)
                 | {
@@ -112,14 +123,14 @@ def main(argv: list[str]) -> int:
             ],
             "files": [str(file) for file in files],
         }
-        print(json.dumps(whole, allow_nan=False))
+        print_json(whole)
     else:
         _print_tables(results, files)
     return 0
 
 
 def _summary(result: Sensitivity) -> dict[str, Any]:
-    """Return what one policy's test worlds came to, as JSON holds it."""
+    """Return the aggregates of one policy's test worlds, as JSON holds them."""
     from surefoot.evaluate.sensitivity import find_breaks
 
     return {
@@ -128,9 +139,9 @@ def _summary(result: Sensitivity) -> dict[str, Any]:
         "return_mean": result.mean,
         "return_std": result.std,
         "fall_rate": result.fall_rate,
-        "nominal_return": result.nominal.mean_return,
+        "nominal_return": float(result.nominal["return"].mean()),
         "nominal_falls": int(result.nominal.fell.sum()),
-        "breaks": [vars(item) for item in find_breaks(result)],
+        "breaks": find_breaks(result).to_dict("records"),
     }
 
 
@@ -144,26 +155,25 @@ def _print_tables(results: list[Sensitivity], files: list[Path]) -> None:
         policies.append(
             {
                 "policy": result.policy,
-                "nominal return (m)": f"{result.nominal.mean_return:.2f}",
+                "nominal return (m)": f"{result.nominal['return'].mean():.2f}",
                 "return (m)": f"{result.mean:.2f} ± {result.std:.2f}",
                 "test worlds": str(len(result.worlds)),
-                "falls": f"{result.fell.sum()} of {result.fell.size}",
+                "falls": f"{result.tests.fell.sum()} of {len(result.tests)}",
             }
         )
         breaks = find_breaks(result)
         for row in result.rows:
-            found, unit = result.of_row(row), row_unit(row)
-            values = [result.worlds[i].value for i in found]
-            worst = int(result.mean_return[found].argmin())
+            worlds, unit = result.of_row(row), row_unit(row)
+            worst = worlds.loc[worlds.return_mean.idxmin()]
             rows.append(
                 {
                     "policy": result.policy,
                     "row": f"{row} ({unit})" if unit else row,
-                    "range": f"{values[0]:.3g} to {values[-1]:.3g}",
-                    "worst return (m)": f"{result.mean_return[found[worst]]:.2f}",
-                    "at": f"{values[worst]:.3g}",
-                    "falls": f"{result.fell[found].sum()} of {result.fell[found].size}",
-                    "breaks at": ", ".join(f"{item.value:.3g}" for item in breaks if item.row == row) or "-",
+                    "range": f"{worlds.value.iloc[0]:.3g} to {worlds.value.iloc[-1]:.3g}",
+                    "worst return (m)": f"{worst.return_mean:.2f}",
+                    "at": f"{worst.value:.3g}",
+                    "falls": f"{worlds.falls.sum()} of {worlds.episodes.sum()}",
+                    "breaks at": ", ".join(f"{value:.3g}" for value in breaks.value[breaks.row == row]) or "-",
                 }
             )
     print_table(policies, "Test worlds: mean and standard deviation of their returns")

@@ -12,10 +12,11 @@ import tyro
 from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, check_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError, quote
+from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 
 if TYPE_CHECKING:
-    from surefoot.report.pages.recorded_runs import Recording
+    from surefoot.report.pages.recorded_runs import ShownTrace
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,8 @@ def main(argv: list[str]) -> int:
     from surefoot.report.pages.recorded_runs import recording_page
     from surefoot.report.pages.server import PageServer
 
-    page = recording_page(_recordings(command), command.layout)
+    page = recording_page(_load_traces(command), command.layout)
     if command.html is not None:
-        from surefoot.files import atomic_write
-
         command.html.parent.mkdir(parents=True, exist_ok=True)
         atomic_write(command.html, page)
         print(f"wrote {command.html}: {len(page) / 1e6:.1f} MB; opens in a browser")
@@ -64,23 +63,23 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _recordings(command: ShowCommand) -> list[Recording]:
-    """Load the traces and their robots; name them by policy, with world or file where that does not tell them apart."""
+def _load_traces(command: ShowCommand) -> list[ShownTrace]:
+    """Load traces and robots; a trace is named by its policy, and by world or file where that is not unique."""
     from surefoot.cli.helpers.policies import distinct_names
     from surefoot.evaluate.recorded import find_traces
     from surefoot.identify.logs.importing import import_log
     from surefoot.identify.logs.robot_log import read_arrays
-    from surefoot.report.pages.recorded_runs import Recording
+    from surefoot.report.pages.recorded_runs import ShownTrace
 
-    given = None if command.robot is None else RobotDescription.load(command.robot)
-    found = []
+    robot = None if command.robot is None else RobotDescription.load(command.robot)
+    traces = []
     for path in command.trace:
-        if given is not None and path.is_file() and path.suffix == ".npz" and "meta" not in read_arrays(path):
-            found.append((path, import_log(path, given)))
+        if robot is not None and path.is_file() and path.suffix == ".npz" and "meta" not in read_arrays(path):
+            traces.append((path, import_log(path, robot)))
         else:
-            found += find_traces(path)
-    robots = {} if given is None else {given.name: given}
-    for path, trace in found:
+            traces += find_traces(path)
+    robots = {} if robot is None else {robot.name: robot}
+    for path, trace in traces:
         name = str(trace.meta["robot"])
         if name not in robots:
             if name not in RobotDescription.available():
@@ -88,9 +87,9 @@ def _recordings(command: ShowCommand) -> list[Recording]:
                     f"trace file {path}: is of robot {quote(name)}, which does not ship; give its folder with --robot"
                 )
             robots[name] = RobotDescription.load(name)
-    titles = [str(trace.meta["policy"])[:80] or path.stem for path, trace in found]
+    titles = [str(trace.meta["policy"])[:80] or path.stem for path, trace in traces]
     if len(set(titles)) < len(titles):
-        titles = [f"{title}, {str(trace.meta['world'])[:80]}" for title, (_, trace) in zip(titles, found, strict=True)]
-    titles = distinct_names(titles, [f"{path.parent.name}/{path.stem}" for path, _ in found])
-    named = zip(titles, found, strict=True)
-    return [Recording(title, robots[str(trace.meta["robot"])], trace) for title, (_, trace) in named]
+        titles = [f"{title}, {str(trace.meta['world'])[:80]}" for title, (_, trace) in zip(titles, traces, strict=True)]
+    titles = distinct_names(titles, [f"{path.parent.name}/{path.stem}" for path, _ in traces])
+    pairs = zip(titles, traces, strict=True)
+    return [ShownTrace(title, robots[str(trace.meta["robot"])], trace) for title, (_, trace) in pairs]

@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 
 from surefoot.cli.helpers.options import Ray, Workers
+from surefoot.cli.helpers.output import make_console
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Seed
@@ -19,7 +20,7 @@ from surefoot.errors import SurefootError, prefix_errors
 from surefoot.learn.config import Steps
 from surefoot.studies.study_config import StudyConfig, load_study, study_runs
 from surefoot.studies.training import Training
-from surefoot.studies.workers import Outcome, check_address
+from surefoot.studies.workers import TrainingsOutcome, check_address
 
 
 @dataclass(frozen=True)
@@ -57,21 +58,21 @@ def main(argv: list[str]) -> int:
     command = parse(StudyCommand, argv, "surefoot study")
     if command.train_only and command.report_only:
         raise SurefootError("--train-only and --report-only leave nothing to do; give one of them, or neither")
-    from surefoot.cli.helpers.study_results import check_kinds, evaluate_runs, report
+    from surefoot.cli.helpers.study_results import check_evaluations, evaluate_runs, report
 
     study = load_study(command.file)
-    check_kinds(study, worlds=not command.train_only)
+    check_evaluations(study, worlds=not command.train_only)
     if command.seeds:
         study = replace(study, seeds=command.seeds)
     if command.steps is not None:
-        study = study.lasting(command.steps)
+        study = study.with_steps(command.steps)
     root = command.runs or Path("runs") / study.name
     runs = study_runs(study, root, command.only)
     for run in runs:
         run.check(extend=command.extend)
     for run in runs if command.extend else []:
         run.extend()
-    console = Console(highlight=False, soft_wrap=True)
+    console = make_console()
     failed: dict[str, str] = {}
     if not command.report_only:
         outcome = train(study, runs, command, console)
@@ -81,24 +82,24 @@ def main(argv: list[str]) -> int:
             return 130
     if not command.train_only:
         evaluate_runs(study, runs, command.workers, console)
-        words = ["surefoot", "study", *argv]
-        report(study, root, command.out or Path("results") / study.name, shlex.join(words), console)
+        words = shlex.join(["surefoot", "study", *argv])
+        report(study, root, command.out or Path("results") / study.name, words, console)
     for name, line in failed.items():
         print(f"surefoot: error: {name}: {line}", file=sys.stderr)
     return 1 if failed else 0
 
 
-def train(study: StudyConfig, runs: list[Training], command: StudyCommand, console: Console) -> Outcome:
-    """Train every run that is not finished, some at a time, and show how far each is."""
+def train(study: StudyConfig, runs: list[Training], command: StudyCommand, console: Console) -> TrainingsOutcome:
+    """Train every run that is not finished, some at a time."""
     from surefoot.cli.helpers.training import check_config
 
     waiting = [run for run in runs if run.state != "finished"]
     if not waiting:
         console.print(f"{study.name}: all {len(runs)} trainings are finished")
-        return Outcome()
+        return TrainingsOutcome()
     check_address(command.ray)
     for group, run in {run.group: run for run in waiting}.items():
         with prefix_errors(f"group {group}"):
             check_config(run.config)
-    what = f"{study.name}: {len(runs)} trainings, {len(runs) - len(waiting)} finished"
-    return train_many(what, waiting, command.workers, command.ray, console)
+    title = f"{study.name}: {len(runs)} trainings, {len(runs) - len(waiting)} finished"
+    return train_many(title, waiting, command.workers, command.ray, console)

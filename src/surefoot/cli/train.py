@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from surefoot.cli.helpers.options import PAGE_PORT, PagePort
 from surefoot.cli.helpers.output import make_console, next_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions, ranges_help, take_ranges
+from surefoot.cli.helpers.ranges import ranges_help, take_ranges
+from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
 from surefoot.errors import SurefootError, choices
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.stop_signals import StopSignals
@@ -93,7 +94,7 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
     # Parameters given by name go over a file of parameters, which replaces the task's own.
     params = {name: value for name, value in command.task.params.items() if base.task.params.get(name) != value}
-    task = command.simulator.of(replace(command.task, params=base.task.params), params)
+    task = command.simulator.apply(replace(command.task, params=base.task.params), params)
     task = replace(task, pushes=replace(task.pushes, enabled=task.pushes.enabled or command.pushes))
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
 

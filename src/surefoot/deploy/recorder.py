@@ -15,7 +15,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.deploy.messages import State
 from surefoot.deploy.safety import is_finite
-from surefoot.task.partial_trace import Layout
+from surefoot.task.partial_trace import RowLayout
 
 
 class Recorder:
@@ -25,7 +25,7 @@ class Recorder:
     """
 
     def __init__(
-        self, layout: Layout, control_step: float, max_steps: int, on_rows: Callable[[Array], None] | None = None
+        self, layout: RowLayout, control_step: float, max_steps: int, on_rows: Callable[[Array], None] | None = None
     ) -> None:
         self.layout, self.control_step, self.max_steps, self._on_rows = layout, control_step, max_steps, on_rows
         self._rows = np.zeros((max_steps, layout.width))

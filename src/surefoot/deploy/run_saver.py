@@ -20,7 +20,7 @@ from surefoot.deploy.motion_capture import base_and_feet, read_capture
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.errors import SurefootError, describe_os_errors
-from surefoot.task.partial_trace import SUFFIX, Layout, head_line, row_bytes, trace_of
+from surefoot.task.partial_trace import SUFFIX, RowLayout, head_line, make_trace, row_bytes
 from surefoot.task.trace import EpisodeTrace
 
 FLUSH = 0.1
@@ -58,7 +58,7 @@ class RunSaver:
         contract, robot, controller = deployment.contract, deployment.robot, deployment.controller
         self.path, self.link, self._monitor = path, deployment.link, deployment.monitor
         actions, commands = len(contract.action_names), 3 if contract.commands else 0
-        layout = Layout(robot.num_motors, len(robot.legs), controller.observer.width, actions, commands)
+        layout = RowLayout(robot.num_motors, len(robot.legs), controller.observer.width, actions, commands)
         self.recorder = Recorder(layout, contract.control_step, max_steps, self._keep)
         handshake = self.link.handshake
         self.meta: dict[str, Any] = {
@@ -139,7 +139,7 @@ class RunSaver:
                 notes.append(f"{error}; the trace has no base motion")
         trace: EpisodeTrace | None = None
         try:
-            trace = trace_of(recorder.layout, recorder.rows, meta, truth)
+            trace = make_trace(recorder.layout, recorder.rows, meta, truth)
             if self.path is None:
                 return SavedRun(trace, notes=notes)
             trace.save(self.path)

@@ -1,4 +1,4 @@
-"""One simulated robot that is driven: commands, parameters and pushes act from the next control step on."""
+"""One simulated robot under live control: commands, parameters and pushes act from the next control step on."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import Policy
 from surefoot.robot.params import PARAMETERS
 from surefoot.rotations import in_heading_frame
-from surefoot.task.commands import HeldCommand
+from surefoot.task.commands import CommandSource
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.reward import base_rates
@@ -21,10 +21,10 @@ from surefoot.world.interface import SimulationFactory
 
 FIXED = ("control_step",)
 """Parameters that belong to the policy, and can't be changed while it runs."""
-_MOST_STEPS = 1_000_000
+_MAX_STEPS = 1_000_000
 _LIE_TIME = 1.5
 """How long a robot that fell lies until it stands again at its start [s]."""
-_MOST_FORCE = 2000.0
+_MAX_FORCE = 2000.0
 """Greatest force of a push [N]."""
 
 
@@ -45,7 +45,7 @@ class Knob:
 
 
 @dataclass(frozen=True)
-class Row:
+class DrivenStep:
     """A control step of a driven robot."""
 
     time: float
@@ -69,20 +69,19 @@ class DrivenRobot:
 
     Args:
         policy: gives the feedback.
-        task: what it was made for; neither pushes nor randomization act.
+        task: what it was trained on; neither pushes nor randomization act.
         make_world: makes the simulation.
-        kept: control steps that `rows` keeps.
     """
 
-    def __init__(self, policy: Policy, task: TaskConfig, make_world: SimulationFactory, kept: int = 4000) -> None:
+    def __init__(self, policy: Policy, task: TaskConfig, make_world: SimulationFactory) -> None:
         pushes = replace(task.pushes, enabled=False)
-        task = replace(task, pushes=pushes, max_steps=_MOST_STEPS, randomize={})
-        self._given = HeldCommand(1)
+        task = replace(task, pushes=pushes, max_steps=_MAX_STEPS, randomize={})
+        self._command = CommandSource(1)
         self.policy = policy
-        self.env = LocomotionEnv(task, 1, make_world, seed=1, autoreset=False, threads=1, source=self._given)
+        self.env = LocomotionEnv(task, 1, make_world, seed=1, autoreset=False, threads=1, source=self._command)
         self.robot, self.step_time = self.env.robot, float(self.env.world.params.control_step[0])
         self.limits = task.commands.limits(self.robot)
-        self.rows: deque[Row] = deque(maxlen=kept)
+        self.rows: deque[DrivenStep] = deque(maxlen=4000)
         self.falls, self.steps, self.restarts = 0, 0, 0
         self._push_until = self._stand_at = np.inf
         self._observation, _ = self.env.reset()
@@ -93,14 +92,14 @@ class DrivenRobot:
         return self.steps * self.step_time
 
     def command(self, command: ArrayLike) -> None:
-        """Take a command (3,) [m/s, m/s, rad/s], cut to the policy's limits; `CommandFilter` follows it.
+        """Set the command (3,) [m/s, m/s, rad/s], clamped to the policy's limits; `CommandFilter` follows it.
 
         Raises:
             SurefootError: a policy without commands, or numbers that are not finite.
         """
         if self.limits is None:
             raise SurefootError("this policy follows no commands")
-        self._given.command[0], _ = self.limits.clamped(command)
+        self._command.command[0], _ = self.limits.clamp(command)
 
     def push(self, force: ArrayLike, duration: float) -> None:
         """Push the base with a force (3,) [N] in the heading frame, for a duration [s].
@@ -108,16 +107,16 @@ class DrivenRobot:
         Raises:
             SurefootError: numbers that are not finite, or too large.
         """
-        given = np.asarray(force, float)
-        if given.shape != (3,) or not (np.linalg.norm(given) <= _MOST_FORCE) or not 0.0 < duration <= 10.0:
-            raise SurefootError(f"push: must be up to {_MOST_FORCE:g} N, for up to 10 s")
+        vector = np.asarray(force, float)
+        if vector.shape != (3,) or not (np.linalg.norm(vector) <= _MAX_FORCE) or not 0.0 < duration <= 10.0:
+            raise SurefootError(f"push: must be up to {_MAX_FORCE:g} N, for up to 10 s")
         yaw = self.env.truth.roll_pitch_yaw[0, 2]
-        self.env.world.push(in_heading_frame(given[None], np.array([-yaw])))
+        self.env.world.push(in_heading_frame(vector[None], np.array([-yaw])))
         self._push_until = self.time + duration
 
     def knobs(self) -> list[Knob]:
-        """Return what can be set."""
-        found = []
+        """Return the numbers that can be set."""
+        knobs = []
         for name, declared in PARAMETERS.items():
             if name in FIXED or not declared.belongs_to(self.robot):
                 continue
@@ -125,14 +124,14 @@ class DrivenRobot:
             about = (declared.unit, declared.meaning, low, high)
             values = getattr(self.env.world.params, name)
             if declared.per in ("", "motors"):
-                found.append(Knob(name, *about, float(values.mean())))
+                knobs.append(Knob(name, *about, float(values.mean())))
             else:
                 columns = zip(declared.parts(()), values[0], strict=True)
-                found += [Knob(f"{name}.{column}", *about, float(value)) for column, value in columns]
-        return found
+                knobs += [Knob(f"{name}.{column}", *about, float(value)) for column, value in columns]
+        return knobs
 
     def set(self, knob: str, value: float) -> None:
-        """Give a knob's parameter another value, at once, in the same simulation.
+        """Set a knob's parameter in the running simulation.
 
         Where each motor has a value of its own, all are scaled to the new mean.
 
@@ -140,26 +139,26 @@ class DrivenRobot:
             SurefootError: no such knob, or a value that robot or engine do not allow; then nothing has changed.
         """
         name, _, column = knob.partition(".")
-        if knob not in (known.name for known in self.knobs()):
+        if knob not in (one.name for one in self.knobs()):
             raise SurefootError(f"'{knob}' is not a parameter of {self.robot.name} that can be set while it runs")
         world = self.env.world
         now, nominal = getattr(world.params, name), getattr(self.env.nominal, name)
         if column:
-            wanted = now.copy()
-            wanted[:, PARAMETERS[name].parts(()).index(column)] = value
+            values = now.copy()
+            values[:, PARAMETERS[name].parts(()).index(column)] = value
         else:
             mean = float(nominal.mean())
-            wanted = nominal / mean * value if mean else np.full_like(now, value)
-        world.set_params([0], world.params.rows([0]).with_values(self.robot, **{name: wanted}))
+            values = nominal / mean * value if mean else np.full_like(now, value)
+        world.set_params([0], world.params.rows([0]).with_values(self.robot, **{name: values}))
 
     def restart(self) -> None:
-        """Stand again at the start; parameters stay."""
+        """Reset the robot to its start; parameters stay."""
         self.restarts += 1
         self._observation, _ = self.env.reset()
         self.env.world.push(np.zeros((1, 3)))
         self._push_until = self._stand_at = np.inf
 
-    def step(self) -> Row:
+    def step(self) -> DrivenStep:
         """Run one control step; a robot that fell stands up again after a while."""
         env = self.env
         if self.time >= self._stand_at:
@@ -179,6 +178,8 @@ class DrivenRobot:
         state, torque = env.command_state, truth.motor_torque[0]
         command = np.full(3, np.nan) if state is None else state.command[0]
         heat = float(truth.heat.sum()) / self.step_time
-        row = Row(self.time, truth.base_position_world[0], velocity, command, torque, heat, truth.foot_contact[0])
+        row = DrivenStep(
+            self.time, truth.base_position_world[0], velocity, command, torque, heat, truth.foot_contact[0]
+        )
         self.rows.append(row)
         return row

@@ -1,4 +1,4 @@
-"""Forces of the ground on the feet, as the motors' torques tell them."""
+"""Forces of the ground on the feet, estimated from the motors' torques."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 
 _SINGULAR = 0.02
-"""Directions in which a leg's motors reach this share of their best leverage or less tell nothing: a straight leg's."""
+"""Directions in which a leg's leverage is below this share of its best are left out, as that along a straight leg."""
 
 
 def foot_forces(robot: RobotDescription, motor_angle: ArrayLike, motor_torque: ArrayLike) -> Array:
     """Estimate the forces of the ground on the feet, (..., L, 3) [N] in the base frame.
 
     The legs are taken as massless: the torques (..., M) [N m] of a leg's motors at angles (..., M) [rad] then balance
-    the force on its foot, J' F = -tau. So feet in the air show the legs' own inertia. What two motors can't feel, the
-    force across their leg's plane, is 0. NaN where angles or torques are.
+    the force on its foot, J' F = -tau. So feet in the air show the legs' own inertia. Legs of two motors do not
+    measure the force across their plane, which is 0. NaN where angles or torques are.
     """
     index = robot.leg_motor_index
     angles, torques = (np.asarray(values, float)[..., index] for values in (motor_angle, motor_torque))
-    known = np.isfinite(angles).all(-1) & np.isfinite(torques).all(-1) & robot.leg_geometry.closes(angles)
+    valid = np.isfinite(angles).all(-1) & np.isfinite(torques).all(-1) & robot.leg_geometry.closes(angles)
     rest = robot.resting_angles[index]
-    lever = np.swapaxes(robot.leg_geometry.jacobian(np.where(known[..., None], angles, rest)), -1, -2)
+    lever = np.swapaxes(robot.leg_geometry.jacobian(np.where(valid[..., None], angles, rest)), -1, -2)
     force = -np.einsum(
-        "...ij,...j->...i", np.linalg.pinv(lever, rcond=_SINGULAR), np.where(known[..., None], torques, 0)
+        "...ij,...j->...i", np.linalg.pinv(lever, rcond=_SINGULAR), np.where(valid[..., None], torques, 0)
     )
-    return np.where(known[..., None], force, np.nan)
+    return np.where(valid[..., None], force, np.nan)

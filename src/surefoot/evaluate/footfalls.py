@@ -39,14 +39,14 @@ MIN_CONCENTRATION = 0.75  # circular scatter of about .12 stride
 MIN_STRIDES = 3
 TRANSIENT = 1.0  # s at the start that are left out, never more than a third of the episode
 DEBOUNCE = 0.015  # s
-SHORTEST_STRIDE = 0.08  # s
+MIN_STRIDE_PERIOD = 0.08  # s
 
 Intervals = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class Footfalls:
-    """What the feet did; every dict is by leg name, NaN where it cannot be told.
+    """Strides and gait of an episode; every dict is by leg name, NaN where a foot makes no steps.
 
     Attributes:
         gait: trot, pace, bound, gallop, walk, pronk or other.
@@ -76,20 +76,19 @@ class Footfalls:
 def analyze_footfalls(trace: EpisodeTrace) -> Footfalls:
     """Measure strides and name the gait, which needs legs with the names of `FEET`, in any order.
 
-    Readings at odds with those around them, then shorter losses of contact than `DEBOUNCE`, then shorter contacts are
-    taken for chatter. Once the stride period is known, losses and contacts shorter than a tenth of it are too.
+    Chatter is removed in this order: single readings unlike their neighbours, losses of contact shorter than
+    `DEBOUNCE`, contacts shorter than that; then losses and contacts shorter than a tenth of the stride period.
     """
     touch, clock, names = trace.foot_contact, trace.time, trace.leg_names
     start = min(TRANSIENT, clock[-1] / 3.0)
     window = (float(start), float(clock[-1]))
     if np.isnan(touch).any():
-        unknown = dict.fromkeys(names, math.nan)
-        none: dict[str, Intervals] = dict.fromkeys(names, ())
+        nan = dict.fromkeys(names, math.nan)
         reason = "foot contacts were not measured"
-        return Footfalls("other", "other", reason, math.nan, unknown, unknown, unknown, unknown, none, window)
+        return Footfalls("other", "other", reason, math.nan, nan, nan, nan, nan, dict.fromkeys(names, ()), window)
 
     step = float(np.median(np.diff(clock))) if len(clock) > 1 else float(clock[0])
-    # The running median: lone false readings go, edges stay where they are.
+    # A running median removes single false readings and keeps edges.
     half = round(0.5 * DEBOUNCE / step)
     padded = np.pad(touch, ((half, half), (0, 0)), mode="edge")
     touch = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0), axis=-1)
@@ -109,7 +108,7 @@ def analyze_footfalls(trace: EpisodeTrace) -> Footfalls:
     scores = {n: _phase(touchdowns[n], reference, period) for n in names}
     phase, concentration = ({n: score[i] for n, score in scores.items()} for i in (0, 1))
     duty = {n: _duty(intervals[n], touchdowns[n], window) for n in names}
-    gait, pattern, reason = "other", "other", _irregular(names, touchdowns, intervals, period, window, concentration)
+    gait, pattern, reason = "other", "other", _irregularity(names, touchdowns, intervals, period, window, concentration)
     if not reason:
         gait, pattern, reason = classify(phase, float(np.mean(list(duty.values()))))
     return Footfalls(
@@ -180,7 +179,7 @@ def stance_intervals(contact: ArrayLike, time: ArrayLike, debounce: float = 0.0)
     edges = np.flatnonzero(np.diff(touch >= 0.5, prepend=False, append=False))
     spans: list[tuple[float, float]] = []
     for a, b in zip(edges[::2], edges[1::2], strict=True):
-        # The fractions of the steps at both edges tell the touchdown and lift-off within those steps.
+        # Fractions of contact at both edges place touchdown and lift-off within those steps.
         lead = touch[a - 1] * step[a - 1] if a > 0 else 0.0
         trail = touch[b] * step[b] if b < len(clock) else 0.0
         begin = clock[a] - touch[a] * step[a] - lead
@@ -212,7 +211,7 @@ def stride_period(contact: Array, step: float) -> float:
     correlation = raw[:longest] / (count - np.arange(longest)) * (count / raw[0])
     inner = correlation[1:-1]
     peaks = np.flatnonzero((inner >= correlation[:-2]) & (inner > correlation[2:])) + 1
-    peaks = peaks[(peaks * step >= SHORTEST_STRIDE) & (correlation[peaks] > 0.2)]
+    peaks = peaks[(peaks * step >= MIN_STRIDE_PERIOD) & (correlation[peaks] > 0.2)]
     if not peaks.size:
         return math.nan
     best = peaks[correlation[peaks] >= 0.7 * correlation[peaks].max()][0]
@@ -260,7 +259,7 @@ def _duty(intervals: Intervals, touchdowns: Array, window: tuple[float, float]) 
     return float(stance / (end - begin))
 
 
-def _irregular(
+def _irregularity(
     names: tuple[str, ...],
     touchdowns: dict[str, Array],
     intervals: dict[str, Intervals],

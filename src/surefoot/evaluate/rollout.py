@@ -1,4 +1,4 @@
-"""Run a policy in a simulation: measure every episode, and record its trace where that is wanted."""
+"""Run a policy in a simulation: measure every episode, and record traces."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, check_at_least
-from surefoot.evaluate.runs import Runs
+from surefoot.errors import SurefootError
 from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -22,10 +22,10 @@ Progress = Callable[[float], None]
 
 
 class Policy(Protocol):
-    """What gives leg-space feedback (N, 2 L) [rad] for observations (N, O * history), such as a `PolicyRuntime`."""
+    """A policy, such as a `PolicyRuntime`."""
 
     def feedback(self, observation: ArrayLike) -> Array:
-        """Return the feedback."""
+        """Return leg-space feedback (N, 2 L) [rad] for observations (N, O * history)."""
         ...
 
 
@@ -36,63 +36,74 @@ def run_to_end(
     steps: NDArray[np.int64] | None = None,
     progress: Progress | None = None,
     record: Callable[[Array, NDArray[np.float32]], None] | None = None,
-) -> Runs:
+) -> pd.DataFrame:
     """Run every robot of an environment to its own end: a fall, or its number of control steps.
 
-    A robot whose simulation diverged is measured where it was a control step before; it neither fell nor balanced.
+    A robot whose simulation diverged is measured a control step before that; it neither fell nor balanced.
 
     Args:
-        act: gives actions (N, A) for observations (N, O * history), which are zero for robots that are over.
+        act: returns actions (N, A) for observations (N, O * history), which are zero for robots that are over.
         env: without autoreset, just reset.
-        observation: what its reset gave.
-        steps: control steps of each robot (N,), 0 for one that is not run; the task's `max_steps`, if not given.
-        progress: is told the share of the control steps that is done.
+        observation: the first one.
+        steps: control steps of each robot (N,), 0 for one that does not run; the task's `max_steps`, if not given.
+        progress: called with the share of the control steps that is done.
         record: called after every control step with time [s] (N,) and observation (N, O * history) at its start.
+
+    Returns:
+        a row a robot, with the columns of `measure_runs` from `return` on.
     """
-    most = np.full(env.num_envs, env.task.max_steps) if steps is None else steps
-    env.over |= most == 0
+    limit = np.full(env.num_envs, env.task.max_steps) if steps is None else steps
+    env.over |= limit == 0
     terminated, diverged = np.zeros((2, env.num_envs), np.bool_)
     time, energy = np.zeros((2, env.num_envs))
     position = env.start_position[:, 0].copy()
     while not env.over.all():
         going = ~env.over
-        begin, given = env.readings.time, np.where(going[:, None], observation, np.float32(0.0))
-        observation, _, ended, _, _ = env.step(act(given))
+        start, seen = env.readings.time, np.where(going[:, None], observation, np.float32(0.0))
+        observation, _, ended, _, _ = env.step(act(seen))
         if record is not None:
-            record(begin, given)
+            record(start, seen)
         sound = going & ~env.truth.diverged
         position[sound], time[sound] = env.truth.base_position_world[sound, 0], env.readings.time[sound]
         energy[sound] += env.truth.energy[sound]
         terminated |= ended
         diverged |= going & ~sound
-        env.over |= env.steps >= most
+        env.over |= env.steps >= limit
         if progress is not None:
-            progress(float(np.where(env.over, most, env.steps).sum() / most.sum()))
+            progress(float(np.where(env.over, limit, env.steps).sum() / limit.sum()))
     distance, duration = position - env.start_position[:, 0], np.where(time > 0, time, np.inf)
-    measured = (env.returns.copy(), distance, distance / duration, energy / duration, env.steps - 1.0 * diverged)
-    return Runs("", *measured, fell=terminated & ~diverged, balanced=~terminated)
+    return pd.DataFrame(
+        {
+            "return": env.returns.copy(),
+            "distance": distance,
+            "speed": distance / duration,
+            "power": energy / duration,
+            "steps": env.steps - diverged,
+            "fell": terminated & ~diverged,
+            "balanced": ~terminated,
+        }
+    )
 
 
 class _Recorder:
-    """What happened in each control step, for all robots."""
+    """Records every control step of all robots."""
 
     def __init__(self, env: LocomotionEnv) -> None:
         self.env = env
         self.position, self.quat = [env.truth.base_position_world.copy()], [env.truth.base_quat_world.copy()]
         self.steps: list[dict[str, Array]] = []
-        self.command = np.full((env.num_envs, 3), np.nan)
-        self.begin()
+        self.command = self._command()
 
-    def begin(self) -> None:
-        """Keep the commands of the control step that begins."""
-        if self.env.source is not None:
-            self.command = self.env.source.command.copy()
+    def _command(self) -> Array:
+        source, robots = self.env.source, self.env.num_envs
+        return np.full((robots, 3), np.nan) if source is None else source.command.copy()
 
     def record(self, time: Array, observation: NDArray[np.float32]) -> None:
-        """Keep the control step that just ended; `time` (N,) [s] and `observation` are of its start."""
+        """Record the control step that just ended; `time` (N,) [s] and `observation` are of its start."""
         env, readings, truth = self.env, self.env.readings, self.env.truth
         self.position.append(truth.base_position_world.copy())
         self.quat.append(truth.base_quat_world.copy())
+        pushed = env.task.pushes.enabled
         self.steps.append(
             {
                 "time": readings.time,
@@ -109,14 +120,10 @@ class _Recorder:
                 "foot_position_world": env.world.foot_positions(),
                 "true_motor_angle": truth.motor_angle,
                 "command": self.command,
-                "push_force_world": self._push(),
+                "push_force_world": env.pusher.force.copy() if pushed else np.full((env.num_envs, 3), np.nan),
             }
         )
-        self.begin()
-
-    def _push(self) -> Array:
-        """Return the force (N, 3) [N] that pushed the base in the control step that just ended; NaN without pushes."""
-        return self.env.pusher.force.copy() if self.env.task.pushes.enabled else np.full((self.env.num_envs, 3), np.nan)
+        self.command = self._command()
 
     def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
         if steps < 1:
@@ -153,21 +160,16 @@ def run_episodes(
         make_world: makes the simulation.
         seed: the one seed; episode i is the same in any number of episodes.
         threads: threads of the simulation; 0 means one a core.
-        progress: is told the share of the control steps that is done.
+        progress: called with the share of the control steps that is done.
         world_name: for the traces.
         policy_name: for the traces.
-
-    Raises:
-        SurefootError: no episodes, or a task that does not fit.
     """
-    check_at_least("episodes", episodes, 1)
-    check_at_least("seed", seed, 0)
     env = LocomotionEnv(task, episodes, make_world, seed, autoreset=False, threads=threads)
     observation, _ = env.reset()
     recorder = _Recorder(env)
 
-    def act(given: NDArray[np.float32]) -> Array:
-        return env.gait.action(policy.feedback(given))
+    def act(observation: NDArray[np.float32]) -> Array:
+        return env.gait.action(policy.feedback(observation))
 
     runs = run_to_end(act, env, observation, progress=progress, record=recorder.record)
     ended = np.where(runs.balanced, "time", np.where(runs.fell, "fall", "fault"))

@@ -1,4 +1,4 @@
-"""How well a robot follows its commands: errors of speed and yaw rate in the heading frame, from traces."""
+"""Errors of following commands: speed and yaw rate in the heading frame, from traces."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
 
 STRIDE = 0.5
-"""Time [s] that is averaged over where the gait has no period of its own."""
+"""Time [s] to average over where the gait has no period of its own."""
 GRID = 7
 """Commands along each side of a grid."""
 SETTLING = 1.0
-"""Time [s] after a change of the command that does not count: nobody can follow a jump."""
+"""Time [s] after a change of the command that is left out: no robot follows a jump."""
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """Root mean square errors of speed forward and sideways [m/s] and yaw rate [rad/s]; NaN where nothing tells."""
+    """Root mean square errors of speed forward and sideways [m/s] and yaw rate [rad/s]; NaN without any."""
 
     rmse: Array
     """Of each control step's mean speeds, (3,)."""
@@ -32,22 +32,22 @@ class Tracking:
     """Of speeds averaged over a stride, (3,)."""
 
     @classmethod
-    def of_traces(cls, traces: Iterable[EpisodeTrace], stride: float) -> Tracking:
+    def from_traces(cls, traces: Iterable[EpisodeTrace], stride: float) -> Tracking:
         """Measure runs; a stride takes `stride` [s].
 
         Steps within `SETTLING` after the command changed are left out, and for averages all strides that hold one.
         """
-        at_once, averaged = [np.empty((0, 3))], [np.empty((0, 3))]
+        steps, strides = [np.empty((0, 3))], [np.empty((0, 3))]
         for trace in traces:
             step = float(trace.meta["control_step"])
             errors, settled = motion(trace) - trace.command, settled_steps(trace)
-            at_once.append(errors[settled])
+            steps.append(errors[settled])
             count = max(round(stride / step), 1)
             if len(errors) >= count:
                 whole = np.lib.stride_tricks.sliding_window_view(settled, count).all(axis=-1)
                 means = np.lib.stride_tricks.sliding_window_view(errors, count, axis=0).mean(axis=-1)
-                averaged.append(means[whole])
-        return cls(*(_rms(np.concatenate(found)) for found in (at_once, averaged)))
+                strides.append(means[whole])
+        return cls(*(_rms(np.concatenate(errors)) for errors in (steps, strides)))
 
     def to_mapping(self) -> dict[str, dict[str, object]]:
         """Return the errors by command as JSON holds them."""
@@ -81,11 +81,11 @@ def motion(trace: EpisodeTrace) -> Array:
 
 
 def settled_steps(trace: EpisodeTrace) -> np.ndarray:
-    """Return for each control step whether its command is known and has held for `SETTLING`, (T,)."""
+    """Return for each control step whether its command has been the same for `SETTLING`, (T,)."""
     changed = np.any(np.diff(trace.command, axis=0, prepend=np.nan) != 0, axis=1)
     since = trace.time - np.maximum.accumulate(np.where(changed, np.concatenate([[0.0], trace.time[:-1]]), 0.0))
-    known: np.ndarray = np.isfinite(trace.command).all(axis=1) & (since >= SETTLING - 1e-9)
-    return known
+    settled: np.ndarray = np.isfinite(trace.command).all(axis=1) & (since >= SETTLING - 1e-9)
+    return settled
 
 
 def _rms(errors: Array) -> Array:

@@ -69,7 +69,7 @@ def read_known(path: Path | None, robot: RobotDescription) -> Known:
     for name, table in found.tables.get("identified", {}).items():
         if not isinstance(table, dict):
             raise SurefootError(f"parameters {path}: identified.{name} is {table!r}; it must be a table")
-    return Known(found.params, found.given, found.tables)
+    return Known(found.params, found.names, found.tables)
 
 
 def overlay(known: Known, found: Identification, robot: RobotDescription, source: str = "") -> Known:

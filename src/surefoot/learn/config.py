@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from surefoot.configuration import Seed, Threads, Within, check_bounds, from_mapping
 from surefoot.errors import SurefootError, check_name, prefix_errors, quote
@@ -103,12 +103,16 @@ class TrainConfig:
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learning algorithm."""
 
+    former_keys: ClassVar[dict[str, str]] = {
+        "evaluation_energy_weight": "write it as `evaluation_reward: {progress: 1.0, energy: -0.008}`"
+    }
+
     def __post_init__(self) -> None:
         """Refuse values out of bounds."""
         check_name("name", self.name)
         check_bounds(self)
         if self.evaluation_reward:
-            check_reward(self.evaluation_reward, self.task.reward_limits)
+            check_reward(self.evaluation_reward, self.task.reward_limits, "evaluation_reward")
         if self.samples_per_update < self.ppo.minibatches:
             raise SurefootError(
                 f"num_envs {self.num_envs} x steps_per_update {self.steps_per_update} gives fewer samples than "

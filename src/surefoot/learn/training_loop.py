@@ -54,7 +54,7 @@ def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
         results.append(run_to_end(learner.act, env, env.reset()[0]))
     runs, falls = results[0], [int((~result.balanced).sum()) for result in results]
-    speed, mean_return, power = (float(column.mean()) for column in (runs.speed, runs.returns, runs.power))
+    speed, mean_return, power = (float(column.mean()) for column in (runs.speed, runs["return"], runs.power))
     return Evaluation(learner.steps, speed, mean_return, falls[0], sum(falls[1:]), power)
 
 

@@ -1,7 +1,7 @@
 """The robot: URDF, data sheet, leg space and the physical parameters that may differ from the data sheet."""
 
 from surefoot.robot.description import DEFAULT_ROBOT, RobotDescription
-from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg
+from surefoot.robot.leg import FiveBar
 from surefoot.robot.params import PhysicalParams, parse_settings
 from surefoot.robot.serial_leg import SerialLegs
 from surefoot.robot.sheet import GRAVITY
@@ -13,7 +13,5 @@ __all__ = [
     "PhysicalParams",
     "RobotDescription",
     "SerialLegs",
-    "leg_to_motor",
-    "motor_to_leg",
     "parse_settings",
 ]

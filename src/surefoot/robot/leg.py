@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError
+from surefoot.configuration import NotNegative, Positive
 
 
 class Legs(Protocol):
@@ -72,18 +72,6 @@ class Legs(Protocol):
         """Return the angles (..., L, knees) [rad] of joints without a motor, as the URDF has them."""
 
 
-def leg_to_motor(swing: ArrayLike, extension: ArrayLike) -> tuple[Array, Array]:
-    """Return the motor angles (theta_1, theta_2) [rad] of legs at swing and extension [rad]; any shape, broadcast."""
-    s, e = np.asarray(swing, float), np.asarray(extension, float)
-    return e + s, e - s
-
-
-def motor_to_leg(theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[Array, Array]:
-    """Return the swing and extension [rad] of legs with motors at theta_1 and theta_2 [rad]; any shape, broadcast."""
-    t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
-    return (t1 - t2) / 2, (t1 + t2) / 2
-
-
 @dataclass(frozen=True)
 class FiveBar:
     """Lengths [m] of a five-bar leg and its kinematics in its plane: x forward, z up from the motor axis.
@@ -91,27 +79,17 @@ class FiveBar:
     The foot is the end of the lower link of motor 2, its rounding included. All legs of a robot are alike.
     """
 
-    upper: float
+    upper: Positive
     """Motor axis to knee, both upper links."""
-    lower: tuple[float, float]
+    lower: tuple[Positive, Positive]
     """Knee to pin joint, on the lower link of motor 1 and of motor 2."""
-    foot: float
+    foot: Positive
     """Knee to the foot's end, along the lower link of motor 2."""
-    foot_radius: float
+    foot_radius: NotNegative
     """Radius of the foot's rounded end."""
 
     coordinates: ClassVar[tuple[str, ...]] = ("swing", "extension")
     units: ClassVar[tuple[str, ...]] = ("rad", "rad")
-
-    def __post_init__(self) -> None:
-        """Refuse lengths that are not over zero."""
-        for key, value in (("upper", self.upper), ("lower", min(self.lower)), ("foot", self.foot)):
-            if not value > 0:
-                raise SurefootError(f"leg_geometry.{key} is {value:g}; a length must be over 0 m")
-        if not 0 <= self.foot_radius < self.foot:
-            raise SurefootError(
-                f"leg_geometry.foot_radius is {self.foot_radius:g}; it must be from 0 to foot {self.foot:g} m"
-            )
 
     @property
     def length(self) -> float:
@@ -120,19 +98,19 @@ class FiveBar:
 
     def to_motors(self, pose: ArrayLike) -> Array:
         """Return the motor angles (..., L, 2) [rad] of poses (..., 2, L) [rad]."""
-        given = np.asarray(pose, float)
-        return np.stack(leg_to_motor(given[..., 0, :], given[..., 1, :]), axis=-1)
+        swing, extension = np.moveaxis(np.asarray(pose, float), -2, 0)
+        return np.stack([extension + swing, extension - swing], axis=-1)
 
     def to_pose(self, angles: ArrayLike) -> Array:
         """Return swing and extension (..., 2, L) [rad] for motor angles (..., L, 2) [rad]."""
-        theta = np.asarray(angles, float)
-        return np.stack(motor_to_leg(theta[..., 0], theta[..., 1]), axis=-2)
+        theta_1, theta_2 = _split(angles)
+        return np.stack([(theta_1 - theta_2) / 2, (theta_1 + theta_2) / 2], axis=-2)
 
-    def knees(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[Array, Array]:
+    def knees(self, angles: ArrayLike) -> tuple[Array, Array]:
         """Return the positions (..., 2) [m] of both knees, x forward and z up from the motor axis."""
-        t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
-        knee_1 = self.upper * np.stack([np.sin(t1), np.cos(t1)], -1)
-        knee_2 = self.upper * np.stack([-np.sin(t2), np.cos(t2)], -1)
+        theta_1, theta_2 = _split(angles)
+        knee_1 = self.upper * np.stack([np.sin(theta_1), np.cos(theta_1)], -1)
+        knee_2 = self.upper * np.stack([-np.sin(theta_2), np.cos(theta_2)], -1)
         return knee_1, knee_2
 
     def pin(self, angles: ArrayLike) -> Array:
@@ -140,18 +118,18 @@ class FiveBar:
 
         NaN where the lower links are too short to meet.
         """
-        knee_1, knee_2 = self.knees(*_pair(angles))
+        knee_1, knee_2 = self.knees(angles)
         return _corner(knee_2, self.lower[1], knee_1, self.lower[0])
 
     def foot_in_plane(self, angles: ArrayLike) -> Array:
         """Return the position (..., 2) [m] of the foot's end from the motor axis; NaN where no loop closes."""
-        _, knee_2 = self.knees(*_pair(angles))
+        _, knee_2 = self.knees(angles)
         return knee_2 + (self.pin(angles) - knee_2) * (self.foot / self.lower[1])
 
     def foot_position(self, angles: ArrayLike) -> Array:
         """Return the position (..., 3) [m] of the foot's end from the leg's mount, in the base frame."""
-        foot = self.foot_in_plane(angles)
-        return np.stack([foot[..., 0], np.zeros_like(foot[..., 0]), foot[..., 1]], -1)
+        x, z = _split(self.foot_in_plane(angles))
+        return np.stack([x, np.zeros_like(x), z], -1)
 
     def foot_pose(self, foot: ArrayLike) -> Array:
         """Return the poses (..., 2, L) [rad] that bring feet to (..., L, 3) [m] from the legs' mounts, y left out."""
@@ -162,23 +140,14 @@ class FiveBar:
 
         With the pin p and knees k_i: (p - k_i) . (dp - dk_i) = 0 for both.
         """
-        theta_1, theta_2 = _pair(angles)
-        knees, pin = self.knees(theta_1, theta_2), self.pin(angles)
+        theta_1, theta_2 = _split(angles)
         speed_1 = self.upper * np.stack([np.cos(theta_1), -np.sin(theta_1)], -1)
         speed_2 = self.upper * np.stack([-np.cos(theta_2), -np.sin(theta_2)], -1)
-        along = np.stack([pin - knees[0], pin - knees[1]], -2)
-        zero = np.zeros_like(theta_1)
-        right = np.stack(
-            [
-                np.stack([np.sum(along[..., 0, :] * speed_1, -1), zero], -1),
-                np.stack([zero, np.sum(along[..., 1, :] * speed_2, -1)], -1),
-            ],
-            -2,
-        )
-        pin_speed = np.linalg.solve(along, right)
+        along = self.pin(angles)[..., None, :] - np.stack(self.knees(angles), -2)
+        right = np.eye(2) * np.sum(along * np.stack([speed_1, speed_2], -2), -1)[..., None]
         knee_speed = np.stack([np.zeros_like(speed_2), speed_2], -1)
-        plane = knee_speed + (pin_speed - knee_speed) * (self.foot / self.lower[1])
-        return np.stack([plane[..., 0, :], np.zeros_like(plane[..., 0, :]), plane[..., 1, :]], -2)
+        plane = knee_speed + (np.linalg.solve(along, right) - knee_speed) * (self.foot / self.lower[1])
+        return np.insert(plane, 1, 0.0, axis=-2)
 
     def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
         """Return the swing and extension (...) [rad] that bring the foot's end to (..., 2) [m] from the motor axis.
@@ -191,34 +160,30 @@ class FiveBar:
         knee_1 = _corner(pin, self.lower[0], axis, self.upper)
         # Straight legs turn past pi, so the branch is cut at -pi/2.
         angles = np.arctan2([knee_1[..., 0], -knee_2[..., 0]], [knee_1[..., 1], knee_2[..., 1]])
-        return motor_to_leg(*((angles + np.pi / 2) % (2 * np.pi) - np.pi / 2))
+        theta_1, theta_2 = (angles + np.pi / 2) % (2 * np.pi) - np.pi / 2
+        return (theta_1 - theta_2) / 2, (theta_1 + theta_2) / 2
 
     def knee_angles(self, angles: ArrayLike) -> Array:
         """Return the angles (..., 2) [rad] of both lower links about +y from their upper links; 0 continues them."""
-        theta_1, theta_2 = _pair(angles)
-        knee_1, knee_2 = self.knees(theta_1, theta_2)
-        pin = self.pin(angles)
-
-        def turn(start: Array, angle: Array) -> Array:
-            along = pin - start
-            return (np.arctan2(along[..., 0], along[..., 1]) - angle + np.pi) % (2 * np.pi) - np.pi
-
+        theta = np.asarray(angles, float) * [1.0, -1.0]
+        links = self.pin(angles)[..., None, :] - np.stack(self.knees(angles), -2)
+        turn = (np.arctan2(links[..., 0], links[..., 1]) - theta + np.pi) % (2 * np.pi) - np.pi
         # The knee of motor 1 bends past pi when the leg is short, so the branch is cut at 0 instead.
-        return np.stack([turn(knee_1, theta_1) % (2 * np.pi), -(-turn(knee_2, -theta_2) % (2 * np.pi))], -1)
+        return np.stack([turn[..., 0] % (2 * np.pi), -(-turn[..., 1] % (2 * np.pi))], -1)
 
     def closes(self, angles: ArrayLike) -> NDArray[np.bool_]:
         """Return whether the loop can close at these motor angles (..., 2)."""
         return np.asarray(np.isfinite(self.pin(angles)).all(-1))
 
 
-def _pair(angles: ArrayLike) -> tuple[Array, Array]:
-    """Return both motors' angles (...) of angles (..., 2)."""
-    theta = np.asarray(angles, float)
-    return theta[..., 0], theta[..., 1]
+def _split(pairs: ArrayLike) -> tuple[Array, Array]:
+    """Return the parts (...) of pairs (..., 2)."""
+    array = np.asarray(pairs, float)
+    return array[..., 0], array[..., 1]
 
 
 def _corner(a: Array, side_a: float, b: Array, side_b: float) -> Array:
-    """Return the corner (..., 2) of a triangle with corners a and b to the right of the way from a to b.
+    """Return the corner (..., 2) of a triangle with corners a and b to the right of the line from a to b.
 
     `side_a` and `side_b` are its distances from a and b. NaN where they are too short or too long to meet.
     """

@@ -35,8 +35,8 @@ class ParamsFile:
 
     params: PhysicalParams
     """All parameters, one row; those that the file does not name are nominal."""
-    given: tuple[str, ...]
-    """Names of the parameters that the file names."""
+    names: tuple[str, ...]
+    """The parameters that the file names."""
     tables: dict[str, Any] = field(default_factory=dict)
     """Everything else in the file, by name."""
     source: dict[str, str] = field(default_factory=dict)
@@ -45,7 +45,7 @@ class ParamsFile:
     @property
     def values(self) -> dict[str, ParamValue]:
         """The parameters that the file names, as a task holds them."""
-        return param_values(self.params, self.given)
+        return param_values(self.params, self.names)
 
 
 def param_values(params: PhysicalParams, names: Iterable[str] | None = None) -> dict[str, ParamValue]:
@@ -62,33 +62,35 @@ def param_values(params: PhysicalParams, names: Iterable[str] | None = None) -> 
     return values
 
 
-def find_params(given: str | Path, robot: RobotDescription) -> Path:
+def find_params(path_or_name: str | Path, robot: RobotDescription) -> Path:
     """Return the path of a file of parameters, given by path, or by the name of one that ships with the robot.
 
     Raises:
         SurefootError: neither a file nor such a name.
     """
-    path, own = Path(given), robot.folder / f"{given}.toml"
+    path, own = Path(path_or_name), robot.folder / f"{path_or_name}.toml"
     if path.suffix or path.exists():
         return path
     names = sorted(item.stem for item in robot.folder.glob("*.toml") if item.name != "robot.toml")
     if path.name not in names:
-        known = f"those of {robot.name}: {choices(names)}" if names else f"{robot.name} ships with none"
-        raise SurefootError(f"params is '{given}'; it must be a file (.toml), or a name; {known}")
+        own_names = f"those of {robot.name}: {choices(names)}" if names else f"{robot.name} ships with none"
+        raise SurefootError(f"params is '{path_or_name}'; it must be a file (.toml), or a name; {own_names}")
     return own
 
 
-def given_params(
-    robot: RobotDescription, given: str | Path | None, settings: Iterable[Iterable[str]]
+def load_params(
+    robot: RobotDescription, path_or_name: str | Path | None, settings: Iterable[Iterable[str]]
 ) -> PhysicalParams:
-    """Return the parameters, one row, of a file or a name that ships with a robot, the data sheet's if none is given.
+    """Return the parameters of one robot, one row.
 
     Args:
-        robot: which values are allowed.
-        given: as of `find_params`.
-        settings: words NAME=VALUE that change some of them, as often as `--set` was given.
+        robot: the robot's description.
+        path_or_name: as of `find_params`; None: nominal parameters.
+        settings: words NAME=VALUE that change some of them, a group for each `--set`.
     """
-    params = PhysicalParams.nominal(robot) if given is None else read_params(find_params(given, robot), robot).params
+    params = PhysicalParams.nominal(robot)
+    if path_or_name is not None:
+        params = read_params(find_params(path_or_name, robot), robot).params
     return params.with_values(robot, **parse_settings([word for group in settings for word in group]))
 
 

@@ -8,9 +8,8 @@ box costs MuJoCo 7 % of a step of a robot of 12 motors, as much as all that are 
 
 from __future__ import annotations
 
-import itertools
 import math
-from dataclasses import dataclass
+from itertools import combinations, product
 
 import numpy as np
 
@@ -22,26 +21,6 @@ _SAMPLES = {1: 61, 2: 25, 3: 9}
 """Angles of each joint at which shapes are placed, by the number of joints from the root; 5 of more."""
 _MARGIN = 0.02
 """How much nearer shapes may come between these angles, in leg lengths."""
-_ALONG = np.linspace(-1.0, 1.0, 9)
-
-
-@dataclass(frozen=True)
-class _Swept:
-    """A shape over all angles of its joints."""
-
-    group: int
-    """0 for what is fixed to the base, else the number of the leg, from 1."""
-    shape: Shape
-    points: Array
-    """Points (p, 3) in the link's frame [m]: of a box's surface, of a cylinder's axis, or a sphere's centre."""
-    radius: float
-    """Distance of the shape's surface from these points [m]; 0 for a box."""
-    low: Array
-    """Least coordinates (3,) that the shape reaches, in the root's frame [m]."""
-    high: Array
-    """Greatest ones."""
-    frames: list[Array]
-    """The link's frames (4, 4) while the robot rests and while it sits."""
 
 
 def collision_pairs(robot: RobotDescription) -> list[tuple[str, str]]:
@@ -49,42 +28,48 @@ def collision_pairs(robot: RobotDescription) -> list[tuple[str, str]]:
     if not robot.contact.self_collision:
         return []
     urdf, feet = robot.urdf, {leg.foot for leg in robot.legs}
-    legs = [urdf.below(leg.motors[0]) | urdf.below(leg.motors[-1]) for leg in robot.legs]
-    groups = [urdf.fixed_to(robot.base), *legs]
-    poses = [robot.joint_angles(robot.pose_angles(*pose)) for pose in (robot.rest, robot.poses.sit)]
-    frames = [urdf.frames(pose) for pose in poses]
-    swept = [
-        _sweep(robot, group, shape, [at[shape.link] for at in frames])
-        for link in urdf.links.values()
-        for shape in link.collisions
-        for group in [k for k, links in enumerate(groups) if shape.link in links][:1]
-    ]
+    limbs = dict.fromkeys(urdf.fixed_to(robot.base), "base")
+    for leg in robot.legs:
+        limbs |= dict.fromkeys(urdf.below(leg.motors[0]) | urdf.below(leg.motors[-1]), f"leg {leg.name}")
+    shapes = [shape for link in urdf.links.values() for shape in link.collisions if shape.link in limbs]
+    frames = [urdf.frames(robot.joint_angles(robot.pose_angles(*pose))) for pose in (robot.rest, robot.poses.sit)]
     pairs: dict[tuple[str, str], bool] = {}
-    for one, other in itertools.combinations(swept, 2):
-        pair = one.shape.link, other.shape.link
-        beside_base = 0 in (one.group, other.group) and not feet & set(pair)
-        if one.group == other.group or beside_base or (one.low > other.high).any() or (other.low > one.high).any():
+    for (one, (low, high)), (other, (other_low, other_high)) in combinations(
+        [(shape, _reach(robot, shape)) for shape in shapes], 2
+    ):
+        pair, both = (one.link, other.link), {limbs[one.link], limbs[other.link]}
+        beside_base = "base" in both and not feet & set(pair)
+        if len(both) == 1 or beside_base or (low > other_high).any() or (other_low > high).any():
             continue
-        pairs[pair] = pairs.get(pair, True) and all(_gap(one, other, pose) > 0 for pose in range(len(poses)))
+        pairs[pair] = pairs.get(pair, True) and all(_gap(one, other, at) > 0 for at in frames)
     return [pair for pair, apart in pairs.items() if apart]
 
 
-def _sweep(robot: RobotDescription, group: int, shape: Shape, frames: list[Array]) -> _Swept:
+def _core(shape: Shape) -> tuple[Array, float]:
+    """Return points (p, 3) [m] in the link's frame, and how far the shape's surface is from them [m].
+
+    They are on a box's surface, along a cylinder's axis, or a sphere's centre.
+    """
     points, radius = np.zeros((1, 3)), shape.size[0]
     if shape.kind == "box":
-        points, radius = np.array(list(itertools.product(_ALONG[::4], repeat=3))) * shape.size, 0.0
+        points, radius = np.array(list(product((-1.0, 0.0, 1.0), repeat=3))) * shape.size, 0.0
     elif shape.kind == "cylinder":
-        points = np.outer(_ALONG, [0.0, 0.0, shape.size[1]])
-    points = points @ shape.rotation.T + shape.position
-    chain = robot.urdf.chain(shape.link)
-    moving = [joint for joint in chain if joint.kind != "fixed"]
-    spans = np.clip([joint.limits or (-math.pi, math.pi) for joint in moving], -math.pi, math.pi).tolist()
-    grid = [np.linspace(low, high, _SAMPLES.get(len(moving), 5)) for low, high in spans]
-    angles = np.array(list(itertools.product(*grid)), float).T
-    reached = robot.urdf.frames(dict(zip([joint.name for joint in moving], angles, strict=True)), chain)[shape.link]
-    places = _place(points, reached).reshape(-1, 3)
+        points = np.outer(np.linspace(-1.0, 1.0, 9), [0.0, 0.0, shape.size[1]])
+    return points @ shape.rotation.T + shape.position, radius
+
+
+def _reach(robot: RobotDescription, shape: Shape) -> tuple[Array, Array]:
+    """Return the bounds (3,) [m] of a shape in the root's frame over all angles of its joints."""
+    urdf = robot.urdf
+    hinges = [joint for joint in urdf.tree if joint.kind != "fixed" and shape.link in urdf.below(joint.name)]
+    spans = np.clip([joint.limits or (-math.pi, math.pi) for joint in hinges], -math.pi, math.pi).tolist()
+    grid = [np.linspace(low, high, _SAMPLES.get(len(hinges), 5)) for low, high in spans]
+    angles = np.array(list(product(*grid)), float).T
+    frames = urdf.frames(dict(zip([joint.name for joint in hinges], angles, strict=True)))
+    points, radius = _core(shape)
+    places = _place(points, frames[shape.link]).reshape(-1, 3)
     room = radius + _MARGIN * robot.leg_geometry.length
-    return _Swept(group, shape, points, radius, places.min(axis=0) - room, places.max(axis=0) + room, frames)
+    return places.min(axis=0) - room, places.max(axis=0) + room
 
 
 def _place(points: Array, frames: Array) -> Array:
@@ -93,14 +78,15 @@ def _place(points: Array, frames: Array) -> Array:
     return placed
 
 
-def _gap(one: _Swept, other: _Swept, pose: int) -> float:
-    """Return the distance [m] of two shapes in the resting pose (0) or sitting (1); 0 or below, they touch."""
-    if one.shape.kind == "box":
+def _gap(one: Shape, other: Shape, frames: dict[str, Array]) -> float:
+    """Return the distance [m] of two shapes on links with these frames; 0 or below, they touch."""
+    if one.kind == "box":
         one, other = other, one
-    points = _place(one.points, one.frames[pose])
-    if other.shape.kind != "box":
-        between = points[:, None] - _place(other.points, other.frames[pose])
-        return float(np.linalg.norm(between, axis=-1).min()) - one.radius - other.radius
-    frame = other.frames[pose] @ other.shape.frame
-    outside = np.maximum(np.abs((points - frame[:3, 3]) @ frame[:3, :3]) - other.shape.size, 0.0)
-    return float(np.linalg.norm(outside, axis=1).min()) - one.radius
+    (points, radius), (other_points, other_radius) = _core(one), _core(other)
+    points = _place(points, frames[one.link])
+    if other.kind != "box":
+        apart = points[:, None] - _place(other_points, frames[other.link])
+        return float(np.linalg.norm(apart, axis=-1).min()) - radius - other_radius
+    frame = frames[other.link] @ other.frame
+    outside = np.maximum(np.abs((points - frame[:3, 3]) @ frame[:3, :3]) - other.size, 0.0)
+    return float(np.linalg.norm(outside, axis=1).min()) - radius

@@ -5,25 +5,26 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.evaluate.gap import PolicyGap, gap_difference
-from surefoot.evaluate.runs import Estimate
+from surefoot.evaluate.runs import summarize_runs
 from surefoot.evaluate.sensitivity import Sensitivity
-from surefoot.evaluate.statistics import CONFIDENCE, Interval, t_interval, welch_interval
+from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, t_interval, welch_interval
 from surefoot.files import atomic_write
-from surefoot.studies.evaluations import EVALUATIONS, Figure, Result, gap_of
+from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, evaluation_names, gap_from_result
+from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import plain_rows, write_csv
 
 FAR = 3.0
-"""A run goes far over this [m]; the paper tells so of nine runs on the robot."""
+"""A run goes far over this [m]; the paper counts such runs among nine on the robot."""
 CONTENTS = {
     "policies": "a row a trained policy",
     "groups": "a row a group and figure, with its interval over seeds",
@@ -34,279 +35,207 @@ CONTENTS = {
     "gap_differences": "a row a pair of groups, of the best policies and of all: the difference of their gaps",
 }
 """What each table holds."""
+_EPISODE_COLUMNS = (
+    *("group", "seed", "evaluation", "world", "row", "value", "run", "return", "speed", "fell"),
+    *("distance", "power", "steps", "balanced"),
+)
 
 
-@dataclass(frozen=True)
-class Curve:
-    """How a training went, update by update."""
+def learning_curve(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
+    """Return the curve of a training's log, an update a row.
 
-    steps: Array
-    """Control steps so far (U,), rising."""
-    returns: Array
-    """Mean return of the episodes that ended (U,) [m]; NaN where none did."""
-    speed: Array
-    """Their mean speed (U,) [m/s]; NaN where none did."""
-    falls: Array
-    """How many of them ended before their time (U,) [%]; NaN where none did."""
-    episodes: Array
-    """How many ended (U,)."""
-
-    @classmethod
-    def of_rows(cls, rows: Sequence[dict[str, Any]]) -> Curve:
-        """The curve of a run's log."""
-
-        def column(name: str) -> Array:
-            return np.array([math.nan if row[name] is None else row[name] for row in rows], np.float64)
-
-        episodes = column("episodes")
-        falls = np.divide(100 * column("falls"), episodes, out=np.full(len(rows), math.nan), where=episodes > 0)
-        return cls(column("steps"), column("return_mean"), column("speed_mean"), falls, episodes)
-
-    def binned(self, name: str, edges: ArrayLike) -> Array:
-        """Means over episodes between steps `edges` (B + 1,), each with its upper end; NaN where none ended.
-
-        Each update counts by its episodes: in most updates only the falls end, and all the others end together.
-        """
-        values, bounds = getattr(self, name), np.asarray(edges, np.float64)
-        known = np.isfinite(values) & (self.episodes > 0)
-        place = np.searchsorted(bounds, self.steps[known], side="left")
-        inner, count = slice(1, len(bounds)), len(bounds) + 1
-        weight = np.bincount(place, self.episodes[known], count)[inner]
-        total = np.bincount(place, (values * self.episodes)[known], count)[inner]
-        return np.divide(total, weight, out=np.full(len(weight), math.nan), where=weight > 0)
-
-    @property
-    def late_gain(self) -> float:
-        """Mean return in the last fifth of the training less that in the fifth before [m]; NaN where not known."""
-        if not len(self.steps):
-            return math.nan
-        before, last = self.binned("returns", np.array([0.6, 0.8, 1.0]) * self.steps[-1])
-        return float(last - before)
+    Returns:
+        control steps so far, mean return [m] and speed [m/s] of the episodes that ended, the share that fell [%] (NaN
+        where none ended), and how many ended (`episodes`).
+    """
+    log = pd.DataFrame(rows, columns=["steps", "return_mean", "speed_mean", "falls", "episodes"]).astype(np.float64)
+    log["falls"] *= 100 / log.episodes.where(log.episodes > 0)
+    return log.rename(columns={"return_mean": "return", "speed_mean": "speed"})
 
 
-@dataclass(frozen=True)
-class SeedResult:
-    """One trained policy."""
+def bin_curve(curve: pd.DataFrame, name: str, edges: ArrayLike) -> Array:
+    """Return means of a column between steps `edges` (B + 1,), each with its upper end; NaN where no episode ended.
 
-    seed: int
-    """Seed of its training."""
-    steps: int
-    """Control steps that it was trained for."""
-    seconds: float
-    """How long its training took [s]."""
-    curve: Curve
-    """How its training went."""
-    results: dict[str, Result]
-    """Result of each kind of evaluation."""
-    best: int | None = None
-    """Control steps after which the policy was what is evaluated: the best of its training; None if not known."""
-    policy: Path | None = None
-    """Its file; needed for kind `gait`, which keeps an episode beside it."""
-
-    @cached_property
-    def figures(self) -> dict[str, float]:
-        """What the evaluations came to, by name."""
-        parts = self.results.items()
-        return {figure.name: figure.read(result) for name, result in parts for figure in EVALUATIONS[name].figures}
+    Each update counts by its episodes: in most updates only the falls end, and all the others end together.
+    """
+    ended = curve[np.isfinite(curve[name]) & (curve.episodes > 0)]
+    bins = pd.cut(ended.steps, np.asarray(edges))
+    total, weight = (x.groupby(bins, observed=False).sum() for x in (ended[name] * ended.episodes, ended.episodes))
+    return np.asarray(total / weight.where(weight > 0), np.float64)
 
 
-@dataclass(frozen=True)
-class GroupResult:
-    """Policies whose trainings differ in nothing but the seed."""
+def late_gain(curve: pd.DataFrame) -> float:
+    """Return mean return in the last fifth of a training less that in the fifth before [m]; NaN without episodes."""
+    before, last = bin_curve(curve, "return", np.array([0.6, 0.8, 1.0]) * curve.steps.max())
+    return float(last - before)
 
-    name: str
-    """Name of the group."""
-    label: str
-    """What figures and tables call it."""
-    seeds: tuple[SeedResult, ...]
-    """Its policies."""
 
-    def values(self, figure: str) -> Array:
-        """A figure of every seed (S,)."""
-        return np.array([seed.figures[figure] for seed in self.seeds])
-
-    def interval(self, figure: str) -> Interval:
-        """A figure's mean over seeds."""
-        return t_interval(self.values(figure))
-
-    @cached_property
-    def sensitivities(self) -> list[Sensitivity]:
-        """Test worlds of every seed; empty where the study has none."""
-        return [
-            Sensitivity.from_mapping(seed.results["sensitivity"], f"{self.label}, seed {seed.seed}")
-            for seed in self.seeds
-            if "sensitivity" in seed.results
-        ]
-
-    @cached_property
-    def gap(self) -> PolicyGap:
-        """Runs of all policies at home, away and, last, at home as described."""
-        parts = [gap_of(seed.results["gap"], f"{self.label}, seed {seed.seed}") for seed in self.seeds]
-        return PolicyGap.pooled(self.label, parts)
-
-    def best(self, count: int) -> GroupResult:
-        """Return the group with only the policies of the highest return in their own simulator, best first.
-
-        They are chosen by other episodes than those that tell the gap.
-        """
-        seeds = sorted(self.seeds, key=lambda seed: seed.figures["nominal_return"], reverse=True)
-        return replace(self, seeds=tuple(seeds[:count]))
+def policy_row(group: str, seed: int, log: Sequence[dict[str, Any]], results: dict[str, Result]) -> dict[str, Any]:
+    """Return the row of a trained policy in a comparison from the log of its training and its evaluations."""
+    figures = [EVALUATIONS[kind].read_figures(result) for kind, result in results.items()]
+    gait = {name: results["gait"][name] for name in ("gait", "pattern")} if "gait" in results else {}
+    row = {"group": group, "seed": seed, "steps": log[-1]["steps"], "training_seconds": round(log[-1]["seconds"], 1)}
+    row |= {"best_steps": None, **{name: value for part in figures for name, value in part.items()}, **gait}
+    return row | {"results": results, "curve": learning_curve(log), "policy": None}
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Groups side by side."""
+    """The groups of a study side by side."""
 
-    name: str
-    """Name of the study."""
-    kinds: tuple[str, ...]
-    """Kinds of evaluation that every policy has."""
-    groups: tuple[GroupResult, ...]
-    """The groups, one or more, each with one policy or more."""
-    pairs: tuple[tuple[str, str], ...] = ()
-    """Names of groups whose difference is told, the second against the first."""
+    study: StudyConfig
+    policies: pd.DataFrame
+    """A trained policy a row: group, seed, control steps and duration of its training, steps after which it was best,
+    figures of its evaluations by name, gait and pattern. Besides, `results` of its evaluations by kind, the
+    `learning_curve` and the `policy` file; the file is needed for kind `gait`, which stores an episode beside it."""
     missing: tuple[str, ...] = ()
-    """Runs of the study that are not in it."""
-    top: int = 3
-    """How many policies of a group, those with the highest return in their own simulator, tell its reality gap."""
-    bars: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Names of groups whose reality gaps stand side by side, by the name of the set."""
-    findings: tuple[tuple[frozenset[str], str], ...] = ()
-    """Names of groups, and what others found of the groups that these stand for."""
+    """Names of the study's trainings that are not in it."""
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of evaluation that every policy has."""
+        return evaluation_names(self.study.evaluate)
+
+    @property
+    def figures(self) -> tuple[ResultFigure, ...]:
         """The numbers that are compared."""
         return tuple(figure for kind in self.kinds for figure in EVALUATIONS[kind].figures)
 
+    @property
+    def groups(self) -> list[str]:
+        """Names of the groups that have policies."""
+        return list(self.policies.group.unique())
+
+    def of_group(self, group: str) -> pd.DataFrame:
+        """Return the policies of a group."""
+        return self.policies[self.policies.group == group]
+
     def best(self) -> Comparison:
-        """Return the comparison with only the `top` policies of each group."""
-        return replace(self, groups=tuple(group.best(self.top) for group in self.groups))
+        """Return the comparison with the `top` policies of each group: the highest return in their own simulator first.
 
-    def present_pairs(self) -> list[tuple[GroupResult, GroupResult]]:
-        """Pairs of which both groups have policies."""
-        by_name = {group.name: group for group in self.groups}
-        return [(by_name[a], by_name[b]) for a, b in self.pairs if a in by_name and b in by_name]
+        They are selected by other episodes than those that measure the gap.
+        """
+        ranked = self.policies.sort_values("nominal_return", ascending=False, kind="stable")
+        return replace(self, policies=pd.concat([ranked[ranked.group == g][: self.study.top] for g in self.groups]))
 
-    def sets(self) -> list[tuple[str, tuple[GroupResult, ...]]]:
-        """The groups of each set of bars that there are, and those in no set as `others`; all as one without sets."""
-        by_name = {group.name: group for group in self.groups}
-        rest = tuple(group for group in self.groups if not any(group.name in names for names in self.bars.values()))
-        found = [(one, tuple(by_name[name] for name in names if name in by_name)) for one, names in self.bars.items()]
-        found.append(("others" if self.bars else "groups", rest))
-        return [(name, groups) for name, groups in found if groups]
+    def interval(self, group: str, figure: str) -> Interval:
+        """Return the mean of a figure over the seeds of a group with its interval."""
+        return t_interval(self.of_group(group)[figure])
+
+    def sensitivities(self, group: str) -> list[Sensitivity]:
+        """Return the results of each policy of a group in test worlds."""
+        rows = self.of_group(group).itertuples()
+        return [Sensitivity.from_mapping(row.results["sensitivity"], self._name(row)) for row in rows]
+
+    def gap(self, group: str) -> PolicyGap:
+        """Return the runs of all policies of a group at home, away and, last, at home as described."""
+        parts = [gap_from_result(row.results["gap"], self._name(row)) for row in self.of_group(group).itertuples()]
+        return PolicyGap.pooled(self.study.label(group), parts)
+
+    def _name(self, row: Any) -> str:
+        return f"{self.study.label(row.group)}, seed {row.seed}"
+
+    def present_pairs(self) -> list[tuple[str, str]]:
+        """Return the pairs of which both groups have policies."""
+        return [pair for pair in self.study.pairs if set(pair) <= set(self.groups)]
+
+    def sets(self) -> dict[str, list[str]]:
+        """Return the groups of each set of bars, and those in no set as `others`; all as `groups` without sets."""
+        bars = {name: set(groups) for name, groups in self.study.bars.items()}
+        bars["others" if bars else "groups"] = set(self.groups).difference(*bars.values())
+        sets = {name: [group for group in self.groups if group in members] for name, members in bars.items()}
+        return {name: groups for name, groups in sets.items() if groups}
 
     def finding(self, names: Iterable[str]) -> str:
-        """What others found of the same groups; empty, if nothing is told."""
-        return " ".join(text for groups, text in self.findings if groups == set(names))
+        """Return the published results on the same groups; empty if there are none."""
+        return " ".join(one.text for one in self.study.findings if set(one.groups) == set(names))
 
 
-def difference(base: GroupResult, other: GroupResult, figure: str) -> Interval:
-    """A figure's mean over the seeds of `other` less that of `base`, with Welch's interval."""
-    return welch_interval(other.values(figure), base.values(figure))
-
-
-def study_tables(comparison: Comparison) -> dict[str, list[dict[str, Any]]]:
+def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
     """Return the tables of a study by name; those on test worlds and gaps only where the study has them."""
-    tables = {
-        "policies": [_policy_row(group, i) for group in comparison.groups for i in range(len(group.seeds))],
+    groups, policies = comparison.groups, comparison.policies
+    tables: dict[str, Any] = {
+        "policies": policies.drop(columns=["results", "curve", "policy"]),
         "groups": [
-            {"group": group.name, "label": group.label, "figure": figure.name, "unit": figure.unit}
-            | {"seeds": len(group.seeds), **vars(group.interval(figure.name))}
-            for group in comparison.groups
+            {"group": group, "label": comparison.study.label(group), "figure": figure.name, "unit": figure.unit}
+            | {"seeds": len(comparison.of_group(group)), **vars(comparison.interval(group, figure.name))}
+            for group in groups
             for figure in comparison.figures
         ],
         "differences": [
-            {"group": other.name, "against": base.name, "figure": figure.name, "unit": figure.unit}
-            | difference(base, other, figure.name).columns("difference")
+            {"group": other, "against": base, "figure": figure.name, "unit": figure.unit}
+            | welch_interval(comparison.of_group(other)[figure.name], comparison.of_group(base)[figure.name]).columns(
+                "difference"
+            )
             for base, other in comparison.present_pairs()
             for figure in comparison.figures
         ],
-        "episodes": [row for group in comparison.groups for row in _episode_rows(group)],
+        "episodes": _episodes(policies),
     }
-    tested = [one for group in comparison.groups for one in group.sensitivities]
-    if tested:
-        tables["sensitivity"] = [row for one in tested for row in one.world_rows()]
+    if "sensitivity" in comparison.kinds:
+        tested = [one for group in groups for one in comparison.sensitivities(group)]
+        tables["sensitivity"] = pd.concat([one.worlds.assign(policy=one.policy) for one in tested])
+        tables["sensitivity"] = tables["sensitivity"].set_index("policy").reset_index()
     if "gap" in comparison.kinds:
-        chosen = {"top": comparison.best(), "all": comparison}
+        parts = {"top": comparison.best(), "all": comparison}
         tables["gap_groups"] = [
-            row for group in range(len(comparison.groups)) for which, part in chosen.items()
-            for row in _gap_rows(which, part.groups[group])
-        ]  # fmt: skip
+            row for group in groups for which, part in parts.items() for row in _gap_rows(which, group, part)
+        ]
         tables["gap_differences"] = [
-            _gap_difference_row(which, base, other)
-            for which, part in chosen.items()
+            _gap_difference_row(which, base, other, part)
+            for which, part in parts.items()
             for base, other in part.present_pairs()
         ]
-    return tables
+    return {name: pd.DataFrame(table) for name, table in tables.items()}
 
 
-def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write each table as CSV, and summary.json with all but the episodes; returns the paths."""
-    tables = study_tables(comparison)
-    files = [write_csv(folder / f"{name}.csv", rows) for name, rows in tables.items() if rows]
+def write_tables(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
+    """Write each table as CSV, and summary.json with all but the episodes; return the paths."""
+    files = [write_csv(folder / f"{name}.csv", table) for name, table in tables.items() if len(table)]
     summary = {
-        "study": comparison.name,
+        "study": comparison.study.name,
         "confidence": CONFIDENCE,
         "evaluations": {
             name: {"what": EVALUATIONS[name].what, "settings": EVALUATIONS[name].settings} for name in comparison.kinds
         },
         "missing": list(comparison.missing),
-        **{name: plain_rows(rows) for name, rows in tables.items() if name != "episodes"},
+        **{name: plain_rows(table) for name, table in tables.items() if name != "episodes"},
     }
     atomic_write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return [*files, folder / "summary.json"]
 
 
-def _policy_row(group: GroupResult, number: int) -> dict[str, Any]:
-    seed = group.seeds[number]
-    row = {"group": group.name, "seed": seed.seed, "steps": seed.steps, "training_seconds": round(seed.seconds, 1)}
-    gait = {name: seed.results["gait"][name] for name in ("gait", "pattern")} if "gait" in seed.results else {}
-    return row | {"best_steps": seed.best, **seed.figures, **gait}
+def _episodes(policies: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each episode; kind `gait` measures none."""
+    tables = []
+    for policy in policies.itertuples():
+        for kind, result in policy.results.items():
+            if columns := result.get("runs") or result.get("episodes"):
+                about = {"group": policy.group, "seed": policy.seed, "evaluation": kind}
+                world = {"world": EVALUATIONS[kind].world_names[0]} | columns
+                tables.append(pd.DataFrame(about | world).reindex(columns=_EPISODE_COLUMNS))
+    return pd.concat(tables)
 
 
-def _episode_rows(group: GroupResult) -> list[dict[str, Any]]:
-    """Return a row for each episode; of those in test worlds, whose row and value are told, the nominal ones first."""
-    unknown = dict.fromkeys(("distance", "power", "steps", "balanced"), math.nan)
-    found: list[dict[str, Any]] = []
-    for number, seed in enumerate(group.seeds):
-        for name, result in seed.results.items():
-            rows: list[dict[str, Any]]
-            if name == "sensitivity":
-                rows = group.sensitivities[number].episode_rows()
-            elif name == "gap":
-                gap = group.gap.parts[number]
-                rows = [{"world": runs.world, **row} for runs in gap.runs for row in runs.rows()]
-            elif name == "gait":
-                rows = []  # names a gait and measures no episode
-            else:
-                columns = zip(result["returns"], result["speed"], result["fell"], strict=True)
-                rows = [{"run": i, "return": r, "speed": s, "fell": fell} for i, (r, s, fell) in enumerate(columns)]
-            world = EVALUATIONS[name].world_names[0]
-            start = {"group": group.name, "seed": seed.seed, "evaluation": name, "world": world}
-            start |= {"row": "", "value": math.nan, "run": 0, "return": math.nan, "speed": math.nan, "fell": False}
-            found += [start | unknown | {k: v for k, v in row.items() if k not in ("policy", "unit")} for row in rows]
-    return found
-
-
-def _gap_rows(which: str, group: GroupResult) -> list[dict[str, Any]]:
+def _gap_rows(which: str, group: str, comparison: Comparison) -> list[dict[str, Any]]:
     """Return the rows of a group's gap, a row a world: home, away, and home as described."""
-    gap, seeds = group.gap, " ".join(str(seed.seed) for seed in group.seeds)
+    gap, seeds = comparison.gap(group), " ".join(map(str, comparison.of_group(group).seed))
     rows = []
-    for runs in gap.runs:
-        row = {"group": group.name, "label": group.label, "policies": which, "seeds": seeds, **runs.summary()}
+    for number, world in enumerate(gap.worlds):
+        runs = gap.in_world(world)
+        row = {"group": group, "label": gap.name, "policies": which, "seeds": seeds, **summarize_runs(runs)}
         row |= {"balanced": int(runs.balanced.sum()), "far": int((runs.distance > FAR).sum())}
         row |= {"least_distance": float(runs.distance.min())}
-        over_runs, interval = Estimate.of([]), Interval(math.nan)
-        if runs is not gap.home:
-            over_runs, interval = gap.gap_over_runs(runs.world), gap.interval(runs.world)
+        over_runs, interval = MeanEstimate(), Interval(math.nan)
+        if number:
+            over_runs, interval = gap.gap_over_runs(world), gap.interval(world)
         row |= {"gap": over_runs.mean, "gap_error": over_runs.error, "gap_low": interval.low, "gap_high": interval.high}
         rows.append(row)
     return rows
 
 
-def _gap_difference_row(which: str, base: GroupResult, other: GroupResult) -> dict[str, Any]:
-    over_runs, crossed, away = gap_difference(base.gap, other.gap)
-    row: dict[str, Any] = {"policies": which, "group": other.name, "against": base.name}
+def _gap_difference_row(which: str, base: str, other: str, comparison: Comparison) -> dict[str, Any]:
+    over_runs, crossed, away = gap_difference(comparison.gap(base), comparison.gap(other))
+    row: dict[str, Any] = {"policies": which, "group": other, "against": base}
     row |= {"difference": over_runs.mean, "error": over_runs.error}
     return row | crossed.columns("interval_difference") | away.columns("away_difference")

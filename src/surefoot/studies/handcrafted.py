@@ -17,11 +17,11 @@ from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 from surefoot.studies.raibert import RaibertConfig, RaibertController
 from surefoot.task.config import TaskConfig, load_task
-from surefoot.task.foot import FootReference
+from surefoot.task.foot_references import FootReference
 from surefoot.task.reference import make_reference
 
 KEY = "handcrafted"
-"""Key of a task's file that holds what is not the task's."""
+"""Key in a task's file of everything besides the task."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class OpenLoop:
 
 
 @dataclass(frozen=True)
-class _Rest:
-    """What a file has under `KEY`."""
+class _Entry:
+    """The entry of a file under `KEY`."""
 
     raibert: RaibertConfig | None = None
     about: dict[str, Any] = field(default_factory=dict)
@@ -46,14 +46,14 @@ class _Rest:
 
 @dataclass(frozen=True)
 class HandcraftedGait:
-    """A task whose reference is of kind foot, and what controls it."""
+    """A task whose reference is of kind foot, and its controller."""
 
     task: TaskConfig
     """Robot, foot trajectories, observations and bounds of the feedback."""
     raibert: RaibertConfig | None = None
     """Gains of Raibert's controller; the trajectories alone, if none are given."""
     about: dict[str, Any] = field(default_factory=dict)
-    """How it was found."""
+    """Settings and parameters of its tuning."""
 
     def __post_init__(self) -> None:
         """Refuse a task with another reference."""
@@ -63,7 +63,7 @@ class HandcraftedGait:
             )
 
     def policy(self) -> OpenLoop | RaibertController:
-        """Return what gives the feedback.
+        """Return the controller.
 
         Raises:
             SurefootError: foot trajectories that the robot does not allow.
@@ -76,10 +76,10 @@ class HandcraftedGait:
         return RaibertController(robot, reference, self.raibert, self.task.observations, self.task.history)
 
     def save(self, path: Path) -> None:
-        """Write a task's file, of which `surefoot train` takes the task: what is not as in every task."""
-        given, usual = to_mapping(self.task), to_mapping(TaskConfig())
-        task = {name: value for name, value in given.items() if value != usual[name]}
-        task["reference"] = {"kind": "foot", "foot": given["reference"]["foot"]}
+        """Write a file of the task, without defaults, that `surefoot train` takes too."""
+        data, default = to_mapping(self.task), to_mapping(TaskConfig())
+        task = {name: value for name, value in data.items() if value != default[name]}
+        task["reference"] = {"kind": "foot", "foot": data["reference"]["foot"]}
         gains = None if self.raibert is None else to_mapping(self.raibert)
         atomic_write(path, yaml.safe_dump({**task, KEY: {"raibert": gains, "about": self.about}}, sort_keys=False))
 
@@ -94,5 +94,5 @@ class HandcraftedGait:
         with prefix_errors(path):
             if KEY not in data:
                 raise SurefootError(f"{KEY} is missing; the file is of a task, not of a handcrafted gait")
-            rest = from_mapping(_Rest, data[KEY] or {}, KEY)
-            return cls(load_task(str(path))[0], rest.raibert, rest.about)
+            entry = from_mapping(_Entry, data[KEY] or {}, KEY)
+            return cls(load_task(str(path))[0], entry.raibert, entry.about)

@@ -14,29 +14,28 @@ from typing import Any
 
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
-from surefoot.evaluate.runs import Estimate
-from surefoot.evaluate.statistics import Interval
+from surefoot.evaluate.statistics import Interval, MeanEstimate
 from surefoot.files import atomic_write, check_readable
 from surefoot.report.pages.html import page, picture, row
 
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"
-_FOLDED = 30
-"""Characters from which on a cell beside numbers is folded as text is."""
+_MAX_NUMBER = 30
+"""Characters of a cell beside numbers; a longer one is folded as text."""
 
 
 @dataclass(frozen=True)
-class Source:
-    """Where a number of surefoot stands: in a row of a CSV file, or at a place in a JSON file."""
+class NumberSource:
+    """Place of a number of surefoot: in a row of a CSV file, or at keys of a JSON file."""
 
     file: str
     """Path from the root of the repository."""
     value: str
     """Column, or keys with dots between them."""
     where: dict[str, str] = field(default_factory=dict)
-    """Columns that tell the row, and what they hold."""
+    """Values of the columns that identify the row."""
     error: str = ""
-    """Column or key of what stands behind a +-."""
+    """Column or key of the standard error."""
     low: str = ""
     """Column or key of an interval's lower end."""
     high: str = ""
@@ -46,44 +45,40 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Counts:
+class ValueCounts:
     """How often each value stands in a column of a CSV file; empty cells do not count."""
 
     file: str
     """Path from the root of the repository."""
     count: str
-    """The column."""
     where: dict[str, str] = field(default_factory=dict)
-    """Columns that tell the rows, and what they hold."""
 
 
 @dataclass(frozen=True)
-class Item:
+class PaperItem:
     """One line of the comparison."""
 
     what: str
-    """The quantity."""
     paper: float | str
     """The paper's number, or its words."""
-    ours: Source | Counts | str
+    ours: NumberSource | ValueCounts | str
     """surefoot's number, counts or words."""
     unit: str = ""
     digits: int = 2
-    """Digits behind the point."""
     how: str = ""
     """How surefoot's was measured: episodes, seeds, what the interval is over."""
 
 
 @dataclass(frozen=True)
-class Picture:
+class PaperPicture:
     """A picture of surefoot beside a figure of the paper."""
 
     file: str
-    """Path from the root of the repository; with a * in it, there is a picture for each file that it fits."""
+    """Path from the root of the repository; with a * in it, a picture for each file that matches."""
     caption: str
-    """What it shows; a * is what that of the path stands for."""
+    """Caption; a * is replaced by the text that matches that of the path."""
 
-    def found(self, root: Path) -> list[tuple[Path, str]]:
+    def find_files(self, root: Path) -> list[tuple[Path, str]]:
         """Return the files that are there, each with its caption."""
         start, _, end = self.file.partition("*")
         paths = [path for path in sorted(root.glob(self.file)) if path.is_file()]
@@ -92,44 +87,44 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Section:
+class PaperSection:
     """A table, figure or claim of the paper."""
 
     title: str
     paper: str
-    """What the paper did and found."""
+    """Method and result of the paper."""
     ours: str = ""
-    """What surefoot did otherwise and found."""
+    """Differences in surefoot's method, and its result."""
     commands: tuple[str, ...] = ()
-    """Commands that make surefoot's numbers again."""
-    items: tuple[Item, ...] = ()
-    pictures: tuple[Picture, ...] = ()
+    """Commands that reproduce surefoot's numbers."""
+    items: tuple[PaperItem, ...] = ()
+    pictures: tuple[PaperPicture, ...] = ()
 
 
 @dataclass(frozen=True)
-class Content:
-    """Everything that the page says besides the numbers."""
+class PaperContent:
+    """All text of the page."""
 
     title: str
     about: str
     differences: tuple[str, ...]
     """The main differences between paper and surefoot."""
-    sections: tuple[Section, ...]
+    sections: tuple[PaperSection, ...]
 
 
-def load_content() -> Content:
-    """Return what the page says."""
+def load_content() -> PaperContent:
+    """Return the text of the page."""
     with prefix_errors(CONTENT):
-        return from_mapping(Content, read_yaml(CONTENT))
+        return from_mapping(PaperContent, read_yaml(CONTENT))
 
 
 def write_page(root: Path, path: Path, note: str = "") -> list[str]:
-    """Write the page; return the files that it wanted and that are not there.
+    """Write the page; return the files of results that are missing.
 
     Args:
         root: folder with `results`, `docs` and `policies`.
         path: the page (.html).
-        note: what holds for all results, told at the top.
+        note: remark on all results, at the top.
 
     Raises:
         SurefootError: a file of results that can't be read, or has no such row or number.
@@ -150,14 +145,17 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
             lines += [_line(root, item, missing) for item in section.items]
             shown = [k for k in range(len(lines[0])) if any(line[k] for line in lines[1:])]
             kept = [[line[k] for k in shown] for line in lines]
-            kinds = ["".join("n" if k in (1, 2) and len(line[k]) < _FOLDED else "t" for k in shown) for line in lines]
+            kinds = [
+                "".join("n" if k in (1, 2) and len(line[k]) < _MAX_NUMBER else "t" for k in shown) for line in lines
+            ]
             rows = [row(*both, "td" if i else "th") for i, both in enumerate(zip(kept, kinds, strict=True))]
             parts.append(f"<div class=wide><table>{''.join(rows)}</table></div>")
         for one in section.pictures:
-            for drawn, caption in one.found(root):
-                image = picture(drawn.read_bytes(), caption)
+            files = one.find_files(root)
+            for source, caption in files:
+                image = picture(source.read_bytes(), caption)
                 parts.append(f"<figure>{image}<figcaption class=quiet>{escape(caption)}</figcaption></figure>")
-            if not one.found(root):
+            if not files:
                 missing.append(one.file)
         parts += [f"<p><code>{escape(command)}</code></p>" for command in section.commands]
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -165,7 +163,7 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
     return list(dict.fromkeys(missing))
 
 
-def _line(root: Path, item: Item, missing: list[str]) -> tuple[str, ...]:
+def _line(root: Path, item: PaperItem, missing: list[str]) -> tuple[str, ...]:
     """Return the cells of an item's line."""
     number = None
     if isinstance(item.ours, str):
@@ -173,7 +171,7 @@ def _line(root: Path, item: Item, missing: list[str]) -> tuple[str, ...]:
     elif not (root / item.ours.file).is_file():
         text = NOT_MEASURED
         missing.append(item.ours.file)
-    elif isinstance(item.ours, Counts):
+    elif isinstance(item.ours, ValueCounts):
         text = find_counts(root, item.ours)
     else:
         number = find_number(root, item.ours)
@@ -183,7 +181,7 @@ def _line(root: Path, item: Item, missing: list[str]) -> tuple[str, ...]:
     return (item.what, *with_unit, difference(item.paper, number), item.how)
 
 
-def find_number(root: Path, source: Source) -> Interval | Estimate:
+def find_number(root: Path, source: NumberSource) -> Interval | MeanEstimate:
     """Read a number of surefoot, with its error if the source names one, else with its interval if it names that.
 
     Error and ends of an interval may be empty, as they are for a single policy.
@@ -193,14 +191,23 @@ def find_number(root: Path, source: Source) -> Interval | Estimate:
     """
     path = root / source.file
     with prefix_errors(path):
-        content = _read(path)
-        data = _row(content, source.where) if path.suffix == ".csv" else _parsed(content)
+        if path.suffix == ".csv":
+            rows = _read_rows(path, source.where)
+            if len(rows) != 1:
+                raise SurefootError(f"has {len(rows)} rows of {_describe(source.where)}; there must be one")
+            data: Any = rows[0]
+        else:
+            try:
+                data = json.loads(_read(path))
+            except (ValueError, RecursionError):
+                raise SurefootError("is not JSON") from None
         keys = filter(None, (source.error,) if source.error else (source.low, source.high))
-        mean, *spread = (number * source.scale for number in (_at(data, source.value), *(_end(data, k) for k in keys)))
-    return Estimate(mean, *spread) if source.error else Interval(mean, *spread)
+        ends = [math.nan if isinstance(data, dict) and data.get(key) == "" else _number(data, key) for key in keys]
+        mean, *spread = (number * source.scale for number in (_number(data, source.value), *ends))
+    return MeanEstimate(mean, *spread) if source.error else Interval(mean, *spread)
 
 
-def find_counts(root: Path, counts: Counts) -> str:
+def find_counts(root: Path, counts: ValueCounts) -> str:
     """Return how often each value is there, the most frequent first, such as `3 trot, 1 pace`.
 
     Raises:
@@ -208,11 +215,11 @@ def find_counts(root: Path, counts: Counts) -> str:
     """
     path = root / counts.file
     with prefix_errors(path):
-        rows = _rows(_read(path), counts.where)
+        rows = _read_rows(path, counts.where)
         if not rows or rows[0].get(counts.count) is None:
-            raise SurefootError(f"has no column {counts.count} in rows of {_told(counts.where)}")
-    found = Counter(filter(None, (row[counts.count] for row in rows)))
-    return ", ".join(f"{number} {value}" for value, number in found.most_common())
+            raise SurefootError(f"has no column {counts.count} in rows of {_describe(counts.where)}")
+    values = Counter(filter(None, (row[counts.count] for row in rows)))
+    return ", ".join(f"{number} {value}" for value, number in values.most_common())
 
 
 def _read(path: Path) -> str:
@@ -221,30 +228,18 @@ def _read(path: Path) -> str:
         return path.read_text(encoding="utf-8")
 
 
-def _parsed(content: str) -> Any:
-    try:
-        return json.loads(content)
-    except (ValueError, RecursionError):
-        raise SurefootError("is not JSON") from None
+def _read_rows(path: Path, where: dict[str, str]) -> list[dict[str, str]]:
+    """Return the rows of a CSV file with these values of columns."""
+    rows = csv.DictReader(_read(path).splitlines())
+    return [row for row in rows if all(row.get(column) == value for column, value in where.items())]
 
 
-def _row(content: str, where: dict[str, str]) -> dict[str, str]:
-    rows = _rows(content, where)
-    if len(rows) != 1:
-        raise SurefootError(f"has {len(rows)} rows of {_told(where)}; there must be one")
-    return rows[0]
-
-
-def _rows(content: str, where: dict[str, str]) -> list[dict[str, str]]:
-    return [one for one in csv.DictReader(content.splitlines()) if all(one.get(k) == v for k, v in where.items())]
-
-
-def _told(where: dict[str, str]) -> str:
+def _describe(where: dict[str, str]) -> str:
     return ", ".join(f"{key} {value}" for key, value in where.items()) or "any kind"
 
 
-def _at(data: Any, key: str) -> float:
-    """Return a number: a column of a row, or at keys with dots between them."""
+def _number(data: Any, key: str) -> float:
+    """Return the number in a column of a row, or at keys with dots between them."""
     for part in [key] if isinstance(data, dict) and key in data else key.split("."):
         data = data.get(part) if isinstance(data, dict) else None
     try:
@@ -253,12 +248,7 @@ def _at(data: Any, key: str) -> float:
         raise SurefootError(f"has no number {key}") from None
 
 
-def _end(data: Any, key: str) -> float:
-    """Return a number as `_at` does; NaN for an empty cell."""
-    return math.nan if isinstance(data, dict) and data.get(key) == "" else _at(data, key)
-
-
-def difference(paper: float | str, ours: Interval | Estimate | None) -> str:
+def difference(paper: float | str, ours: Interval | MeanEstimate | None) -> str:
     """Return the difference in words; nothing where there are not two numbers."""
     if ours is None or isinstance(paper, str):
         return ""
@@ -271,7 +261,7 @@ def difference(paper: float | str, ours: Interval | Estimate | None) -> str:
 
 
 def _all_differences(root: Path) -> list[str]:
-    """Return the table of `docs/paper.md`, folded up."""
+    """Return the table of `docs/paper.md`, collapsed."""
     path = root / "docs" / "paper.md"
     if not path.is_file():
         return []
@@ -282,6 +272,6 @@ def _all_differences(root: Path) -> list[str]:
 
 
 def _inline(markdown: str) -> str:
-    """Turn the bold type and code of a cell into HTML."""
+    """Convert bold type and code of a cell to HTML."""
     text = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", escape(markdown))
     return re.sub(r"`(.+?)`", r"<code>\1</code>", text)

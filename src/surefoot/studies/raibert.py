@@ -8,9 +8,8 @@ land, attitude by torques and lengths of legs in stance, and a gait that a clock
 before its leg's neutral place, where v is the speed forward, v_d the desired one and T the time of a stance. The
 trajectory's own stroke already is v_d T, so what is added to it is (T / 2 + k) (v - v_d).
 
-It sees nothing that the robot does not measure: roll, pitch, their rates, motor angles and speeds, and its own clock.
-The speed forward is not measured; it is estimated from the motors of legs that are in stance by the clock, whose feet
-are taken to stand still on the ground.
+Its inputs are what a robot measures: roll, pitch, their rates, motor angles and speeds, and its own clock. The speed
+forward is estimated from the motors of legs that are in stance by the clock, whose feet are assumed to stand still.
 """
 
 from __future__ import annotations
@@ -22,19 +21,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.configuration import Within, check_bounds
+from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
-from surefoot.task.foot import FootReference
+from surefoot.task.foot_references import FootReference
 
 OBSERVATIONS = ("roll", "pitch", "roll_rate", "pitch_rate", "motor_angles", "motor_speeds", "reference_phase")
-"""What the controller must be given, in this order."""
+"""Observations of the controller, in this order."""
 HISTORY = 25
-"""Observations over which the speed is estimated, if nothing else is said: .15 s of control steps of 6 ms."""
+"""Default number of observations over which the speed is estimated: .15 s of control steps of 6 ms."""
 _STEP = 1e-4
-"""Difference of motor angles [rad] that tells the speed of a foot."""
+"""Time step [s] of the numerical derivative of a foot's position."""
 _EDGE = 0.2
-"""Part of a stance at its begin, and at its end, in which a foot may not stand yet, or not any more."""
+"""Part of a stance at its begin, and at its end, that is left out: the foot may be in the air."""
 
 Gain = Annotated[float, Within(-100, 100)]
 
@@ -54,24 +53,20 @@ class RaibertConfig:
     roll_rate: Gain = 0.0
     """The same for the rate of roll [m/m/(rad/s)]."""
     lag: Annotated[float, Within(0, 1)] = 0.045
-    """How far the legs that the controller sees are behind their reference: latency of readings and servos [s]."""
+    """Delay of measured legs behind their reference: latency of readings and servos [s]."""
     reach: Annotated[float, Within(0, 1)] = 0.04
     """Greatest shift of a foot, forward or upward [m]."""
 
-    def __post_init__(self) -> None:
-        """Refuse numbers out of bounds."""
-        check_bounds(self, "raibert")
-
 
 class RaibertController:
-    """Gives the feedback, as a policy does; it has no memory beyond the observations that it is given.
+    """The controller as a policy; its only memory is the history of observations.
 
     Args:
         robot: its legs.
         reference: the foot trajectories.
         gains: one number each; all but `lag` and `reach` also (N, 1), where each of N robots has its own.
-        observations: parts of the observations that it is given; they must be `OBSERVATIONS`.
-        history: number of last observations in what it is given, over which the speed is estimated.
+        observations: parts of the observation; they must be `OBSERVATIONS`.
+        history: number of observations in its input, over which the speed is estimated.
 
     Raises:
         SurefootError: other observations.
@@ -95,8 +90,8 @@ class RaibertController:
 
     def _parts(self, observation: ArrayLike) -> list[Array]:
         """Return IMU (H, N, 4), motor angles and speeds (H, N, M) and cycles of the clock (H, N), the newest first."""
-        given = np.asarray(observation, float)
-        rows, motors = np.moveaxis(given.reshape(len(given), self.history, -1), 1, 0), self.robot.num_motors
+        rows = np.asarray(observation, float)
+        rows, motors = np.moveaxis(rows.reshape(len(rows), self.history, -1), 1, 0), self.robot.num_motors
         *parts, clock = np.split(rows, [4, 4 + motors, 4 + 2 * motors], axis=-1)
         return [*parts, np.arctan2(clock[..., 0], clock[..., 1]) / (2 * np.pi)]
 
@@ -113,10 +108,10 @@ class RaibertController:
         theta, turn = angle[..., motors], rate[..., motors]
         ahead, behind = (leg.foot_in_plane(theta + sign * _STEP * turn) for sign in (1.0, -1.0))
         forward, below = (ahead - behind)[..., 0] / (2 * _STEP), (ahead + behind)[..., 1] / 2
-        found = -forward - imu[..., 3:] * (below + self.robot.leg_mounts[:, 2])
-        known = (part > _EDGE) & (part < 1.0 - _EDGE) & np.isfinite(found)
-        count = known.sum(axis=(0, 2))
-        total = np.where(known, found, 0.0).sum(axis=(0, 2))
+        speeds = -forward - imu[..., 3:] * (below + self.robot.leg_mounts[:, 2])
+        standing = (part > _EDGE) & (part < 1.0 - _EDGE) & np.isfinite(speeds)
+        count = standing.sum(axis=(0, 2))
+        total = np.where(standing, speeds, 0.0).sum(axis=(0, 2))
         speed: Array = np.where(count > 0, total / np.maximum(count, 1), np.nan)
         return speed
 
@@ -124,22 +119,20 @@ class RaibertController:
         """Return feedback (N, C L) in leg space for observations (N, O * history); none on abduction."""
         imu, _, _, cycle = (part[0] for part in self._parts(observation))
         gains, reference = self.gains, self.reference
-        # Without an estimate, as in a flight longer than the history, feet land where the trajectory has them.
+        # Without an estimate, as in a flight longer than the history, feet land on their trajectory.
         excess = np.nan_to_num(self.speed(observation)[:, None] - reference.speed)
         forward = (reference.duty_factor / reference.frequency / 2 + gains.speed) * excess
         roll, pitch, roll_rate, pitch_rate = imu.T[..., None]
-        nose, side = (
-            gains.pitch * pitch + gains.pitch_rate * pitch_rate,
-            gains.roll * roll + gains.roll_rate * roll_rate,
-        )
+        nose = gains.pitch * pitch + gains.pitch_rate * pitch_rate
+        side = gains.roll * roll + gains.roll_rate * roll_rate
         # Only legs in stance turn the base; they begin and end it at their trajectory's height.
         weight = np.sin(np.pi * np.minimum(reference.shares(cycle) / reference.duty_factor, 1.0))
         upward = weight * (side * self._place[:, 1] - nose * self._place[:, 0])
         shift = np.clip(np.stack([forward, upward], -1), -gains.reach, gains.reach)
         path = reference.path(cycle)
         leg = self.robot.leg_geometry
-        wanted, given = np.stack(leg.plane_pose(path + shift)), np.stack(leg.plane_pose(path))
+        shifted, nominal = np.stack(leg.plane_pose(path + shift)), np.stack(leg.plane_pose(path))
         # A foot that would be out of reach stays on its trajectory.
-        moved = np.where(np.isfinite(wanted).all(axis=0), wanted - given, 0.0)
+        moved = np.where(np.isfinite(shifted).all(axis=0), shifted - nominal, 0.0)
         level = [np.zeros_like(moved[0])] * (len(leg.coordinates) - 2)
         return np.concatenate([*level, *moved], axis=1)

@@ -1,8 +1,8 @@
 """A search: many trainings whose settings Optuna proposes, prunes where they fall behind, and keeps in a journal.
 
 A trial's training depends on the search's seed, the trial's number and its settings. What Optuna proposes depends on
-what it has been told by then: with one worker that is the same every time, with more it is the first trials, which are
-drawn at random.
+the results so far: with one worker every trial is reproducible, with more the first ones are, which are drawn at
+random.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from surefoot.learn.config import Steps, TrainConfig
 from surefoot.seeding import generator
 from surefoot.studies.search_space import Dimension, as_params, load_space, put, suggest
 from surefoot.studies.training import Training, base_config, difference
-from surefoot.studies.workers import Told
+from surefoot.studies.workers import ProgressReport
 
 EVALUATIONS = 10
 """Evaluations of a trial, evenly spread; pruning compares trials at each."""
@@ -32,8 +32,8 @@ RANDOM_TRIALS = 12
 """Trials whose settings are drawn at random, before the sampler learns from them."""
 PRUNING_FROM = 1 / 3
 """Share of a trial's steps before which it is not pruned."""
-FOR_IMPORTANCE = 8
-"""Complete trials that the importance of fields takes at least."""
+MIN_TRIALS_FOR_IMPORTANCE = 8
+"""Complete trials from which on the importance of fields is computed."""
 SETTINGS = "search.yaml"
 """File of a search's folder."""
 _NAME = "search"
@@ -48,7 +48,6 @@ class SearchConfig:
     space: dict[str, Dimension] = field(default_factory=dict)
     """The fields that are searched, by dotted name."""
     seed: Seed = 0
-    """The one seed of the search."""
 
     @property
     def evaluations(self) -> int:
@@ -56,20 +55,14 @@ class SearchConfig:
         return -(-self.train.steps // self.train.evaluate_every)
 
 
-def check_there(folder: Path) -> None:
+def check_holds_search(folder: Path) -> None:
     """Refuse a folder that holds no search."""
     if not (folder / SETTINGS).is_file():
         raise SurefootError(f"{folder}: holds no search to go on with; leave --resume out to begin one")
 
 
 def make_config(task: str, space: Path | None, seed: int, steps: Steps) -> SearchConfig:
-    """Return the search of a task.
-
-    Args:
-        task: a preset, or the path of a task's file.
-        space: file of the space; the one that ships, if None.
-        seed: of the search.
-        steps: control steps of a trial.
+    """Return the search of a task, a preset or the path of a file, in the space of a file, or in the one that ships.
 
     Raises:
         SurefootError: a task or a space that does not fit.
@@ -80,7 +73,7 @@ def make_config(task: str, space: Path | None, seed: int, steps: Steps) -> Searc
         steps=steps,
         evaluate_every=max(1, steps // EVALUATIONS),
         evaluation_episodes=EVALUATION_EPISODES,
-        # Trials may learn by weights of their own; they are compared by the task's.
+        # Trials may learn with weights of their own; they are compared with the task's.
         evaluation_reward=base.task.reward,
     )
     return SearchConfig(train, load_space(space, train), seed)
@@ -91,11 +84,11 @@ class Search:
 
     Args:
         config: the search.
-        folder: its folder, which this process holds alone.
-        resume: go on with the search that is there.
+        folder: its folder, which this process has locked.
+        resume: go on with the search in the folder.
 
     Raises:
-        SurefootError: a search is there and is not to be resumed, or none is; it is another one; it is damaged.
+        SurefootError: a search is there without `resume`; with it, the search is another one or damaged.
     """
 
     def __init__(self, config: SearchConfig, folder: Path, resume: bool) -> None:
@@ -108,15 +101,14 @@ class Search:
         self._trials: dict[str, Any] = {}
         settings = folder / SETTINGS
         if resume:
-            check_there(folder)
             self._check_same(settings)
-            self._mend()
+            self._repair()
         elif settings.exists():
             raise SurefootError(f"{folder}: holds a search; go on with it by --resume, or give another --out")
         else:
             with describe_os_errors(settings, "written"):
                 write_yaml(settings, config)
-        # This process holds the folder: a lock that is there was left by one that was killed.
+        # This process has locked the folder: a lock of the journal was left by a process that was killed.
         Path(f"{self.journal}.lock").unlink(missing_ok=True)
         warm = math.ceil(PRUNING_FROM * config.evaluations)
         with _readable(self.journal):
@@ -132,9 +124,8 @@ class Search:
         data = read_yaml(settings)
         with prefix_errors(settings):
             stored = from_mapping(SearchConfig, data)
-        found = difference(stored, self.config)
-        if found is not None:
-            name, was, now = found
+        if change := difference(stored, self.config):
+            name, was, now = change
             if name == "space":
                 name = next(key for key in {**was, **now} if was.get(key) != now.get(key))
                 was, now = was.get(name), now.get(name)
@@ -143,8 +134,8 @@ class Search:
                 "--out"
             )
 
-    def _mend(self) -> None:
-        """Leave out a last record that was cut off; refuse a journal that is damaged elsewhere, and change nothing."""
+    def _repair(self) -> None:
+        """Remove a last record of the journal that was cut off; refuse, unchanged, one that is damaged elsewhere."""
         if not self.journal.exists():
             return
         with describe_os_errors(self.journal):
@@ -152,10 +143,10 @@ class Search:
         *lines, rest = content.split(b"\n")
         for number, line in enumerate(lines, start=1):
             try:
-                whole = isinstance(json.loads(line), dict)
+                is_record = isinstance(json.loads(line), dict)
             except ValueError:
-                whole = False
-            if not whole:
+                is_record = False
+            if not is_record:
                 raise SurefootError(
                     f"{self.journal}: line {number} of {len(lines)} is not a record of a search; restore the file, or "
                     "move it away: the same command takes up every trial from its folder"
@@ -163,7 +154,7 @@ class Search:
         if rest:
             atomic_write(self.journal, b"".join(line + b"\n" for line in lines))
             self.notes.append(
-                f"{self.journal}: the last record was cut off and is left out; what it told is taken from the trials' "
+                f"{self.journal}: the last record was cut off and is removed; its content is read from the trials' "
                 "folders"
             )
 
@@ -175,7 +166,7 @@ class Search:
         return Training(group, config, self.folder / "trials" / group, trial=True)
 
     def importance(self) -> dict[str, float]:
-        """Return how much each field tells the best trials from the others (PED-ANOVA), all together 1.
+        """Return how well each field separates the best trials from the others (PED-ANOVA), all together 1.
 
         Watanabe et al. 2023, "PED-ANOVA: efficiently quantifying hyperparameter importance in arbitrary subspaces".
         Empty where too few trials are complete.
@@ -183,7 +174,7 @@ class Search:
         import optuna
 
         complete = [trial for trial in self.study.trials if trial.state == optuna.trial.TrialState.COMPLETE]
-        return optuna.importance.get_param_importances(self.study) if len(complete) >= FOR_IMPORTANCE else {}
+        return optuna.importance.get_param_importances(self.study) if len(complete) >= MIN_TRIALS_FOR_IMPORTANCE else {}
 
     @property
     def counts(self) -> dict[str, int]:
@@ -192,22 +183,22 @@ class Search:
         return {state: states.count(state) for state in dict.fromkeys(states)}
 
     def trainings(self, trials: int) -> Iterator[Training]:
-        """Yield the trainings of trials until there are so many, those that were under way first."""
+        """Yield the trainings of trials up to a number, those that were under way first."""
         import optuna
 
         for frozen in self.study.trials:
             if frozen.state == optuna.trial.TrialState.RUNNING:
                 self.study.sampler = self._sampler(frozen.number)
-                # There is no public way to go on with a trial that another process began.
+                # Optuna has no public way to go on with a trial of another process.
                 yield from self._training(optuna.trial.Trial(self.study, frozen._trial_id))
         while (number := len(self.study.get_trials(deepcopy=False))) < trials:
             self.study.sampler = self._sampler(number)
             yield from self._training(self.study.ask())
 
     def _sampler(self, number: int) -> Any:
-        """Return the sampler of a trial: what it draws depends on the trial's number, not on how often it was stopped.
+        """Return the sampler of a trial, seeded by its number, so that stops do not change what it draws.
 
-        A trial that has a folder has its settings from there, whether or not the journal knows them.
+        A trial that has a folder has its settings from there, whether or not they are in the journal.
         """
         import optuna
 
@@ -239,22 +230,22 @@ class Search:
         trial.set_user_attr("why", why)
         self.study.tell(trial, state=optuna.trial.TrialState.FAIL)
 
-    def told(self, training: Training, told: Told) -> bool:
-        """Keep what a trial's evaluations say; return whether it is to be pruned."""
+    def on_report(self, training: Training, report: ProgressReport) -> bool:
+        """Record a trial's evaluations; return whether to prune it."""
         import optuna
 
         trial, every = self._trials[training.group], self.config.train.evaluate_every
-        known = self.study.trials[trial.number].intermediate_values
-        for evaluation in told.evaluations:
+        recorded = self.study.trials[trial.number].intermediate_values
+        for evaluation in report.evaluations:
             step = min(evaluation["steps"] // every, self.config.evaluations)
-            if step not in known and math.isfinite(evaluation["return_mean"]):
+            if step not in recorded and math.isfinite(evaluation["return_mean"]):
                 trial.report(evaluation["return_mean"], step)
-        if not told.finished:
+        if not report.finished:
             # A trial that goes on from a checkpoint is judged at its next evaluation.
-            new = told.evaluations and told.evaluations[-1]["steps"] == told.steps
-            return bool(new and trial.should_prune())
-        last = told.evaluations[-1]["return_mean"] if told.evaluations else math.nan
-        if told.steps < self.config.train.steps:
+            is_new = report.evaluations and report.evaluations[-1]["steps"] == report.steps
+            return bool(is_new and trial.should_prune())
+        last = report.evaluations[-1]["return_mean"] if report.evaluations else math.nan
+        if report.steps < self.config.train.steps:
             self.study.tell(trial, state=optuna.trial.TrialState.PRUNED)
         elif math.isfinite(last):
             self.study.tell(trial, last)
@@ -262,15 +253,15 @@ class Search:
             self._fail(trial, f"its return is {last}")
         return False
 
-    def changed(self, training: Training, what: str, why: str) -> None:
-        """Keep that a trial failed, and why; `told` keeps all else."""
-        if what == "failed":
-            self._fail(self._trials[training.group], why)
+    def on_change(self, training: Training, state: str, error: str) -> None:
+        """Record the error of a trial that failed; `on_report` records all else."""
+        if state == "failed":
+            self._fail(self._trials[training.group], error)
 
 
 @contextmanager
 def _readable(journal: Path) -> Iterator[None]:
-    """Turn what Optuna raises for records that are none of its own into one line."""
+    """Raise errors of Optuna about records that are not its own in one line."""
     try:
         yield
     except (SurefootError, OSError):

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
-from surefoot.evaluate.runs import Runs
-from surefoot.evaluate.statistics import CONFIDENCE, Interval, decimal, t_interval
+from surefoot.evaluate.runs import summarize_runs
+from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
 from surefoot.files import atomic_write
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import BLUE, GREEN, ORANGE, QUIET, heading, new_figure, place_labels
-from surefoot.studies.evaluations import gait_trace
-from surefoot.studies.trials import Retest, SearchResult, TrialResult, best
+from surefoot.studies.evaluations import load_gait_trace
+from surefoot.studies.search import SearchConfig
 from surefoot.tables import markdown, write_csv
 
 if TYPE_CHECKING:
@@ -23,53 +24,84 @@ if TYPE_CHECKING:
 
 _COLORS = {"complete": BLUE, "pruned": ORANGE}
 _LISTED = 10
-"""Best trials that the report shows; the table has all."""
+"""Best trials in the report; the table has all."""
 _TERMS = (
     "Return: mean over the episodes of the deterministic policy's evaluation at the end of a trial, with the task's "
-    "own weight of energy. A pruned trial has the return of its last evaluation. Importance: how much a field tells "
-    "the best trials from the others (PED-ANOVA), over complete trials only."
+    "own weight of energy. A pruned trial has the return of its last evaluation. Importance: how well a field "
+    "separates the best trials from the others (PED-ANOVA), over complete trials only."
 )
 _BIAS = (
-    "The best of many noisy returns is too high: it is the best by its luck too. Claimed: the return that the search "
+    "The best of many noisy returns is too high: its noise was selected too. Claimed: the return that the search "
     f"saw. Fresh: the same policy in episodes that the search has not seen. Brackets: {CONFIDENCE:.0%} confidence, "
     "over episodes for one policy, over policies for their mean. Bullet: with the robot as its data sheet describes it."
 )
 
 
-def write_report(result: SearchResult, folder: Path, command: str) -> Path:
-    """Write tables, figures and README.md into a folder; returns the path of the last.
+_OBJECTS = ["curve", "policy", "result"]
+"""Columns of trials that are not written to tables."""
 
-    Args:
-        result: the search, with one complete trial or more.
-        folder: where to.
-        command: what makes the report.
-    """
-    write_csv(folder / "trials.csv", [trial.row() for trial in result.trials])
-    write_csv(folder / "best.csv", [row for retest in result.retests for row in _retest_rows(retest)])
+
+@dataclass(frozen=True)
+class SearchResult:
+    """A search, as its report shows it."""
+
+    config: SearchConfig
+    trials: pd.DataFrame
+    """A trial a row: trial, state (complete, pruned, fail or running), return of the last evaluation [m] (NaN without),
+    control steps, seconds, gait, pattern, seed, proposed settings by dotted name, why it failed. Besides, `curve`:
+    control steps and return of each evaluation (E, 2); `policy` and `result`: policy file and its evaluation `gait`."""
+    fresh: pd.DataFrame
+    """An episode a row that the search has not seen: one of the best trials, then the columns of `measure_runs`. The
+    best trial comes first; each has runs in the simulator of its training, and in Bullet if that is installed."""
+    importance: dict[str, float] = field(default_factory=dict)
+    """Importance of each field, all together 1; empty where too few trials are complete."""
+
+    def claimed(self, trial: int) -> float:
+        """Return the return of a trial that the search saw [m]."""
+        return float(self.trials.set_index("trial")["return"][trial])
+
+    def selection_bias(self) -> dict[int, tuple[Interval, Interval]]:
+        """Return, by trial, mean return of fresh episodes at home, and the claimed return less that [m]."""
+        biases = {}
+        for number, runs in self.fresh.groupby("trial", sort=False):
+            fresh, claimed = t_interval(runs[runs.world == runs.world.iloc[0]]["return"]), self.claimed(number)
+            biases[number] = fresh, Interval(claimed - fresh.mean, claimed - fresh.high, claimed - fresh.low)
+        return biases
+
+
+def sort_trials(trials: pd.DataFrame) -> pd.DataFrame:
+    """Return trials by their return, the highest first; those without a return last."""
+    return trials.sort_values("return", ascending=False, kind="stable")
+
+
+def write_report(result: SearchResult, folder: Path, command: str) -> Path:
+    """Write tables, figures and README.md, with the command that made them, into a folder; return README's path."""
+    trials, train, biases = result.trials, result.config.train, result.selection_bias()
+    write_csv(folder / "trials.csv", trials.drop(columns=_OBJECTS))
+    write_csv(folder / "best.csv", result.fresh)
     write_csv(folder / "top.csv", _top_rows(result))
     search_figure(result, folder / "search.png")
     parameter_figure(result, folder / "parameters.png")
-    states = [trial.state for trial in result.trials]
-    counts = ", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states))
-    hours = sum(trial.seconds for trial in result.trials) / 3600
+    counts = ", ".join(f"{number} {state}" for state, number in trials.groupby("state", sort=False).size().items())
+    bias = t_interval([bias.mean for _, bias in biases.values()])
+    importance = [{"field": f"`{name}`", "importance": decimal(value)} for name, value in result.importance.items()]
     text = [
-        f"# Search: {result.name}",
+        f"# Search: {train.task.name}",
         f"```sh\n{command}\n```",
-        f"{len(result.trials)} trials ({counts}) of {result.steps:,} control steps, {result.episodes} episodes an "
-        f"evaluation, seed {result.seed}; {hours:.2f} hours of training in all. {_TERMS}",
+        f"{len(trials)} trials ({counts}) of {train.steps:,} control steps, {train.evaluation_episodes} episodes an "
+        f"evaluation, seed {result.config.seed}; {trials.seconds.sum() / 3600:.2f} hours of training in all. {_TERMS}",
         "![Returns of all trials](search.png)",
         "## Best trials",
-        markdown([_best_row(trial) for trial in best(result.complete, _LISTED)]),
-        "## How much the best flatter themselves",
+        markdown(_best_rows(result)),
+        "## Selection bias of the best",
         _BIAS,
-        markdown([_retest_row(retest) for retest in result.retests]),
-        f"Claimed less fresh, mean of these {len(result.retests)}: {result.flattery.text(3, sign=True)} m.",
+        markdown([_retest_row(result, number, *values) for number, values in biases.items()]),
+        f"Claimed less fresh, mean of these {len(biases)}: {bias.text(3, sign=True)} m.",
         "## What matters",
-        _importance(result),
+        markdown(importance) if importance else "There are too few complete trials.",
         "![Return against each field](parameters.png)",
         "## Gaits that emerged",
-        "Names of the gaits of all policies, those of pruned trials as they were then: the most frequent name in 5 "
-        "episodes at home.",
+        "Names of the gaits of all policies, pruned ones included: the most frequent name in 5 episodes at home.",
         *_census(result, folder),
         "## Files",
         "- [trials.csv](trials.csv): a row a trial\n- [best.csv](best.csv): a row a fresh episode of the best\n"
@@ -79,165 +111,138 @@ def write_report(result: SearchResult, folder: Path, command: str) -> Path:
     return folder / "README.md"
 
 
-def _number(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+def _short(name: str) -> str:
+    return name.removeprefix("task.").removeprefix("ppo.")
 
 
-def _best_row(trial: TrialResult) -> dict[str, str]:
-    params = {name.removeprefix("task.").removeprefix("ppo."): _number(value) for name, value in trial.params.items()}
-    gait = trial.gait["pattern"] if trial.gait else "-"
-    return {"trial": str(trial.number), "return (m)": decimal(trial.value), "gait": gait, **params}
+def _best_rows(result: SearchResult) -> list[dict[str, str]]:
+    """Return the rows of the best complete trials with their settings."""
+    complete = result.trials[result.trials.state == "complete"]
+    return [
+        {"trial": str(row["trial"]), "return (m)": decimal(row["return"]), "gait": row["pattern"] or "-"}
+        | {_short(name): f"{x:.3g}" if isinstance(x := row[name], float) else str(x) for name in result.config.space}
+        for row in sort_trials(complete)[:_LISTED].to_dict("records")
+    ]
 
 
-def _retest_row(retest: Retest) -> dict[str, str]:
-    def told(runs: Runs | None, name: str) -> str:
-        return "not installed" if runs is None else runs.estimate(name).text()
+def _retest_row(result: SearchResult, trial: int, fresh: Interval, bias: Interval) -> dict[str, str]:
+    runs = result.fresh[result.fresh.trial == trial]
+    home, bullet = (runs[(runs.world == runs.world.iloc[0]) == is_home] for is_home in (True, False))
 
-    def fell(runs: Runs | None) -> str:
-        return "-" if runs is None else f"{(~runs.balanced).sum()} of {len(runs)}"
+    def mean(runs: pd.DataFrame, name: str) -> str:
+        return MeanEstimate.from_values(runs[name]).text() if len(runs) else "not installed"
+
+    def falls(runs: pd.DataFrame) -> str:
+        return f"{(~runs.balanced).sum()} of {len(runs)}" if len(runs) else "-"
 
     return {
-        "trial": str(retest.trial.number),
-        "claimed (m)": decimal(retest.trial.value),
-        "fresh (m)": retest.fresh.text(),
-        "claimed less fresh (m)": retest.flattery.text(3, sign=True),
-        "speed (m/s)": told(retest.home, "speed"),
-        "power (W)": told(retest.home, "power"),
-        "falls": fell(retest.home),
-        "return in Bullet (m)": told(retest.away, "returns"),
-        "speed in Bullet (m/s)": told(retest.away, "speed"),
-        "falls in Bullet": fell(retest.away),
+        "trial": str(trial),
+        "claimed (m)": decimal(result.claimed(trial)),
+        "fresh (m)": fresh.text(),
+        "claimed less fresh (m)": bias.text(3, sign=True),
+        "speed (m/s)": mean(home, "speed"),
+        "power (W)": mean(home, "power"),
+        "falls": falls(home),
+        "return in Bullet (m)": mean(bullet, "return"),
+        "speed in Bullet (m/s)": mean(bullet, "speed"),
+        "falls in Bullet": falls(bullet),
     }
-
-
-def _retest_rows(retest: Retest) -> list[dict[str, object]]:
-    worlds = [runs for runs in (retest.home, retest.away) if runs is not None]
-    return [{"trial": retest.trial.number, "world": runs.world, **row} for runs in worlds for row in runs.rows()]
 
 
 def _top_rows(result: SearchResult) -> list[dict[str, object]]:
     """Return a row for each of the best trials, and one over all of them, whose intervals are over policies."""
-    found = result.retests
-    rows: list[dict[str, object]] = [
-        {"rank": rank, "trial": one.trial.number, "claimed": one.trial.value, **_fresh(one.fresh, one.flattery, [one])}
-        for rank, one in enumerate(found, start=1)
-    ]
-    claimed = float(np.mean([one.trial.value for one in found]))
-    told = _fresh(t_interval([one.fresh.mean for one in found]), result.flattery, found)
-    return [*rows, {"rank": "all", "trial": None, "claimed": claimed, **told}]
+    biases = result.selection_bias()
+    rows: list[dict[str, object]] = []
+    for rank, (trial, (fresh, bias)) in enumerate(biases.items(), start=1):
+        row = {"rank": str(rank), "trial": trial, "claimed": result.claimed(trial)}
+        rows.append(row | _cells(fresh, bias, result.fresh[result.fresh.trial == trial]))
+    fresh, bias = (t_interval([values[k].mean for values in biases.values()]) for k in (0, 1))
+    claimed = float(np.mean([result.claimed(trial) for trial in biases]))
+    return [*rows, {"rank": "all", "trial": None, "claimed": claimed, **_cells(fresh, bias, result.fresh)}]
 
 
-def _fresh(fresh: Interval, flattery: Interval, retests: Sequence[Retest]) -> dict[str, object]:
+def _cells(fresh: Interval, bias: Interval, runs: pd.DataFrame) -> dict[str, object]:
     """Return cells on fresh episodes: the columns of a table of worlds, each with its world's name before it."""
-    cells: dict[str, object] = {**fresh.columns("fresh"), **flattery.columns("flattery")}
-    for runs in ([one.home for one in retests], [one.away for one in retests if one.away is not None]):
-        told = Runs.pooled(runs).summary() if runs else {}
-        cells |= {f"{told['world']}_{name}": value for name, value in told.items() if name != "world"}
+    cells: dict[str, object] = {**fresh.columns("fresh"), **bias.columns("selection_bias")}
+    for world, part in runs.groupby("world", sort=False):
+        cells |= {f"{world}_{name}": value for name, value in summarize_runs(part).items() if name != "world"}
     return cells
 
 
-def _importance(result: SearchResult) -> str:
-    if not result.importance:
-        return "There are too few complete trials to tell."
-    return markdown([{"field": f"`{name}`", "importance": decimal(value)} for name, value in result.importance.items()])
-
-
 def _census(result: SearchResult, folder: Path) -> list[str]:
-    """Draw one footfall diagram of each gait, of the trial of the highest return, and return what shows them."""
-    # A trial that was under way when last reported may have another gait by now.
+    """Draw the footfalls of each gait, of its trial of the highest return; return the section."""
+    # A trial that was under way at the last report may have another gait now.
     for old in folder.glob("gait_*.png"):
         old.unlink()
+    gaits = dict(list(sort_trials(result.trials).groupby("gait")))
     rows, figures = [], []
-    for name, trials in result.census().items():
-        first = trials[0]
-        assert first.policy is not None
-        assert first.gait is not None
-        file = f"gait_{name}.png"
-        footfall_diagram(gait_trace(first.policy), folder / file)
-        patterns = [trial.gait["reason"] or trial.gait["pattern"] for trial in trials if trial.gait]
+    for gait, trials in sorted(gaits.items(), key=lambda item: -len(item[1])):
+        first, file = trials.iloc[0], f"gait_{gait}.png"
+        footfall_diagram(load_gait_trace(first.policy), folder / file)
+        patterns = [one["reason"] or one["pattern"] for one in trials.result]
+        stride, duty = (math.nan if first.result[name] is None else first.result[name] for name in ("stride", "duty"))
         rows.append(
             {
-                "gait": name,
+                "gait": gait,
                 "trials": str(len(trials)),
-                "complete": str(sum(trial.complete for trial in trials)),
+                "complete": str((trials.state == "complete").sum()),
                 "patterns": ", ".join(f"{patterns.count(one)} {one}" for one in dict.fromkeys(patterns)),
-                "highest return (m)": decimal(first.value),
-                "of trial": str(first.number),
-                "stride (s)": decimal(math.nan if first.gait["stride"] is None else first.gait["stride"]),
-                "duty factor": decimal(math.nan if first.gait["duty"] is None else first.gait["duty"]),
+                "highest return (m)": decimal(first["return"]),
+                "of trial": str(first.trial),
+                "stride (s)": decimal(stride),
+                "duty factor": decimal(duty),
             }
         )
-        figures.append(f"Trial {first.number}:\n\n![Footfalls: {name}]({file})")
+        figures.append(f"Trial {first.trial}:\n\n![Footfalls: {gait}]({file})")
     return [markdown(rows), *figures] if rows else ["There is no policy yet."]
 
 
-def search_figure(result: SearchResult, path: Path) -> Path:
-    """Draw returns of trials in order, their evaluations in training, and how returns are distributed.
-
-    Args:
-        result: the search.
-        path: PNG to write.
-    """
-    scale, unit = (1e6, "million ") if result.steps >= 2e5 else (1.0, "")
+def search_figure(result: SearchResult, path: Path) -> None:
+    """Draw returns of trials in order, their evaluations in training, and the distribution of returns."""
+    trials, steps = result.trials, result.config.train.steps
+    scale, unit = (1e6, "million ") if steps >= 2e5 else (1.0, "")
     with new_figure(path, (11.0, 3.8), columns=3) as (figure, (order, curves, spread)):
-        for state, color in _COLORS.items():
-            trials = [trial for trial in result.trials if trial.state == state]
-            values = [trial.value for trial in trials]
-            order.plot([trial.number for trial in trials], values, "o", color=color, markersize=4.0, label=state)
-            for trial in trials:
-                steps, returns = np.array(trial.curve).T
-                curves.plot(steps / scale, returns, color=color, alpha=0.5, linewidth=0.8)
-        known = np.array([trial.value if trial.complete else -math.inf for trial in result.trials])
-        so_far = np.maximum.accumulate(known)
-        shown = np.isfinite(so_far)
-        numbers = np.array([trial.number for trial in result.trials])
-        order.step(numbers[shown], so_far[shown], where="post", color=GREEN, linewidth=1.2, label="best so far")
+        parts = [trials[trials.state == state] for state in _COLORS]
+        for part, (state, color) in zip(parts, _COLORS.items(), strict=True):
+            order.plot(part.trial, part["return"], "o", color=color, markersize=4.0, label=state)
+            for curve in part.curve:
+                curves.plot(*(np.array(curve) / [scale, 1.0]).T, color=color, alpha=0.5, linewidth=0.8)
+        so_far = trials["return"].where(trials.state == "complete").cummax().ffill()
+        order.step(trials.trial, so_far, where="post", color=GREEN, linewidth=1.2, label="best so far")
         order.set_title("Return at the end (m)")
         order.set_xlabel("trial")
         order.locator_params(axis="x", integer=True)
         curves.set_title("Return in training (m)")
         curves.set_xlabel(f"{unit}control steps")
-        spread.hist(
-            [[t.value for t in result.trials if t.state == state and math.isfinite(t.value)] for state in _COLORS],
-            bins=20,
-            stacked=True,
-            color=list(_COLORS.values()),
-            label=list(_COLORS),
-        )
+        returns, colors = [part["return"].dropna() for part in parts], list(_COLORS.values())
+        spread.hist(returns, bins=20, stacked=True, color=colors, label=list(_COLORS))
         spread.set_title("Trials by return (m)")
         spread.set_xlabel("return (m)")
         figure.legend(*order.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-        heading(figure, f"Search: {result.name}, {len(result.trials)} trials")
-    return path
+        heading(figure, f"Search: {result.config.train.task.name}, {len(trials)} trials")
 
 
-def parameter_figure(result: SearchResult, path: Path) -> Path:
-    """Draw the return of every trial against each field, the most important first.
-
-    Args:
-        result: the search, with one trial or more that has a policy.
-        path: PNG to write.
-    """
-    trials = [trial for trial in result.trials if trial.policy is not None]
-    names = list(dict.fromkeys([*result.importance, *trials[0].params]))
+def parameter_figure(result: SearchResult, path: Path) -> None:
+    """Draw the return of every trial that has a policy against each field, the most important first."""
+    trials = result.trials[result.trials.policy.notna()]
+    names = list(dict.fromkeys([*result.importance, *result.config.space]))
     columns = min(4, len(names))
     rows = -(-len(names) // columns)
     with new_figure(path, (2.9 * columns, 1.0 + 2.3 * rows), rows=rows, columns=columns) as (figure, axes):
         for ax, name in zip(axes, names, strict=False):
             _against(ax, trials, name)
-            told = f" ({result.importance[name]:.2f})" if name in result.importance else ""
-            ax.set_title(name.removeprefix("task.").removeprefix("ppo.") + told, fontsize=8.0)
+            importance = f" ({result.importance[name]:.2f})" if name in result.importance else ""
+            ax.set_title(_short(name) + importance, fontsize=8.0)
         for ax in axes[len(names) :]:
             ax.set_axis_off()
         handles = {label: line for ax in axes for line, label in zip(*ax.get_legend_handles_labels(), strict=True)}
         figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=2)
         heading(figure, "Return (m) against each field; in brackets: its importance")
-    return path
 
 
-def _against(ax: Axes, trials: list[TrialResult], name: str) -> None:
-    """Draw returns against a field: on an axis of names if its values are no numbers."""
-    values = [trial.params[name] for trial in trials]
+def _against(ax: Axes, trials: pd.DataFrame, name: str) -> None:
+    """Draw returns against a field: on an axis of names where values are not numbers."""
+    values = list(trials[name])
     if any(isinstance(value, str) for value in values):
         labels = sorted({str(value) for value in values}, key=lambda text: (len(text), text))
         places = np.array([labels.index(str(value)) for value in values], np.float64)
@@ -248,8 +253,8 @@ def _against(ax: Axes, trials: list[TrialResult], name: str) -> None:
         if places.min() > 0 and places.max() > 8 * places.min():
             ax.set_xscale("log")
             ax.xaxis.set_minor_formatter("")
-    returns = np.array([trial.value for trial in trials])
     for state, color in _COLORS.items():
-        chosen = np.array([trial.state == state for trial in trials])
-        ax.plot(places[chosen], returns[chosen], "o", color=color, markersize=3.5, alpha=0.7, label=state)
+        of_state = (trials.state == state).to_numpy()
+        returns = trials["return"][of_state]
+        ax.plot(places[of_state], returns, "o", color=color, markersize=3.5, alpha=0.7, label=state)
     ax.tick_params(colors=QUIET, labelsize=7.0)

@@ -25,12 +25,10 @@ _OWN = (
 
 @dataclass(frozen=True)
 class Dimension:
-    """What a search may do with a field."""
+    """Values that a search may give a field."""
 
     low: float | None = None
-    """Least value."""
     high: float | None = None
-    """Greatest value."""
     log: bool = False
     """Whether values are drawn on a logarithmic scale, of their magnitudes where all are negative."""
     int: bool = False
@@ -77,7 +75,7 @@ Space = dict[str, Dimension]
 
 
 def load_space(path: Path | None, config: TrainConfig) -> Space:
-    """Read a space, and refuse what is not for this configuration.
+    """Read a space for a configuration.
 
     Args:
         path: YAML file; the spaces that ship, if None: for learning, with the weights of the task's own reward terms,
@@ -104,21 +102,17 @@ def load_space(path: Path | None, config: TrainConfig) -> Space:
 
 
 def check_space(space: Space, config: TrainConfig) -> None:
-    """Refuse a space with fields that are not there, or with values that they can't have.
-
-    Raises:
-        SurefootError: one of these.
-    """
+    """Refuse a space with unknown fields, or with values that a field can't have."""
     if not space:
         raise SurefootError("it is empty; a search takes 1 field or more")
-    taken: set[str] = set()
+    names: set[str] = set()
     for name, dimension in space.items():
         for field in (name, *dimension.also):
             if field in _OWN:
                 raise SurefootError(f"{field} is not searched: the search sets it itself, as it does {choices(_OWN)}")
-            if field in taken:
+            if field in names:
                 raise SurefootError(f"{field} is named twice; each field takes one entry")
-            taken.add(field)
+            names.add(field)
         for value in dimension.samples:
             put(config, {name: dimension}, {name: value})
 
@@ -137,9 +131,9 @@ def put(config: TrainConfig, space: Space, values: Mapping[str, Any]) -> TrainCo
 
 
 def _set(data: Any, field: str, value: Any) -> None:
-    """Set what a dotted name stands for in tables and lists in each other; what is unknown is refused later."""
-    *way, last = field.split(".")
-    for part in way:
+    """Set the value at a dotted name in nested tables and lists; unknown fields are refused later."""
+    *parents, last = field.split(".")
+    for part in parents:
         data = data.setdefault(part, {}) if isinstance(data, dict) else None
     if isinstance(data, list) and last.isdigit() and int(last) < len(data):
         data[int(last)] = value
@@ -151,7 +145,7 @@ def _set(data: Any, field: str, value: Any) -> None:
 
 
 def get(config: TrainConfig, field: str) -> Any:
-    """Return what a dotted name stands for, as plain tables, lists and values.
+    """Return the value at a dotted name, as plain tables, lists and values.
 
     Raises:
         KeyError, IndexError, TypeError: no such field.
@@ -163,9 +157,9 @@ def get(config: TrainConfig, field: str) -> Any:
 
 
 def suggest(space: Space, trial: Trial) -> dict[str, Any]:
-    """Return the values of a trial, those it has or those that the sampler gives it.
+    """Return the values of a trial, drawn by the sampler if it has none.
 
-    Optuna takes no lists for choices: they are told as JSON.
+    Choices go to Optuna as JSON, since it takes no lists.
     """
     values: dict[str, Any] = {}
     for name, one in space.items():
@@ -180,8 +174,8 @@ def suggest(space: Space, trial: Trial) -> dict[str, Any]:
 
 
 def as_params(space: Space, config: TrainConfig) -> dict[str, Any]:
-    """Return the values of a configuration as Optuna takes them; those outside of the space are left out."""
-    found = {}
+    """Return the values of a configuration as parameters of Optuna; those outside of the space are left out."""
+    params = {}
     for name, dimension in space.items():
         value = get(config, name)
         if not dimension.choices:
@@ -190,5 +184,5 @@ def as_params(space: Space, config: TrainConfig) -> dict[str, Any]:
         else:
             inside, value = value in dimension.choices, json.dumps(value)
         if inside:
-            found[name] = value
-    return found
+            params[name] = value
+    return params

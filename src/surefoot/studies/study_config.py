@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from surefoot.configuration import Seed, Within, check_bounds, from_mapping, read_yaml
+from surefoot.configuration import Seed, Within, from_mapping, read_yaml
 from surefoot.errors import SurefootError, check_name, choices, prefix_errors
 from surefoot.learn.config import TrainConfig
 from surefoot.robot.randomization import resolve_table
@@ -27,13 +27,12 @@ class GroupConfig:
 
 
 @dataclass(frozen=True)
-class Finding:
-    """What others found where a study looks again."""
+class PublishedFinding:
+    """A published result that a study repeats."""
 
     groups: tuple[str, ...]
-    """The groups that stand for theirs: those of a set of `bars`, or of a pair of `compare`."""
+    """The groups that repeat it: those of a set of `bars`, or of a pair of `compare`."""
     text: str
-    """What they found."""
 
 
 @dataclass(frozen=True)
@@ -49,44 +48,42 @@ class StudyConfig:
     seeds: tuple[Seed, ...] = (0, 1, 2)
     """A training for each, in every group."""
     train: dict[str, Any] = field(default_factory=dict)
-    """What all groups share and the task does not say: any field of TrainConfig."""
+    """Settings of all groups over those of the task: any field of TrainConfig."""
     evaluate: tuple[str, ...] = ()
     """Kinds of evaluation of every trained policy."""
     compare: tuple[tuple[str, str], ...] = ()
     """Pairs of groups whose difference is reported, the second against the first; every pair, if empty."""
     top: Annotated[int, Within(1, 1000)] = 3
-    """How many policies of a group, those with the highest return in their own simulator, tell its reality gap."""
+    """How many policies of a group, those with the highest return in their own simulator, measure its reality gap."""
     bars: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """Groups whose reality gaps are drawn side by side, by the name of the figure."""
-    findings: tuple[Finding, ...] = ()
-    """What others found, told beside the same groups of this study."""
+    findings: tuple[PublishedFinding, ...] = ()
+    """Published results, reported beside the groups that repeat them."""
 
     def __post_init__(self) -> None:
-        """Refuse what no study can be."""
+        """Refuse groups, seeds or sets that do not fit together."""
         if not self.groups:
             raise SurefootError("groups is empty; a study has 1 group or more")
-        for what in (self.name, *self.groups, *self.bars):
-            check_name("name", what)
-        check_bounds(self)
+        for name in (self.name, *self.groups, *self.bars):
+            check_name("name", name)
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             raise SurefootError(f"seeds is {list(self.seeds)}; it takes 1 or more, none twice")
-        for name in (name for pair in self.compare for name in pair):
-            if name not in self.groups:
-                raise SurefootError(f"compare: '{name}' is no group of the study; groups: {choices(self.groups)}")
-        for name, groups in self.bars.items():
-            self._check_set(f"bars.{name}", groups)
-        told = [set(groups) for groups in (*self.bars.values(), *self.pairs)]
-        for number, finding in enumerate(self.findings):
-            self._check_set(f"findings[{number}]", finding.groups)
-            if set(finding.groups) not in told:
+        for pair in self.compare:
+            self._check_names("compare", pair)
+        findings = {f"findings[{number}]": finding.groups for number, finding in enumerate(self.findings)}
+        for where, groups in ({f"bars.{name}": groups for name, groups in self.bars.items()} | findings).items():
+            if not groups or len(set(groups)) < len(groups):
+                raise SurefootError(f"{where} is {list(groups)}; it takes 1 group or more, none twice")
+            self._check_names(where, groups)
+        reported = [set(groups) for groups in (*self.bars.values(), *self.pairs)]
+        for where, groups in findings.items():
+            if set(groups) not in reported:
                 raise SurefootError(
-                    f"findings[{number}]: {choices(finding.groups)} are together in no set of bars and in no pair of "
-                    "compare, so it would be told nowhere"
+                    f"{where}: {choices(groups)} are together in no set of bars and in no pair of compare, so it would "
+                    "not be reported"
                 )
 
-    def _check_set(self, where: str, groups: tuple[str, ...]) -> None:
-        if not groups or len(set(groups)) < len(groups):
-            raise SurefootError(f"{where} is {list(groups)}; it takes 1 group or more, none twice")
+    def _check_names(self, where: str, groups: tuple[str, ...]) -> None:
         for name in groups:
             if name not in self.groups:
                 raise SurefootError(f"{where}: '{name}' is no group of the study; groups: {choices(self.groups)}")
@@ -96,13 +93,13 @@ class StudyConfig:
         """Pairs of groups whose difference is reported."""
         return self.compare or tuple(itertools.combinations(self.groups, 2))
 
-    def lasting(self, steps: int) -> StudyConfig:
-        """Return the study with so many control steps for every training, evaluated in the middle and at the end."""
+    def with_steps(self, steps: int) -> StudyConfig:
+        """Return the study with a number of control steps for every training, evaluated halfway and at the end."""
         groups = {name: replace(group, train={**group.train, "steps": steps}) for name, group in self.groups.items()}
         return replace(self, groups=groups, train={**self.train, "evaluate_every": max(1, steps // 2)})
 
     def label(self, group: str) -> str:
-        """What figures and tables call a group."""
+        """Return what figures and tables call a group."""
         return self.groups[group].label or group
 
 
@@ -127,7 +124,7 @@ def load_study(path: Path) -> StudyConfig:
 
 
 def _with_paths(train: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Settings with the files that they name found: tables of ranges as their rows, references by whole path."""
+    """Return settings with named tables of ranges as their rows, and with files of references by their whole path."""
     task = train.get("task")
     if not isinstance(task, Mapping):
         return train
@@ -140,24 +137,21 @@ def _with_paths(train: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def group_config(study: StudyConfig, group: str) -> TrainConfig:
-    """The training of a group: its own settings over the study's, over the task's; one thread, since runs share cores.
+    """Return the training of a group: its own settings over the study's, over the task's; one thread.
 
     Raises:
         SurefootError: settings that do not fit.
     """
     config = replace(base_config(study.task), name=group)
-    for where, given in (("train", study.train), (f"groups.{group}.train", study.groups[group].train)):
-        config = from_mapping(TrainConfig, given, where, base=config)
+    for where, data in (("train", study.train), (f"groups.{group}.train", study.groups[group].train)):
+        config = from_mapping(TrainConfig, data, where, base=config)
     return config
 
 
 def study_runs(study: StudyConfig, root: Path, only: tuple[str, ...] = ()) -> list[Training]:
-    """The runs of a study, seed by seed, so that a study that is stopped has something of every group.
+    """Return the trainings of some groups, or of all, in the folder `root`.
 
-    Args:
-        study: the study.
-        root: the folder for its runs.
-        only: names of the groups wanted; all, if empty.
+    They go seed by seed, so that a study that is stopped has runs of every group.
 
     Raises:
         SurefootError: no such group.

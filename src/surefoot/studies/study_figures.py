@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
-from surefoot.errors import SurefootError
 from surefoot.evaluate.gap import PolicyGap
-from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.statistics import Interval, MeanEstimate
 from surefoot.report.figures.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered
-from surefoot.studies.comparison import Comparison, Curve, GroupResult
+from surefoot.studies.comparison import Comparison, bin_curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,26 +22,23 @@ _BINS = 40
 _GROUP = 0.8
 """Width of the bars of a policy's returns, where policies are 1 apart."""
 _PALE = 0.5
-_MOST_DOTS = 100
+_MAX_DOTS = 100
 
 
-def learning_curves(groups: Mapping[str, Sequence[Curve]], path: str | Path) -> Path:
-    """Draw return, speed and falls of trainings by group: mean over a group, band from the least to the greatest."""
-    parts = (("returns", "Return of an episode (m)"), ("speed", "Speed (m/s)"), ("falls", "Episodes with a fall (%)"))
-    ends = [max(float(curve.steps[-1]) for curve in curves) for curves in groups.values()]
+def learning_curves(groups: Mapping[str, Sequence[pd.DataFrame]], path: str | Path) -> Path:
+    """Draw the `learning_curve` of trainings by group: mean over a group, band from the least to the greatest."""
+    parts = (("return", "Return of an episode (m)"), ("speed", "Speed (m/s)"), ("falls", "Episodes with a fall (%)"))
+    ends = [max(float(curve.steps.max()) for curve in curves) for curves in groups.values()]
     scale, unit = (1e6, "million ") if max(ends) >= 2e5 else (1.0, "")
     with new_figure(path, (11.0, 3.7), columns=3) as (figure, axes):
         for ax, (name, title) in zip(axes, parts, strict=True):
             for number, (label, curves) in enumerate(groups.items()):
-                # Every group its own bins, so that each curve reaches to the end of its training.
+                # Every group has its own bins, so that each curve reaches the end of its training.
                 edges = np.linspace(0.0, ends[number], _BINS + 1)
-                binned = np.array([curve.binned(name, edges) for curve in curves])
-                known = np.isfinite(binned).any(axis=0)
-                color, x = f"C{number}", edges[1:][known] / scale
-                with warnings.catch_warnings():
-                    # A place that no seed has reached is left open.
-                    warnings.simplefilter("ignore", RuntimeWarning)
-                    mean, low, high = (found(binned[:, known], axis=0) for found in (np.nanmean, np.nanmin, np.nanmax))
+                binned = np.array([bin_curve(curve, name, edges) for curve in curves])
+                reached = np.isfinite(binned).any(axis=0)
+                color, x = f"C{number}", edges[1:][reached] / scale
+                mean, low, high = (f(binned[:, reached], axis=0) for f in (np.nanmean, np.nanmin, np.nanmax))
                 ax.fill_between(x, low, high, color=color, alpha=0.16, linewidth=0)
                 ax.plot(x, mean, color=color, label=label)
             ax.set_title(title)
@@ -55,31 +51,30 @@ def learning_curves(groups: Mapping[str, Sequence[Curve]], path: str | Path) -> 
 
 
 def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str]) -> Path:
-    """Draw figures of every group as bars: mean over seeds, its interval of 95 %, and every seed as a dot.
-
-    Each of `names` has a panel; figures that are not in the study are left out.
-    """
+    """Draw the figures in `names` of every group as bars: mean over seeds, its interval of 95 %, each seed as a dot."""
     figures = [figure for figure in comparison.figures if figure.name in names]
     groups = comparison.groups
     with new_figure(path, (3.4 * len(figures), 1.5 + 0.55 * len(groups)), columns=len(figures)) as (picture, axes):
         for ax, figure in zip(axes, figures, strict=True):
             for row, group in enumerate(groups):
-                _group_bar(ax, row, group, figure.name, f"C{row}")
+                values = comparison.of_group(group)[figure.name]
+                _group_bar(ax, row, comparison.interval(group, figure.name), values, f"C{row}")
             ax.set_title(capital(figure.heading))
             ax.set_ylim(len(groups) - 0.4, -0.6)
-            place_labels(ax, [group.label if ax is axes[0] else "" for group in groups], vertical=True)
+            place_labels(
+                ax, [comparison.study.label(group) if ax is axes[0] else "" for group in groups], vertical=True
+            )
             ax.axvline(0.0, color=QUIET, linewidth=0.8)
             if figure.unit == "%":
-                # Student's t knows no bounds; a share does.
+                # The interval of a share may exceed its bounds.
                 ax.set_xlim(0.0, min(max(ax.get_xlim()[1], 5.0), 103.0))
         heading(picture, "Mean over seeds, 95 % confidence interval, and each seed as a dot")
     return Path(path)
 
 
-def _group_bar(ax: Axes, row: int, group: GroupResult, figure: str, color: str) -> None:
-    interval, values = group.interval(figure), group.values(figure)
+def _group_bar(ax: Axes, row: int, interval: Interval, values: pd.Series, color: str) -> None:
     ax.barh(row, interval.mean, height=0.62, color=color, alpha=0.28, linewidth=0)
-    if interval.known:
+    if interval.is_finite:
         half = [[interval.mean - interval.low], [interval.high - interval.mean]]
         ax.errorbar(interval.mean, row, xerr=half, fmt="|", color=color, capsize=4.0, markersize=9.0, linewidth=1.6)
     lane = np.full(len(values), row + 0.2)
@@ -90,58 +85,55 @@ def gap_figure(policies: Sequence[PolicyGap], path: str | Path) -> Path:
     """Draw the return of each policy as bars, a bar a world, with one standard error and every run as a dot.
 
     Below each policy stands its gap to each other world; over a bar, how many of the runs fell, if any did: they are
-    crosses. There must be one policy or group of policies, or more, all run in the same worlds.
+    crosses. All policies or groups of policies ran in the same worlds.
     """
-    worlds = {tuple(runs.world for runs in policy.runs) for policy in policies}
-    if len(worlds) != 1:
-        raise SurefootError(f"gap figure: {len(policies)} policies in {len(worlds)} sets of worlds; it takes one set")
-    (names,) = worlds
+    names = policies[0].worlds
     width = max(5.2, 1.2 + len(policies) * max(1.6 if len(names) < 3 else 2.3, 0.62 * len(names)))
     with new_figure(path, (width, 3.9 + 0.16 * len(names))) as (_, (ax,)):
         for place, policy in enumerate(policies):
-            for number, runs in enumerate(policy.runs):
-                _return_bar(ax, place, number, len(names), runs)
+            for number, world in enumerate(names):
+                _return_bar(ax, place, number, len(names), policy.in_world(world))
         ax.axhline(0.0, color=QUIET, linewidth=0.8)
         place_labels(ax, [_label(policy) for policy in policies])
         ax.set_xlim(-0.5, len(policies) - 0.5)
         ax.margins(y=0.12)
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
         ax.set_title("Return of an episode (m)", fontweight="bold", pad=24.0)
-        said = "bars: mean and one standard error; dots: runs, crosses: runs that ended in a fall"
-        ax.set_xlabel(said, color=QUIET, fontsize=8.0, labelpad=6.0)
+        legend = "bars: mean and one standard error; dots: runs, crosses: runs that ended in a fall"
+        ax.set_xlabel(legend, color=QUIET, fontsize=8.0, labelpad=6.0)
         for number, name in enumerate(names):
             ax.bar(0, 0, color=f"C{number}", alpha=_PALE, label=name if number else f"{name} (home)")
         ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2, columnspacing=1.4)
     return Path(path)
 
 
-def _return_bar(ax: Axes, place: int, number: int, count: int, runs: Runs) -> None:
+def _return_bar(ax: Axes, place: int, number: int, count: int, runs: pd.DataFrame) -> None:
     wide, color = _GROUP / count, f"C{number}"
     x = place + wide * (number - (count - 1) / 2)
-    gained, known = runs.estimate("returns"), np.isfinite(runs.returns)
-    top, said = 0.0, []
-    if math.isfinite(gained.mean):
-        error = gained.error if math.isfinite(gained.error) else 0.0
-        ax.bar(x, gained.mean, 0.9 * wide, color=color, alpha=_PALE, linewidth=0)
-        ax.errorbar(x, gained.mean, error, color=INK, linewidth=1.3, capsize=4.0, zorder=3)
-        if 1 < known.sum() <= _MOST_DOTS:
-            across = x + scattered(len(runs), 0.5 * wide)
-            for some, marker in ((known & ~runs.fell, "o"), (known & runs.fell, "x")):
-                ax.plot(across[some], runs.returns[some], marker, color=color, markersize=3.6, alpha=0.9)
-        top = max(gained.mean + error, float(runs.returns[known].max()), 0.0)
+    estimate, measured = MeanEstimate.from_values(runs["return"]), runs[runs["return"].notna()]
+    top, notes = 0.0, []
+    if len(measured):
+        error = estimate.error if math.isfinite(estimate.error) else 0.0
+        ax.bar(x, estimate.mean, 0.9 * wide, color=color, alpha=_PALE, linewidth=0)
+        ax.errorbar(x, estimate.mean, error, color=INK, linewidth=1.3, capsize=4.0, zorder=3)
+        if 1 < len(measured) <= _MAX_DOTS:
+            across = x + scattered(len(measured), 0.5 * wide)
+            for some, marker in ((~measured.fell, "o"), (measured.fell, "x")):
+                ax.plot(across[some], measured["return"][some], marker, color=color, markersize=3.6, alpha=0.9)
+        top = max(estimate.mean + error, float(measured["return"].max()), 0.0)
     else:
-        said = ["return\nnot known"]
+        notes = ["return\nnot known"]
     if runs.fell.any():
-        said.append(f"{runs.fell.sum()} of {len(runs)}\nfell")
-    text, offset = "\n".join(said), (0, 4)
+        notes.append(f"{runs.fell.sum()} of {len(runs)}\nfell")
+    text, offset = "\n".join(notes), (0, 4)
     ax.annotate(text, (x, top), offset, textcoords="offset points", ha="center", va="bottom", fontsize=7.5, color=INK)
 
 
 def _label(policy: PolicyGap) -> str:
     """Return a policy's name, and below it its gap to each other world."""
-    lines = []
-    for runs in policy.away:
-        gap = policy.gap(runs.world).mean
-        where = f"gap to {runs.world}" if len(policy.away) > 1 else "gap"
+    away, lines = policy.worlds[1:], []
+    for world in away:
+        gap = policy.gap(world).mean
+        where = f"gap to {world}" if len(away) > 1 else "gap"
         lines.append(f"{where} {gap:+.2f} m" if math.isfinite(gap) else f"{where} -")
     return "\n".join([*policy.name.split(", "), *lines])

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-import numpy as np
+import pandas as pd
 
-from surefoot.evaluate.gap import gap_difference
-from surefoot.evaluate.statistics import CONFIDENCE, Interval, decimal, t_interval
+from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
 from surefoot.files import atomic_write
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
 from surefoot.report.figures.runs import footfall_diagram
-from surefoot.studies.comparison import CONTENTS, FAR, Comparison, GroupResult, difference, write_tables
-from surefoot.studies.evaluations import EVALUATIONS, gait_trace
+from surefoot.studies.comparison import CONTENTS, FAR, Comparison, late_gain, study_tables, write_tables
+from surefoot.studies.evaluations import EVALUATIONS, load_gait_trace
 from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
 from surefoot.tables import markdown
 
@@ -22,7 +22,7 @@ _BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std",
 _HOW_TO_READ = (
     f"Means over seeds, with intervals of {CONFIDENCE:.0%} confidence in brackets: Student's t over seeds for a group, "
     "Welch's for a difference, none widened for the number of comparisons. Episodes within one seed are averaged "
-    "first. Too few seeds for an interval: no brackets. Bold: the interval does not include zero."
+    "first. Brackets are left out where there are too few seeds. Bold: the interval does not include zero."
 )
 _GAP_TERMS = (
     "Home: the simulator that a policy was trained in, with the motors and delays of its own task. Described: the same "
@@ -33,36 +33,34 @@ _GAP_TERMS = (
 
 
 def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
-    """Write tables, figures and README.md into a folder; returns the path of the last.
-
-    Args:
-        comparison: the groups.
-        folder: where to.
-        command: what makes the report.
-    """
-    files = write_tables(comparison, folder)
+    """Write tables, figures and README.md, with the command that made them, into a folder; return README's path."""
+    tables, missing = study_tables(comparison), ", ".join(comparison.missing)
+    files = write_tables(comparison, tables, folder)
     group_figure(comparison, folder / "groups.png", _BARS)
     text = [
-        f"# Study: {comparison.name}",
+        f"# Study: {comparison.study.name}",
         f"```sh\n{command}\n```",
-        *([f"**Not complete.** Not in this report: {', '.join(comparison.missing)}."] if comparison.missing else []),
+        *([f"**Not complete.** Not in this report: {missing}."] if missing else []),
         "## Trainings",
-        markdown([_training(group) for group in comparison.groups]),
+        markdown([_training(comparison, group) for group in comparison.groups]),
         *_curves(comparison, folder),
         "## Evaluations",
         "\n".join(f"- **{name}**: {EVALUATIONS[name].what}." for name in comparison.kinds),
-        *(_gaps(comparison, folder) if "gap" in comparison.kinds else []),
+        *(_gaps(comparison, tables, folder) if "gap" in comparison.kinds else []),
         "## Results",
         _HOW_TO_READ,
-        _by_figure(
-            comparison,
-            {group.label: [group.interval(one.name) for one in comparison.figures] for group in comparison.groups},
-        ),
+        _by_figure(comparison, tables["groups"].rename(columns={"label": "column"})),
         "![Groups side by side](groups.png)",
         "## Differences",
-        *_differences(comparison),
+        _differences(comparison, tables["differences"]),
         "## Every seed",
-        _seeds(comparison),
+        markdown(
+            [
+                {"group": comparison.study.label(row["group"]), "seed": row["seed"]}
+                | {figure.heading: decimal(row[figure.name], figure.digits) for figure in comparison.figures}
+                for row in comparison.policies.to_dict("records")
+            ]
+        ),
         *(_gaits(comparison, folder) if "gait" in comparison.kinds else []),
         *(_parameters(comparison, folder) if "sensitivity" in comparison.kinds else []),
         "## Files",
@@ -72,91 +70,78 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
     return folder / "README.md"
 
 
-def _training(group: GroupResult) -> dict[str, str]:
-    """Return the row of a group's trainings: late gain is how the return goes from the fourth fifth to the last."""
-    gains = np.array([seed.curve.late_gain for seed in group.seeds])
-    gains = gains[np.isfinite(gains)]
+def _differences(comparison: Comparison, table: pd.DataFrame) -> str:
+    if not len(table):
+        return "There are no two groups to compare."
+    label = comparison.study.label
+    pairs = [f"{label(row.group)}, against {label(row.against)}" for row in table.itertuples()]
+    return _by_figure(comparison, table.assign(column=pairs), "difference")
+
+
+def _training(comparison: Comparison, group: str) -> dict[str, str]:
+    """Return the row of a group's trainings."""
+    policies = comparison.of_group(group)
+    gains = policies.curve.map(late_gain).dropna()
+    best = ["?" if math.isnan(steps) else f"{steps / 1e6:.2f}" for steps in policies.best_steps.astype(float)]
     return {
-        "group": group.label,
-        "name": f"`{group.name}`",
-        "seeds": ", ".join(str(seed.seed) for seed in group.seeds),
-        "control steps": ", ".join(dict.fromkeys(f"{seed.steps:,}" for seed in group.seeds)),
-        "best after (millions)": ", ".join("?" if s.best is None else f"{s.best / 1e6:.2f}" for s in group.seeds),
-        "time (min)": ", ".join(f"{seed.seconds / 60:.1f}" for seed in group.seeds),
+        "group": comparison.study.label(group),
+        "name": f"`{group}`",
+        "seeds": ", ".join(map(str, policies.seed)),
+        "control steps": ", ".join(f"{steps:,}" for steps in policies.steps.unique()),
+        "best after (millions)": ", ".join(best),
+        "time (min)": ", ".join(f"{seconds / 60:.1f}" for seconds in policies.training_seconds),
         "late gain of return (m)": t_interval(gains).text(3, sign=True) if len(gains) else "-",
     }
 
 
 def _curves(comparison: Comparison, folder: Path) -> list[str]:
-    """Draw the learning curves, a figure for each set of groups, and return what shows them."""
+    """Draw the learning curves, a figure for each set of groups; return lines that show them."""
     lines = []
-    for name, groups in comparison.sets() if comparison.bars else [("", comparison.groups)]:
-        file = f"learning_curves_{name}.png" if name else "learning_curves.png"
-        learning_curves({group.label: [seed.curve for seed in group.seeds] for group in groups}, folder / file)
+    for name, groups in comparison.sets().items():
+        file = f"learning_curves_{name}.png" if comparison.study.bars else "learning_curves.png"
+        curves = {comparison.study.label(group): list(comparison.of_group(group).curve) for group in groups}
+        learning_curves(curves, folder / file)
         lines.append(f"![Learning curves]({file})")
     return lines
 
 
-def _by_figure(comparison: Comparison, columns: Mapping[str, Sequence[Interval]], sign: bool = False) -> str:
-    """Return a table with a row for each figure and a column for each group or pair; `sign` marks what is not zero."""
+def _by_figure(comparison: Comparison, table: pd.DataFrame, change: str = "") -> str:
+    """Return intervals with a row for each figure and a column for each group or pair.
 
-    def cell(interval: Interval, digits: int) -> str:
-        text = interval.text(digits, sign)
-        return f"**{text}**" if sign and not interval.covers_zero else text
-
-    return markdown(
-        [
-            {"figure": figure.heading} | {name: cell(found[i], figure.digits) for name, found in columns.items()}
-            for i, figure in enumerate(comparison.figures)
-        ]
-    )
-
-
-def _differences(comparison: Comparison) -> list[str]:
-    pairs = {f"{other.label}, against {base.label}": (base, other) for base, other in comparison.present_pairs()}
-    if not pairs:
-        return ["There are no two groups to compare."]
-    changes = {name: [difference(*pair, figure.name) for figure in comparison.figures] for name, pair in pairs.items()}
-    return [_by_figure(comparison, changes, sign=True)]
-
-
-def _seeds(comparison: Comparison) -> str:
-    return markdown(
-        [
-            {"group": group.label, "seed": seed.seed}
-            | {figure.heading: decimal(seed.figures[figure.name], figure.digits) for figure in comparison.figures}
-            for group in comparison.groups
-            for seed in group.seeds
-        ]
-    )
+    Columns of the ends begin with `change` where the intervals are of differences: those without zero are bold then.
+    """
+    names = [change, f"{change}_low", f"{change}_high"] if change else ["mean", "low", "high"]
+    rows = []
+    for figure in comparison.figures:
+        cells = {"figure": figure.heading}
+        for _, row in table[table.figure == figure.name].iterrows():
+            interval = Interval(*row[names])
+            text = interval.text(figure.digits, sign=bool(change))
+            cells[row.column] = f"**{text}**" if change and not interval.covers_zero else text
+        rows.append(cells)
+    return markdown(rows)
 
 
 def _gaits(comparison: Comparison, folder: Path) -> list[str]:
-    """Name the gait of each policy, draw an episode of each group's first, and return what shows them."""
+    """Name the gait of each policy and draw an episode of each group's first; return the section."""
     rows, figures = [], []
     for group in comparison.groups:
-        for seed in group.seeds:
-            found = seed.results["gait"]
-            numbers = {name: decimal(math.nan if found[name] is None else found[name]) for name in ("stride", "duty")}
-            row = {
-                "group": group.label,
-                "seed": str(seed.seed),
-                "gait": found["gait"],
-                "agree": f"{found['agree']} of 5",
-            }
-            row |= {"pattern": found["pattern"], "why unnamed": found["reason"] or ""}
-            rows.append(row | {"stride (s)": numbers["stride"], "duty factor": numbers["duty"]})
-        policy, file = group.seeds[0].policy, f"gait_{group.name}.png"
-        assert policy is not None
-        footfall_diagram(gait_trace(policy), folder / file)
-        figures.append(f"![Footfalls: {group.label}, seed {group.seeds[0].seed}]({file})")
+        label, policies = comparison.study.label(group), comparison.of_group(group)
+        for policy in policies.itertuples():
+            gait = policy.results["gait"]
+            stride, duty = (decimal(math.nan if gait[name] is None else gait[name]) for name in ("stride", "duty"))
+            row = {"group": label, "seed": str(policy.seed), "gait": gait["gait"], "agree": f"{gait['agree']} of 5"}
+            row |= {"pattern": gait["pattern"], "why unnamed": gait["reason"] or ""}
+            rows.append(row | {"stride (s)": stride, "duty factor": duty})
+        footfall_diagram(load_gait_trace(policies.policy.iloc[0]), folder / f"gait_{group}.png")
+        figures.append(f"![Footfalls: {label}, seed {policies.seed.iloc[0]}](gait_{group}.png)")
     return ["## Gaits", markdown(rows), *figures]
 
 
 def _parameters(comparison: Comparison, folder: Path) -> list[str]:
-    """Draw returns and falls against each parameter, and return what shows them."""
-    groups = {group.label: group.sensitivities for group in comparison.groups}
-    rows = comparison.groups[0].sensitivities[0].rows
+    """Draw returns and falls against each parameter; return the section."""
+    groups = {comparison.study.label(group): comparison.sensitivities(group) for group in comparison.groups}
+    rows = next(iter(groups.values()))[0].rows
     parameters_figure(groups, folder / "parameters.png")
     for row in rows:
         parameter_figure(row, groups, folder / "parameters" / f"{row}.png")
@@ -167,51 +152,63 @@ def _parameters(comparison: Comparison, folder: Path) -> list[str]:
     ]
 
 
-def _gaps(comparison: Comparison, folder: Path) -> list[str]:
-    """Draw the gaps of each set of groups, and return the section on them."""
+def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Path) -> list[str]:
+    """Draw the gaps of each set of groups; return the section."""
     best, parts = comparison.best(), ["## Reality gap", _GAP_TERMS]
-    for name, groups in comparison.sets():
+    groups, changes = tables["gap_groups"], tables["gap_differences"]
+    for name, names in comparison.sets().items():
         file = f"gap_{name}.png"
-        chosen = [group for group in best.groups if group.name in {one.name for one in groups}]
-        gap_figure([group.gap for group in chosen], folder / file)
-        parts += [f"### {name}", f"![Return at home and away]({file})", *_finding(comparison, name)]
-        parts.append(markdown([row for group in chosen for row in _gap_rows(group)]))
-    parts += ["### All policies", markdown([row for group in comparison.groups for row in _gap_rows(group)])]
-    changes = []
-    for which, part in ((f"best {comparison.top}", best), ("all", comparison)):
-        for base, other in part.present_pairs():
-            over_runs, crossed, away = gap_difference(base.gap, other.gap)
-            changes.append(
-                {
-                    "group": other.label,
-                    "against": base.label,
-                    "policies": which,
-                    "gap (m)": over_runs.text(sign=True),
-                    "gap, interval (m)": crossed.text(sign=True),
-                    "return away, interval (m)": away.text(sign=True),
-                    "paper": comparison.finding((base.name, other.name)),
-                }
-            )
-    return [*parts, *(["### Differences of gaps", markdown(changes)] if changes else [])]
+        gap_figure([best.gap(group) for group in names], folder / file)
+        finding = comparison.finding(comparison.study.bars.get(name, names))
+        parts += [f"### {name}", f"![Return at home and away]({file})"]
+        parts += [f"In the paper: {finding}"] if finding else []
+        parts.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
+    parts += ["### All policies", _gap_table(groups[groups.policies == "all"])]
+    if len(changes):
+        label = comparison.study.label
+        rows = [
+            {
+                "group": label(row.group),
+                "against": label(row.against),
+                "policies": f"best {comparison.study.top}" if row.policies == "top" else "all",
+                "gap (m)": MeanEstimate(row.difference, row.error).text(sign=True),
+                "gap, interval (m)": _interval(row, "interval_difference").text(sign=True),
+                "return away, interval (m)": _interval(row, "away_difference").text(sign=True),
+                "paper": comparison.finding((row.against, row.group)),
+            }
+            for row in changes.itertuples()
+        ]
+        parts += ["### Differences of gaps", markdown(rows)]
+    return parts
 
 
-def _finding(comparison: Comparison, name: str) -> list[str]:
-    """Return what the paper found of a set of groups, those without policies included."""
-    found = comparison.finding(comparison.bars.get(name, [group.name for group in comparison.groups]))
-    return [f"In the paper: {found}"] if found else []
+def _interval(row: Any, name: str) -> Interval:
+    return Interval(*(getattr(row, f"{name}{end}") for end in ("", "_low", "_high")))
 
 
-def _gap_rows(group: GroupResult) -> list[dict[str, str]]:
-    gap, rows = group.gap, []
-    for runs, row in zip(gap.runs, gap.text_rows(), strict=True):
-        start = {"group": row.pop("policy"), "seeds": ", ".join(str(seed.seed) for seed in group.seeds)}
-        if runs is not gap.home:
-            row["gap (m)"] = gap.gap_over_runs(runs.world).text()
-        more = {
-            "gap, interval (m)": "" if runs is gap.home else gap.interval(runs.world).text(),
-            "distance (m)": runs.estimate("distance").text(),
-            "least distance (m)": decimal(runs.distance.min()),
-            f"over {FAR:g} m": f"{(runs.distance > FAR).sum()} of {len(runs)}",
-        }
-        rows.append(start | row | more)
-    return rows
+def _gap_table(table: pd.DataFrame) -> str:
+    """Return rows of the table `gap_groups` as text."""
+
+    def mean(row: Any, name: str, digits: int = 2) -> str:
+        return MeanEstimate(getattr(row, f"{name}_mean"), getattr(row, f"{name}_error")).text(digits)
+
+    return markdown(
+        [
+            {
+                "group": row.label,
+                "seeds": row.seeds.replace(" ", ", "),
+                "world": row.world,
+                "return (m)": mean(row, "return"),
+                "gap (m)": "" if math.isnan(row.gap) else MeanEstimate(row.gap, row.gap_error).text(),
+                "speed (m/s)": mean(row, "speed"),
+                "power (W)": mean(row, "power", 1),
+                "falls": f"{row.falls} of {row.runs}",
+                "success": f"{100 * row.success_rate:.0f} %",
+                "gap, interval (m)": "" if math.isnan(row.gap) else _interval(row, "gap").text(),
+                "distance (m)": mean(row, "distance"),
+                "least distance (m)": decimal(row.least_distance),
+                f"over {FAR:g} m": f"{row.far} of {row.runs}",
+            }
+            for row in table.itertuples()
+        ]
+    )

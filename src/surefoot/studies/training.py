@@ -1,4 +1,4 @@
-"""One of many trainings, in its folder: how far it is, and whether the folder holds this training or another."""
+"""One of many trainings, in its folder: its state, and whether the folder holds this training or another."""
 
 from __future__ import annotations
 
@@ -36,11 +36,9 @@ class Training:
     group: str
     """Name of its group in a study, or of the trial."""
     config: TrainConfig
-    """The training."""
     path: Path
-    """Its folder."""
     trial: bool = False
-    """Whether it is a trial of a search: its last policy is exported, not its best, and its checkpoints go then."""
+    """Whether it is a trial of a search: its last policy is exported, not its best, and its checkpoints are removed."""
 
     @property
     def name(self) -> str:
@@ -54,7 +52,7 @@ class Training:
 
     @property
     def state(self) -> State:
-        """How far the run is, told from its files alone."""
+        """State of the run, from its files alone."""
         if self.policy.exists():
             return "finished"
         checkpoints = self.path / "checkpoints"
@@ -62,14 +60,11 @@ class Training:
         return "started" if saved else "new"
 
     def rows(self) -> list[dict[str, Any]]:
-        """The figures of its updates; a last line that was cut off is left out."""
+        """Return the figures of its updates; a last line that was cut off is left out."""
         return read_json_lines(self.path / "figures.jsonl")
 
     def check(self, extend: bool = False) -> None:
-        """Refuse a folder whose run is another one than the study asks for.
-
-        Args:
-            extend: let fewer steps pass, which `extend` mends.
+        """Refuse a folder with another run than this one; with `extend`, fewer steps pass.
 
         Raises:
             SurefootError: with the folder, the first field that differs, and what to do.
@@ -77,12 +72,11 @@ class Training:
         if self.state == "new":
             return
         stored = self.stored()
-        kept = {name: getattr(stored, name) for name in _SAME_RESULT}
+        same = {name: getattr(stored, name) for name in _SAME_RESULT}
         if extend and stored.steps < self.config.steps:
-            kept["steps"] = stored.steps
-        found = difference(stored, replace(self.config, **kept))
-        if found is not None:
-            name, was, now = found
+            same["steps"] = stored.steps
+        if change := difference(stored, replace(self.config, **same)):
+            name, was, now = change
             more = "" if name != "steps" or now < was else "go on with it by --extend, "
             raise SurefootError(
                 f"{self.path}: was trained with {name} {was!r}, and the study asks for {now!r}; {more}move the folder "
@@ -92,7 +86,7 @@ class Training:
     def extend(self) -> None:
         """Let a run that was made for fewer steps go on to as many as the study now asks for.
 
-        A run does the same in its first steps whatever their number, so it goes on as if it had been made for more.
+        The number of steps does not change the steps before, so the result is that of a run made for more.
         """
         if self.state == "new" or (stored := self.stored()).steps >= self.config.steps:
             return
@@ -112,15 +106,13 @@ class Training:
             raise SurefootError(f"{self.path}: {error}; move the folder away to train anew") from None
 
 
-def difference(one: Any, other: Any, way: str = "") -> tuple[str, Any, Any] | None:
-    """The first field in which two configurations differ, by its dotted name, with both values; None if in none."""
+def difference(one: Any, other: Any, prefix: str = "") -> tuple[str, Any, Any] | None:
+    """Return the first field in which two configurations differ, by its dotted name, with both values; else None."""
     for item in fields(one):
-        name = f"{way}.{item.name}" if way else item.name
         a, b = getattr(one, item.name), getattr(other, item.name)
         if is_dataclass(a) and is_dataclass(b):
-            found = difference(a, b, name)
-            if found is not None:
-                return found
+            if change := difference(a, b, f"{prefix}{item.name}."):
+                return change
         elif a != b:
-            return name, a, b
+            return prefix + item.name, a, b
     return None

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.configuration import Seed, Threads, Within, check_bounds, is_number, to_mapping
+from surefoot.configuration import Seed, Threads, Within, is_number, to_mapping
 from surefoot.errors import SurefootError, choices, quote
 from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.rollout import run_to_end
@@ -26,7 +26,7 @@ from surefoot.studies.handcrafted import HandcraftedGait, OpenLoop
 from surefoot.studies.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.foot import FootReference
+from surefoot.task.foot_references import FootReference
 from surefoot.task.gait import HybridGait
 from surefoot.task.observation import IMU_4D
 from surefoot.task.reference import FootConfig, ReferenceConfig, make_reference
@@ -34,7 +34,7 @@ from surefoot.world.interface import SimulationFactory
 
 Gait = Literal["trot", "bound", "gallop", "free"]
 Ranges = dict[str, tuple[float, float, float]]
-"""Least and greatest value of each parameter that is searched, and the one to begin with."""
+"""Least, greatest and initial value of each parameter that is searched."""
 
 PATH: Ranges = {
     "frequency": (1.0, 9.0, 2.5),
@@ -47,15 +47,15 @@ PATH: Ranges = {
     "back_offset": (-0.3, 0.3, 0.0),
     "depth": (0.0, 0.15, 0.02),
 }
-"""Foot trajectories. `stride` is how far feet go backward in stance, in multiples of what the speed asks for without
-slip; `frequency` is in multiples of the legs' natural one; all other lengths are in parts of the legs' reach."""
+"""Foot trajectories. `stride` is how far feet go backward in stance, over the distance of the body in that time;
+`frequency` is in multiples of the legs' natural one; all other lengths are in parts of the legs' reach."""
 PHASES: dict[Gait, Ranges] = {
     "trot": {},
     "bound": {"back_phase": (0.25, 0.75, 0.5)},
     "gallop": {"back_phase": (0.3, 0.7, 0.5), "front_lead": (0.08, 0.22, 0.12), "back_lead": (-0.22, 0.22, 0.12)},
     "free": {"back_phase": (0.0, 1.0, 0.5), "front_lead": (-0.5, 0.5, 0.5), "back_lead": (-0.5, 0.5, -0.5)},
 }
-"""Phases that a gait leaves open [cycles]: of the hind legs after the fore legs, of the right ones after the left; of a
+"""Phases that are searched [cycles]: of the hind legs after the fore legs, of the right ones after the left; of a
 gallop from the middle of one pair to that of the other, so that pairs do not mix, else from left to left."""
 GAINS: Ranges = {
     "speed": (-0.15, 0.3, 0.0),
@@ -65,23 +65,23 @@ GAINS: Ranges = {
     "roll_rate": (0.0, 0.3, 0.03),
 }
 """Gains of Raibert's controller."""
-LONGEST_STROKE = 0.5
-"""In parts of the reach; a start that would need more is in reach all the same."""
+MAX_STROKE = 0.5
+"""In parts of the reach, so that a start at a high speed is in reach."""
 FEEDBACK = {
     "rad": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.25, 0.25)),
     "1": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.1, 0.1)),
 }
 """Bounds of the controller's feedback [rad]; the paper's for the learned trot."""
-_SLOW = 300.0
-"""Power [W] that a speed of zero costs in the search, in proportion to what is missing."""
-_FALL = 1000.0
-"""Power [W] that a fall costs, and once more in proportion to the time that is missing."""
+_SPEED_PENALTY = 300.0
+"""Cost [W] of a speed of zero; of others in proportion to the missing speed."""
+_FALL_PENALTY = 1000.0
+"""Cost [W] of a fall, and once more in proportion to the missing time."""
 _TRIES = 200
 
 
 @dataclass(frozen=True)
 class TuneConfig:
-    """Settings of a search."""
+    """Settings of a tuning."""
 
     gait: Gait = "trot"
     """trot: diagonal legs together; bound: fore legs together, and hind legs; gallop: both pairs a little apart;
@@ -103,17 +103,12 @@ class TuneConfig:
     sigma: Annotated[float, Within(0, 1, above=True)] = 0.2
     """First standard deviation, in parts of each parameter's range."""
     seed: Seed = 0
-    """The one seed of the search."""
     threads: Threads = 0
     """Threads of the simulation; 0 means one a core. The result does not depend on it."""
 
-    def __post_init__(self) -> None:
-        """Refuse values out of bounds."""
-        check_bounds(self)
-
     @property
     def ranges(self) -> Ranges:
-        """What is searched."""
+        """Ranges of the parameters that are searched."""
         return {**PATH, **PHASES[self.gait], **(GAINS if self.raibert else {})}
 
 
@@ -122,8 +117,8 @@ def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: fl
 
     Args:
         values: the parameters by name, in the units of `PATH` and `PHASES`.
-        gait: says which legs go together.
-        speed: the one asked for [m/s].
+        gait: the gait, which has phases in common.
+        speed: speed of the gait [m/s].
         reach: longest distance of a foot from its motor axis [m].
     """
     frequency = values["frequency"] * math.sqrt(GRAVITY / reach) / (2 * math.pi)
@@ -136,28 +131,28 @@ def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: fl
     }[gait]
     legs = ("front_left", "front_right", "back_left", "back_right")
 
-    def of_ends(name: str) -> dict[str, float]:
+    def by_leg(name: str) -> dict[str, float]:
         return {leg: reach * values[f"{leg.split('_')[0]}_{name}"] for leg in legs}
 
     return FootConfig(
         frequency=frequency,
-        stroke=min(values["stride"] * speed * values["duty_factor"] / frequency, LONGEST_STROKE * reach),
+        stroke=min(values["stride"] * speed * values["duty_factor"] / frequency, MAX_STROKE * reach),
         clearance=reach * values["clearance"],
         duty_factor=values["duty_factor"],
         phase=dict(zip(legs, phase, strict=True)),
-        height=of_ends("height"),
-        offset=of_ends("offset"),
+        height=by_leg("height"),
+        offset=by_leg("offset"),
         depth=reach * values["depth"],
     )
 
 
 class Tuner:
-    """A search; `step` runs a generation, `gait` is the best gait so far.
+    """A tuning; `step` runs a generation, `gait` is the best gait so far.
 
     Args:
         config: its settings.
         make_world: makes the simulation.
-        start: parameters to begin with, by name, where they are not the usual ones; as near as the ranges allow.
+        start: initial parameters by name, over the default ones; clipped to the ranges.
 
     Raises:
         SurefootError: a robot whose legs are not fore and hind, left and right, or a start out of the legs' reach.
@@ -172,22 +167,21 @@ class Tuner:
                 f"{self.robot.name} has legs {choices(self.robot.leg_names)}; gaits are of {choices(FEET)}"
             )
         self.feedback = FEEDBACK[self.robot.leg_geometry.units[-1]]
-        straight = self.robot.pose_angles(
-            *[0.0] * (len(self.robot.coordinates) - 1), self.robot.leg_space["extension"][1]
-        )
+        level = [0.0] * (len(self.robot.coordinates) - 1)
+        straight = self.robot.pose_angles(*level, self.robot.leg_space["extension"][1])
         feet = self.robot.leg_geometry.foot_in_plane(straight[self.robot.leg_motor_index])
         self.reach = float(np.linalg.norm(feet, axis=-1).mean())
-        given = start or {}
-        for name, value in given.items():
+        start = start or {}
+        for name, value in start.items():
             if not is_number(value):
                 raise SurefootError(
                     f"parameter {name} of the gait to start from is {quote(value)}; it must be a number"
                 )
-        # What is in reach at one speed may not be at another one: then the search begins nearer to the usual gait.
+        # A start in reach at one speed may be out of reach at another one: then it moves towards the default gait.
         for share in np.linspace(1.0, 0.0, 21).tolist():
             self.best = {
-                name: usual + share * (min(max(given.get(name, usual), low), high) - usual)
-                for name, (low, high, usual) in self.ranges.items()
+                name: default + share * (min(max(start.get(name, default), low), high) - default)
+                for name, (low, high, default) in self.ranges.items()
             }
             """Parameters of the best gait so far."""
             if not self._refusal(self.best):
@@ -199,7 +193,7 @@ class Tuner:
         inside = np.clip((np.array(list(self.best.values())) - self._low) / self._width, 0.02, 0.98)
         seed = int(generator(config.seed, "tune").integers(1, 2**31))
         options = {"bounds": [0, 1], "popsize": config.population, "seed": seed, "verbose": -9}
-        # It takes seconds, for SciPy's statistics and Matplotlib; what a user gets wrong is told before.
+        # The import takes seconds; errors of the user come before.
         import cma
 
         self._search = cma.CMAEvolutionStrategy(inside, config.sigma, options)
@@ -209,16 +203,16 @@ class Tuner:
         self._env = LocomotionEnv(task, count, make_world, config.seed, autoreset=False, threads=config.threads)
 
     def gait(self) -> HandcraftedGait:
-        """Return the best gait so far, with the settings and the parameters that it came from."""
+        """Return the best gait so far, with its settings and parameters."""
         config = self.config
         foot = foot_config(self.best, config.gait, config.speed, self.reach)
         name = f"{config.gait}-{round(100 * config.speed)}{'-raibert' if config.raibert else ''}"
-        seen = (OBSERVATIONS, HISTORY) if config.raibert else (IMU_4D, 1)
+        observations, history = (OBSERVATIONS, HISTORY) if config.raibert else (IMU_4D, 1)
         task = TaskConfig(
             name=name,
             robot=config.robot,
-            observations=seen[0],
-            history=seen[1],
+            observations=observations,
+            history=history,
             reference=ReferenceConfig(kind="foot", foot=foot),
             feedback=self.feedback,
             rest=self.robot.rest,
@@ -239,17 +233,17 @@ class Tuner:
             self.cost, self.best = float(costs[first]), candidates[first]
 
     def finish(self) -> None:
-        """Choose among the best candidates of the last generations again, from other starts, by their worst episode.
+        """Select among the best candidates of the last generations, from other starts, by their worst episode.
 
-        The least of many numbers that vary by chance flatters itself.
+        This removes the selection bias of the least of many noisy costs.
         """
-        again = [*self._firsts[-self.config.population :], self.best]
-        again = (again * self.config.population)[-self.config.population :]
-        costs = self.costs(again).max(axis=1)
-        self.cost, self.best = float(costs.min()), again[int(np.argmin(costs))]
+        finalists = [*self._firsts[-self.config.population :], self.best]
+        finalists = (finalists * self.config.population)[-self.config.population :]
+        costs = self.costs(finalists).max(axis=1)
+        self.cost, self.best = float(costs.min()), finalists[int(np.argmin(costs))]
 
     def costs(self, candidates: Sequence[Mapping[str, float]]) -> Array:
-        """Return what each candidate's episodes cost (C, starts) [W]: power, and what speed or time is missing."""
+        """Return the costs of all episodes (C, starts) [W]: power, and penalties for missing speed or time."""
         config, env, starts = self.config, self._env, self.config.starts
         references = [self._reference(values) for values in candidates for _ in range(starts)]
         stacked = FootReference.stacked(references)
@@ -261,21 +255,23 @@ class Tuner:
             }
             policy = RaibertController(self.robot, stacked, RaibertConfig(**gains))
         observation, _ = env.reset()
-        runs = run_to_end(lambda given: env.gait.action(policy.feedback(given)), env, observation)
-        done = runs.power + _SLOW * np.maximum(1.0 - runs.speed / config.speed, 0.0)
-        return np.where(runs.balanced, done, _FALL * (2.0 - runs.steps / env.task.max_steps)).reshape(-1, starts)
+        runs = run_to_end(lambda rows: env.gait.action(policy.feedback(rows)), env, observation)
+        done = runs.power + _SPEED_PENALTY * np.maximum(1.0 - runs.speed / config.speed, 0.0)
+        return np.where(runs.balanced, done, _FALL_PENALTY * (2.0 - runs.steps / env.task.max_steps)).reshape(
+            -1, starts
+        )
 
     def _within_reach(self, point: Array) -> Array:
         """Return a point of the search, or another one in its place if feet would leave the legs' reach."""
         for _ in range(_TRIES):
-            why = self._refusal(self._values(point))
-            if not why:
+            reason = self._refusal(self._values(point))
+            if not reason:
                 return point
             point = self._search.ask(1)[0]
-        raise SurefootError(f"{_TRIES} gaits in a row were refused, the last one because {why}; ask for less speed")
+        raise SurefootError(f"{_TRIES} gaits in a row were refused, the last one because {reason}; ask for less speed")
 
     def _refusal(self, values: Mapping[str, float]) -> str:
-        """Return why a robot's legs refuse a gait; empty if they do not."""
+        """Return why a gait is out of the legs' reach; empty if it is not."""
         try:
             HybridGait(self.robot, self._reference(values), *self.feedback.bounds(self.robot.coordinates))
         except SurefootError as error:
@@ -287,6 +283,6 @@ class Tuner:
 
     def _reference(self, values: Mapping[str, float]) -> FootReference:
         foot = foot_config(values, self.config.gait, self.config.speed, self.reach)
-        found = make_reference(ReferenceConfig(kind="foot", foot=foot), self.robot)
-        assert isinstance(found, FootReference)
-        return found
+        reference = make_reference(ReferenceConfig(kind="foot", foot=foot), self.robot)
+        assert isinstance(reference, FootReference)
+        return reference

@@ -1,7 +1,7 @@
 """Many trainings on Ray, a few at a time: on this machine, or on a cluster, where those of lost computers start again.
 
-Each worker is a process that trains for about a second whenever it is asked to, and tells how far it is. So all
-decisions are made here, in the process that asked, between two updates of a policy: to go on, to prune, to stop.
+Each worker is a process that trains for about a second a call and reports its progress. So all decisions, to go on, to
+prune or to stop, are made in the process that called, between two updates of a policy.
 """
 
 from __future__ import annotations
@@ -25,50 +25,47 @@ from surefoot.studies.training import Training
 if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
-    from surefoot.studies.evaluations import FindWorld
 
 PATIENCE = 120.0
 """How long [s] a worker waits for another process to leave a folder: one that lost its parent may need an update."""
 TRIES = 3
 """Times that a training is begun, if its processes die, before it is given up."""
-_BETWEEN = 1.0
-"""Time [s] after which a worker tells how far it is, at the next end of an update."""
-_CONNECTING = 5.0
+_REPORT_PERIOD = 1.0
+"""Time [s] after which a worker reports, at the next end of an update."""
+_CONNECT_TIMEOUT = 5.0
 """How long [s] a cluster may take to answer."""
 _FILES = ("config.yaml", "run.json", "figures.jsonl", "policy.onnx")
-"""What comes back from a computer that does not share the folder."""
+"""Files that a computer without the shared folder sends back; the policy, which marks the end, comes last."""
 _SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # It would warn about graphics cards.
-    "RAY_worker_niceness": "0",  # As fast as this process, not after everything else on the machine.
-    "RAY_DEDUP_LOGS_SKIP_REGEX": ".",  # What dies is told here, in one line.
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # no warning about graphics cards
+    "RAY_worker_niceness": "0",  # the priority of this process, not the lowest
+    "RAY_DEDUP_LOGS_SKIP_REGEX": ".",  # deaths are reported here, in one line
 }
 
 
 @dataclass(frozen=True)
-class Told:
-    """How far a training is."""
+class ProgressReport:
+    """Progress of a training."""
 
     steps: int = 0
-    """Control steps so far."""
     speed: float | None = None
     """Mean speed of episodes that ended in the last update [m/s]; None if none did."""
     evaluations: tuple[dict[str, Any], ...] = ()
-    """Evaluations that are new; all so far, when the training begins."""
+    """Evaluations since the last report; all so far, when the training begins."""
     finished: bool = False
     """Whether it is over: its policy is exported."""
     files: dict[str, bytes] = field(default_factory=dict, repr=False)
-    """Files of a training that is over, by name."""
 
 
 @dataclass
-class Outcome:
-    """What became of trainings."""
+class TrainingsOutcome:
+    """Which trainings were finished, and which failed."""
 
     done: list[str] = field(default_factory=list)
     """Names of those that are over."""
     failed: dict[str, str] = field(default_factory=dict)
-    """Names of those that failed, each with one line that says why."""
+    """Error of each that failed, in one line, by name."""
     stopped: bool = False
     """Whether a stop was requested, with trainings left."""
 
@@ -77,18 +74,17 @@ class Worker:
     """A process that trains: one training after another, each in its folder.
 
     Args:
-        find_world: returns what makes the simulation of a world, by name.
         folder: the folder that paths count from.
     """
 
-    def __init__(self, find_world: FindWorld, folder: str) -> None:
+    def __init__(self, folder: str) -> None:
         os.makedirs(folder, exist_ok=True)
         os.chdir(folder)
-        self._find_world, self._held = find_world, contextlib.ExitStack()
+        self._lock = contextlib.ExitStack()
         self._loop: TrainingLoop | None = None
 
-    def begin(self, training: Training) -> Told:
-        """Take a training from wherever its folder is.
+    def begin(self, training: Training) -> ProgressReport:
+        """Begin a training, or go on from the state of its folder.
 
         Raises:
             SurefootError: the folder is another training's, in use, or damaged.
@@ -96,14 +92,15 @@ class Worker:
         from surefoot.learn.folder_lock import folder_lock
         from surefoot.learn.run_folder import RunFolder
         from surefoot.learn.training_loop import TrainingLoop
+        from surefoot.world.registry import find_world
 
-        # The one before is gone for good: what a `PpoLearner` froze out of the collector's sight too.
+        # Free the training before, which a `PpoLearner` hides from the collector.
         gc.unfreeze()
         gc.collect()
         self._training = training
         with describe_os_errors(training.path, "made"):
             training.path.mkdir(parents=True, exist_ok=True)
-        self._held.enter_context(folder_lock(training.path, PATIENCE))
+        self._lock.enter_context(folder_lock(training.path, PATIENCE))
         training.check()
         state = training.state
         if state == "new":
@@ -112,27 +109,27 @@ class Worker:
             folder, config = RunFolder.open(training.path)
             training = replace(training, config=config)
         if state == "finished":
-            return self._over(folder)
-        make_world = self._find_world(training.config.world)
+            return self._last_report(folder)
+        make_world = find_world(training.config.world)
         self._loop = TrainingLoop(training.config, folder, make_world, resume=state == "started")
         if self._loop.finished:
             return self.end(export=True)
-        return Told(self._loop.learner.steps, evaluations=tuple(folder.evaluations()))
+        return ProgressReport(self._loop.learner.steps, evaluations=tuple(folder.evaluations()))
 
-    def advance(self) -> Told:
-        """Train until there is something to tell."""
+    def advance(self) -> ProgressReport:
+        """Train until the next report is due."""
         assert self._loop is not None
-        until = time.monotonic() + _BETWEEN
+        until = time.monotonic() + _REPORT_PERIOD
         while True:
             figures, evaluation = self._loop.step()
             if self._loop.finished:
                 return self.end(export=True)
             if evaluation is not None or time.monotonic() > until:
                 speed = None if math.isnan(figures.speed_mean) else figures.speed_mean
-                return Told(figures.steps, speed, tuple(vars(one) for one in (evaluation,) if one is not None))
+                return ProgressReport(figures.steps, speed, () if evaluation is None else (vars(evaluation),))
 
-    def end(self, export: bool) -> Told:
-        """Save the training to go on another time, or export its policy: that is what makes it finished."""
+    def end(self, export: bool) -> ProgressReport:
+        """Export the policy, which marks the training as finished, or save the state to go on another time."""
         assert self._loop is not None
         loop, self._loop = self._loop, None
         if not (export and self._training.trial):
@@ -140,21 +137,21 @@ class Worker:
         loop.close()
         if export:
             loop.export(loop.folder.policy, last=self._training.trial)
-            return self._over(loop.folder)
-        self._held.close()
-        return Told(loop.learner.steps)
+            return self._last_report(loop.folder)
+        self._lock.close()
+        return ProgressReport(loop.learner.steps)
 
-    def _over(self, folder: RunFolder) -> Told:
+    def _last_report(self, folder: RunFolder) -> ProgressReport:
         if self._training.trial:
             shutil.rmtree(folder.checkpoints, ignore_errors=True)
-        self._held.close()
+        self._lock.close()
         files = {name: (folder.path / name).read_bytes() for name in _FILES}
-        return Told(folder.rows()[-1]["steps"], None, tuple(folder.evaluations()), True, files)
+        return ProgressReport(folder.rows()[-1]["steps"], None, tuple(folder.evaluations()), True, files)
 
 
 @contextlib.contextmanager
 def ray_cluster(address: str | None, workers: int = 0) -> Iterator[None]:
-    """Start Ray on this machine for so many workers, 0 for one a core, or join the cluster at HOST:PORT.
+    """Start Ray on this machine for a number of workers, 0 for one a core, or join the cluster at HOST:PORT.
 
     Raises:
         SurefootError: Ray does not start, or the cluster has no place for this process.
@@ -164,12 +161,13 @@ def ray_cluster(address: str | None, workers: int = 0) -> Iterator[None]:
         os.environ.setdefault(name, value)
     import ray
 
-    how: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR, "configure_logging": True}
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR, "configure_logging": True}
     if address is None:
-        memory = 100 << 20  # Nothing large is passed around.
-        how |= {"num_cpus": workers or os.cpu_count(), "include_dashboard": False, "object_store_memory": memory}
+        memory = 100 << 20  # of objects, all small
+        options |= {"num_cpus": workers or os.cpu_count(), "include_dashboard": False}
+        options["object_store_memory"] = memory
     try:
-        ray.init(address or "local", **how)
+        ray.init(address or "local", **options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         where = f"the cluster at {address}" if address else "Ray"
         raise SurefootError(f"{where} can't be used: {_one_line(error)}") from None
@@ -180,7 +178,7 @@ def ray_cluster(address: str | None, workers: int = 0) -> Iterator[None]:
 
 
 def check_address(address: str | None) -> None:
-    """Refuse the address of a cluster where nothing listens that could be Ray, which itself would try for minutes.
+    """Refuse the address of a cluster where no Ray answers; Ray itself would try for minutes.
 
     Raises:
         SurefootError: no HOST:PORT, or no answer.
@@ -191,16 +189,15 @@ def check_address(address: str | None) -> None:
 
     if address is None:
         return
-
     if re.fullmatch(r"[\w.-]+:\d{1,5}", address) is None:
         raise SurefootError(f"ray is '{address}'; it must be HOST:PORT, as `ray start --head` shows it")
     with grpc.insecure_channel(address, options=[("grpc.enable_http_proxy", 0)]) as channel:
         try:
-            grpc.channel_ready_future(channel).result(timeout=_CONNECTING)
+            grpc.channel_ready_future(channel).result(timeout=_CONNECT_TIMEOUT)
         except grpc.FutureTimeoutError:
             raise SurefootError(
-                f"ray is {address}: no Ray answers there within {_CONNECTING:g} s; start one by `ray start --head`, or "
-                "leave the option out to run on this machine"
+                f"ray is {address}: no Ray answers there within {_CONNECT_TIMEOUT:g} s; start one by "
+                "`ray start --head`, or leave the option out to run on this machine"
             ) from None
 
 
@@ -211,127 +208,124 @@ def _one_line(error: BaseException) -> str:
 
 
 @dataclass
-class _Slot:
+class _Job:
     """A training under way."""
 
     training: Training
     worker: Any
-    fresh: bool
+    is_new: bool
     """Whether the worker was made for it, and may have to wait for a processor."""
     begun: bool = False
     ends_as: str = ""
-    """What it will be once the worker has ended it: stopped or pruned."""
+    """Its state once the worker has ended it: stopped or pruned."""
 
 
 def run_trainings(
     trainings: Iterable[Training],
-    find_world: FindWorld,
     workers: int,
-    on_told: Callable[[Training, Told], bool],
+    on_report: Callable[[Training, ProgressReport], bool],
     on_change: Callable[[Training, str, str], None],
     stops: Callable[[], int] = lambda: 0,
-) -> Outcome:
+) -> TrainingsOutcome:
     """Run trainings on Ray, which `ray_cluster` has started.
 
     Args:
-        trainings: what is to be done; the next one is taken when a worker is free for it.
-        find_world: returns what makes the simulation of a world, by name.
+        trainings: the trainings; the next one is taken when a worker is free for it.
         workers: how many run at a time; 0 means as many as the cluster has processors.
-        on_told: called with how far a training is, about once a second and when it is over; true prunes it: its
-            policy is exported as it is.
-        on_change: called when a training is "started", "done", "pruned", "stopped", "failed", or "lost", which means
-            that its process died, so that it goes on from its folder in another one; with one line that says why.
+        on_report: called about once a second and at the end of a training; true prunes it: its policy is exported as
+            it is.
+        on_change: called when a training is "started", "done", "pruned", "stopped", "failed" (with the error in one
+            line), or "lost": its process died, and it goes on from its folder in another one.
         stops: number of stops requested: one lets the workers save and end, two end them at once.
     """
     import ray
 
     make_worker: Any = ray.remote(num_cpus=1)(Worker)
-    outcome, source = Outcome(), iter(trainings)
-    running: dict[Any, _Slot] = {}
+    outcome, source = TrainingsOutcome(), iter(trainings)
+    running: dict[Any, _Job] = {}
     idle: list[Any] = []
     lost: deque[Training] = deque()
     tries: dict[str, int] = {}
 
-    def change(training: Training, what: str, why: str = "") -> None:
-        if what == "failed":
-            outcome.failed[training.name] = why
-        elif what in ("done", "pruned"):
+    def change(training: Training, state: str, error: str = "") -> None:
+        if state == "failed":
+            outcome.failed[training.name] = error
+        elif state in ("done", "pruned"):
             outcome.done.append(training.name)
-        on_change(training, what, why)
+        on_change(training, state, error)
 
-    def fail(slot: _Slot, why: str) -> None:
-        ray.kill(slot.worker)
-        change(slot.training, "failed", why)
+    def fail(job: _Job, error: str) -> None:
+        ray.kill(job.worker)
+        change(job.training, "failed", error)
 
     while True:
-        asked = stops()
-        for ref, slot in list(running.items()) if asked else ():
-            if asked > 1 or not slot.begun:
-                ray.kill(slot.worker)
+        stop = stops()
+        for ref, job in list(running.items()) if stop else ():
+            if stop > 1 or not job.begun:
+                ray.kill(job.worker)
                 del running[ref]
-                change(slot.training, "stopped")
+                change(job.training, "stopped")
         # A computer that is lost takes its processors with it.
         processors = max(1, int(ray.cluster_resources().get("CPU", 0)))
-        for ref, slot in list(running.items()) if len(running) + len(idle) > processors else ():
-            if slot.fresh and not slot.begun and idle:
+        for ref, job in list(running.items()) if len(running) + len(idle) > processors else ():
+            if job.is_new and not job.begun and idle:
                 # It waits for the processor of an idle worker.
-                ray.kill(slot.worker)
+                ray.kill(job.worker)
                 del running[ref]
-                slot.worker, slot.fresh = idle.pop(), False
-                running[slot.worker.begin.remote(slot.training)] = slot
-        while not asked and len(running) < min(workers or processors, processors):
+                job.worker, job.is_new = idle.pop(), False
+                running[job.worker.begin.remote(job.training)] = job
+        while not stop and len(running) < min(workers or processors, processors):
             training = lost.popleft() if lost else next(source, None)
             if training is None:
-                # Their processors are for those that wait for one.
+                # Idle workers give their processors to those that wait for one.
                 for worker in idle:
                     ray.kill(worker)
                 idle.clear()
                 break
-            fresh = not idle
-            worker = make_worker.remote(find_world, os.getcwd()) if fresh else idle.pop()
+            is_new = not idle
+            worker = make_worker.remote(os.getcwd()) if is_new else idle.pop()
             tries[training.name] = tries.get(training.name, 0) + 1
-            running[worker.begin.remote(training)] = _Slot(training, worker, fresh)
+            running[worker.begin.remote(training)] = _Job(training, worker, is_new)
             change(training, "started")
         if not running:
             break
         ready, _ = ray.wait(list(running), timeout=0.2)
         for ref in ready:
-            slot = running.pop(ref)
+            job = running.pop(ref)
             try:
-                told: Told = ray.get(ref)
+                report: ProgressReport = ray.get(ref)
             except ray.exceptions.RayTaskError as error:
-                fail(slot, _one_line(error.cause))
+                fail(job, _one_line(error.cause))
                 continue
             except ray.exceptions.RayError as error:
                 if getattr(error, "actor_init_failed", False):
-                    fail(slot, "no worker can be made: is this version of surefoot on every computer of the cluster?")
-                elif tries[slot.training.name] >= TRIES:
-                    fail(slot, f"its process died {TRIES} times, at last so: {_one_line(error)}")
+                    fail(job, "no worker can be made: is this version of surefoot on every computer of the cluster?")
+                elif tries[job.training.name] >= TRIES:
+                    fail(job, f"its process died {TRIES} times, at last so: {_one_line(error)}")
                 else:
-                    lost.append(slot.training)
-                    change(slot.training, "lost")
+                    lost.append(job.training)
+                    change(job.training, "lost")
                 continue
-            slot.begun = True
-            if told.finished:
-                _take(slot.training, told)
-            prune = (told.finished or not slot.ends_as) and on_told(slot.training, told)
-            if told.finished or slot.ends_as:
-                idle.append(slot.worker)
-                change(slot.training, slot.ends_as or "done")
-            elif asked or prune:
-                slot.ends_as = "pruned" if prune else "stopped"
-                running[slot.worker.end.remote(prune)] = slot
+            job.begun = True
+            if report.finished:
+                _store_files(job.training, report)
+            prune = (report.finished or not job.ends_as) and on_report(job.training, report)
+            if report.finished or job.ends_as:
+                idle.append(job.worker)
+                change(job.training, job.ends_as or "done")
+            elif stop or prune:
+                job.ends_as = "pruned" if prune else "stopped"
+                running[job.worker.end.remote(prune)] = job
             else:
-                running[slot.worker.advance.remote()] = slot
-    outcome.stopped = bool(asked)
+                running[job.worker.advance.remote()] = job
+    outcome.stopped = bool(stop)
     return outcome
 
 
-def _take(training: Training, told: Told) -> None:
-    """Keep what comes from a computer that does not share the folder."""
+def _store_files(training: Training, report: ProgressReport) -> None:
+    """Write the files from a computer that does not share the folder."""
     if training.policy.exists():
         return
     training.path.mkdir(parents=True, exist_ok=True)
-    # The policy comes last: it makes the training finished.
     for name in _FILES:
-        (training.path / name).write_bytes(told.files[name])
+        (training.path / name).write_bytes(report.files[name])

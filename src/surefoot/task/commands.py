@@ -6,13 +6,13 @@ import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
-from surefoot.configuration import Within, check_bounds
+from surefoot.configuration import Within, check_bounds, from_mapping
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote
 from surefoot.files import check_readable
 from surefoot.robot import GRAVITY, RobotDescription
@@ -24,7 +24,7 @@ Range = tuple[float, float]
 _START_TIME = 1.5
 """Time in which a gait goes from standing to full steps, and back [sqrt(l / g)]."""
 _FILE_BYTES = 1_000_000
-"""Most bytes of a file of commands."""
+"""Size of the largest file of commands that is read."""
 MAX_HEADING_ERROR = 0.5
 """Greatest heading error [rad] that is corrected; beyond it the heading that is held follows the robot."""
 MAX_STANDING_HEADING_ERROR = 0.15
@@ -70,7 +70,9 @@ class CommandConfig:
             low, high = getattr(self, name)
             if low > high:
                 raise SurefootError(f"commands.{name} is [{low:g}, {high:g}]; the lower bound must come first")
-        check_schedule(self.schedule)
+        for k, (time, *_) in enumerate(self.schedule):
+            if time < 0 or (k and time <= self.schedule[k - 1][0]):
+                raise SurefootError(f"commands: row {k + 1} is at {time:g} s; times start at 0 s or later and increase")
         if self.schedule and self.each:
             raise SurefootError("commands.schedule and commands.each are given; give one of them")
 
@@ -80,7 +82,7 @@ class CommandConfig:
         return any(getattr(self, name) != (0.0, 0.0) for name in COMMANDS)
 
     def source(self, limits: CommandLimits, num_envs: int, seed: int) -> CommandSource:
-        """Return what gives commands to the robots of a batch."""
+        """Return the source of commands to the robots of a batch."""
         if self.schedule:
             return CommandSchedule([self.schedule], limits, num_envs)
         if self.each:
@@ -112,94 +114,41 @@ class CommandConfig:
         )
 
 
-def check_schedule(rows: Sequence[Sequence[float]]) -> None:
-    """Refuse rows of time and commands that are not finite, or whose times do not increase from 0 s."""
-    for k, row in enumerate(rows):
-        if len(row) != 4 or not np.isfinite(row).all():
-            raise SurefootError(f"commands: row {k + 1} is {list(row)}; it needs time, {', '.join(COMMANDS)}: numbers")
-        if row[0] < 0 or (k and row[0] <= rows[k - 1][0]):
-            raise SurefootError(f"commands: row {k + 1} is at {row[0]:g} s; times start at 0 s or later and increase")
-
-
 def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
     """Return the rows of a file of commands over time: CSV with the columns time, forward, sideways and yaw_rate.
 
     Raises:
-        SurefootError: no such file, another kind of file, or rows that `check_schedule` refuses.
+        SurefootError: no such file, another kind of file, or rows that `CommandConfig.schedule` refuses.
     """
     names = ("time", *COMMANDS)
     rule = f"a file of commands is CSV with the columns {', '.join(names)}"
     with describe_os_errors(f"commands {path}"):
-        check_readable(path)
-        with path.open(encoding="utf-8", errors="replace", newline="") as file:
-            text = file.read(_FILE_BYTES + 1)
-    if len(text) > _FILE_BYTES:
-        raise SurefootError(f"commands {path}: has more than {_FILE_BYTES} bytes; {rule}")
-    try:
-        rows = list(csv.reader(text.splitlines()))
-    except csv.Error as error:
-        raise SurefootError(f"commands {path}: {error}; {rule}") from error
-    if not rows or tuple(name.strip() for name in rows[0]) != names:
-        raise SurefootError(f"commands {path}: its first line is {quote(','.join(rows[0]) if rows else '')}; {rule}")
-    try:
-        table = tuple(tuple(float(value) for value in row) for row in rows[1:] if row)
-    except ValueError as error:
-        raise SurefootError(f"commands {path}: {error}; {rule}") from error
-    if not table:
-        raise SurefootError(f"commands {path}: has no row; {rule}")
-    with prefix_errors(str(path)):
-        check_schedule(table)
-    return table  # type: ignore[return-value]
+        check_readable(path, _FILE_BYTES)
+        text = path.read_text(encoding="utf-8", errors="replace")
+    with prefix_errors(f"commands {path}"):
+        try:
+            header, *rows = list(csv.reader(text.splitlines())) or [[]]
+            if [name.strip() for name in header] != list(names):
+                raise SurefootError(f"its first line is {quote(','.join(header))}; {rule}")
+            table = [[float(value) for value in row] for row in rows if row]
+        except csv.Error as error:
+            raise SurefootError(f"{error}; {rule}") from error
+        except ValueError as error:
+            raise error if isinstance(error, SurefootError) else SurefootError(f"{error}; {rule}") from error
+        if not table:
+            raise SurefootError(f"it has no row; {rule}")
+        return from_mapping(CommandConfig, {"schedule": table}, "commands").schedule
 
 
-class CommandSchedule:
-    """Gives robots the commands of schedules, within their limits: robot i those of schedule i, in turn.
-
-    Args:
-        schedules: rows of time [s] and commands, as of `CommandConfig.schedule`.
-        limits: of the commands; None: they are given as they are.
-        num_envs: robots.
-    """
-
-    def __init__(
-        self, schedules: Sequence[Sequence[Sequence[float]]], limits: CommandLimits | None, num_envs: int
-    ) -> None:
-        self._schedules = []
-        for rows in schedules:
-            table = np.array(rows, float)
-            given = table[:, 1:] if limits is None else [limits.clamped(row)[0] for row in table[:, 1:]]
-            commands = np.concatenate([[STAND], given])
-            self._schedules.append((table[:, 0], commands))
-        self.streams: list[np.random.Generator] = []
-        self.command = np.zeros((num_envs, 3))
-
-    def reset(self, rows: NDArray[np.int64]) -> None:
-        """Begin the schedules for episodes that start."""
-        for i in rows:
-            self.command[i] = self.at(0.0, i)
-
-    def update(self, time: Array) -> None:
-        """Set the commands of robots whose episodes are `time` (N,) [s] old."""
-        for i, moment in enumerate(time):
-            self.command[i] = self.at(moment, i)
-
-    def at(self, time: ArrayLike, robot: int = 0) -> Array:
-        """Return a robot's commands (..., 3) at times (...) [s]."""
-        times, commands = self._schedules[robot % len(self._schedules)]
-        found: Array = commands[np.searchsorted(times, np.asarray(time) + 5e-7, side="right")]
-        return found
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that change over time, by name."""
-        return {"command": self.command}
-
-
-class HeldCommand:
-    """Holds the commands that it was given last, until an episode starts.
+class CommandSource:
+    """Commands to the robots of a batch; this class holds those that it was given last, until an episode starts.
 
     Args:
         num_envs: robots.
     """
+
+    arrays: tuple[str, ...] = ("command",)
+    """Names of the arrays that change over time."""
 
     def __init__(self, num_envs: int) -> None:
         self.streams: list[np.random.Generator] = []
@@ -211,14 +160,47 @@ class HeldCommand:
         self.command[rows] = STAND
 
     def update(self, time: Array) -> None:
-        """Keep the commands at any time (N,) [s]."""
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that change over time, by name."""
-        return {"command": self.command}
+        """Set the commands of robots whose episodes are `time` (N,) [s] old."""
 
 
-class CommandSampler:
+class CommandSchedule(CommandSource):
+    """Gives robots the commands of schedules, within their limits: robot i those of schedule i, in turn.
+
+    Args:
+        schedules: rows of time [s] and commands, as of `CommandConfig.schedule`.
+        limits: of the commands; None: they are given as they are.
+        num_envs: robots.
+    """
+
+    def __init__(
+        self, schedules: Sequence[Sequence[Sequence[float]]], limits: CommandLimits | None, num_envs: int
+    ) -> None:
+        super().__init__(num_envs)
+        self._schedules = []
+        for rows in schedules:
+            times, *columns = np.array(rows, float).T
+            commands = np.array(columns).T
+            if limits is not None:
+                commands = np.clip(commands, limits.low, limits.high)
+            self._schedules.append((times, np.concatenate([[STAND], commands])))
+
+    def reset(self, rows: NDArray[np.int64]) -> None:
+        """Begin the schedules for episodes that start."""
+        for i in rows:
+            self.command[i] = self.at(0.0, i)
+
+    def update(self, time: Array) -> None:
+        """Set the commands of robots whose episodes are `time` (N,) [s] old."""
+        for i, now in enumerate(time):
+            self.command[i] = self.at(now, i)
+
+    def at(self, time: ArrayLike, robot: int = 0) -> Array:
+        """Return a robot's commands (..., 3) at times (...) [s]."""
+        times, commands = self._schedules[robot % len(self._schedules)]
+        return np.asarray(commands[np.searchsorted(times, np.asarray(time) + 5e-7, side="right")])
+
+
+class CommandSampler(CommandSource):
     """Draws commands for each robot of a batch, each from its own stream.
 
     Args:
@@ -228,11 +210,12 @@ class CommandSampler:
         seed: seeds the streams.
     """
 
+    arrays = ("command", "until", "drawn")
+
     def __init__(self, config: CommandConfig, limits: CommandLimits, num_envs: int, seed: int) -> None:
+        super().__init__(num_envs)
         self.config, self.limits = config, limits
         self.streams = generators(seed, "commands", num_envs)
-        self.command = np.zeros((num_envs, 3))
-        """Present commands."""
         self.until = np.zeros(num_envs)
         """Time in the episode [s] at which another command is drawn, (N,)."""
         self.drawn = np.zeros(num_envs, np.int64)
@@ -246,10 +229,6 @@ class CommandSampler:
     def update(self, time: Array) -> None:
         """Draw other commands for robots whose episodes are `time` (N,) [s] old, where these are due."""
         self._draw(np.flatnonzero(time + 5e-7 >= self.until))
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that change over time, by name."""
-        return {"command": self.command, "until": self.until, "drawn": self.drawn}
 
     def _draw(self, rows: NDArray[np.int64]) -> None:
         config, low, high = self.config, self.limits.low, self.limits.high
@@ -268,13 +247,9 @@ class CommandSampler:
             self.drawn[i] += 1
 
 
-CommandSource: TypeAlias = CommandSampler | CommandSchedule | HeldCommand
-"""What gives commands to the robots of a batch."""
-
-
 @dataclass(frozen=True)
 class CommandState:
-    """What a gait follows at one moment, for N robots."""
+    """Commands and phase that a gait follows, of N robots."""
 
     command: Array
     """Speeds forward and to the left [m/s] and yaw rate [rad/s], (N, 3): the given command, its change limited, and
@@ -298,12 +273,15 @@ class CommandFilter:
         frequency: gives the gait's frequency [Hz] (N,) for commands (N, 3).
     """
 
+    arrays = ("filtered_command", "correction", "heading_error", "activity", "phase", "heading")
+    """Names of the arrays that change over time."""
+
     def __init__(
         self, limits: CommandLimits, natural_period: float, num_envs: int, frequency: Callable[[Array], Array]
     ) -> None:
         self.limits, self._frequency = limits, frequency
         self._start_rate = 1.0 / (_START_TIME * natural_period)
-        self.followed = np.zeros((num_envs, 3))
+        self.filtered_command = np.zeros((num_envs, 3))
         """The given commands, their change limited, (N, 3)."""
         self.correction = np.zeros(num_envs)
         """Yaw rate that holds the heading [rad/s], (N,)."""
@@ -329,34 +307,29 @@ class CommandFilter:
 
     def reset(self, rows: NDArray[np.int64], yaw: Array) -> None:
         """Let robots stand, whose IMU says `yaw` (N,) [rad]."""
-        for array in (self.followed, self.correction, self.heading_error, self.activity, self.phase):
+        for array in (self.filtered_command, self.correction, self.heading_error, self.activity, self.phase):
             array[rows] = 0.0
         self.heading[rows] = yaw[rows]
 
-    def advance(self, given: Array, step: Array, yaw: Array) -> None:
-        """Go on by a control step of `step` (N,) [s] with given commands (N, 3) and the IMU's `yaw` (N,) [rad]."""
+    def advance(self, target: Array, step: Array, yaw: Array) -> None:
+        """Go on by a control step of `step` (N,) [s] with commands `target` (N, 3) and the IMU's `yaw` (N,) [rad]."""
         limits = self.limits
-        most = np.array(limits.acceleration) * step[:, None]
-        self.followed += np.clip(given - self.followed, -most, most)
-        walks = ~limits.stands(given) | ~limits.stands(self.followed)
+        change = np.array(limits.acceleration) * step[:, None]
+        self.filtered_command += np.clip(target - self.filtered_command, -change, change)
+        walks = ~limits.stands(target) | ~limits.stands(self.filtered_command)
         change = self._start_rate * step
         self.activity += np.clip(walks - self.activity, -change, change)
-        self.phase = (self.phase + self._frequency(self.followed) * step) % 1.0
-        self.heading += self.followed[:, 2] * step
+        self.phase = (self.phase + self._frequency(self.filtered_command) * step) % 1.0
+        self.heading += self.filtered_command[:, 2] * step
         error = (self.heading - yaw + np.pi) % (2 * np.pi) - np.pi
-        most = np.where(walks, MAX_HEADING_ERROR, MAX_STANDING_HEADING_ERROR)
-        self.heading_error = np.clip(error, -most, most)
+        limit = np.where(walks, MAX_HEADING_ERROR, MAX_STANDING_HEADING_ERROR)
+        self.heading_error = np.clip(error, -limit, limit)
         self.heading = yaw + self.heading_error
         self.correction = np.where(walks, limits.heading_gain * self.heading_error, 0.0)
 
     @property
     def state(self) -> CommandState:
         """What the gait follows now; its arrays are the caller's."""
-        command = self.followed.copy()
+        command = self.filtered_command.copy()
         command[:, 2] += self.correction
         return CommandState(command, self.activity.copy(), self.phase.copy())
-
-    def arrays(self) -> dict[str, Array]:
-        """Return the arrays that change over time, by name."""
-        names = ("followed", "correction", "heading_error", "activity", "phase", "heading")
-        return {name: getattr(self, name) for name in names}

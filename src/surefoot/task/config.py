@@ -80,7 +80,7 @@ class TaskConfig:
     max_steps: Annotated[int, Within(1, MAX_STEPS)] = 1000
     """Control steps of an episode."""
     commands: CommandConfig = field(default_factory=CommandConfig)
-    """Speeds and yaw rates that the robot is told to follow; none by default: straight on, as fast as it pays."""
+    """Speeds and yaw rates that the robot must follow; none by default: it goes straight on."""
     reward: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=PAPER_REWARD.copy)
     """Weights of reward terms by name (`task.reward.TERMS`); costs have negative weights."""
     reward_limits: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=dict)
@@ -139,13 +139,14 @@ class TaskConfig:
 
 
 def preset_names(robot: str = DEFAULT_ROBOT) -> list[str]:
-    """Return the names of the tasks that ship with surefoot: those of a robot, and those for any."""
-    return sorted({path.stem for folder in (_tasks_of(robot), _PRESETS) for path in folder.glob("*.yaml")})
+    """Return the names of the tasks that ship with surefoot: those for any robot, and those of a robot."""
+    return sorted(_shipped_tasks(robot))
 
 
-def _tasks_of(robot: str) -> Path:
-    """Return the folder with a robot's own tasks, which need not be there."""
-    return RobotDescription.find_folder(robot) / "tasks"
+def _shipped_tasks(robot: str) -> dict[str, Path]:
+    """Return the files of tasks by name: those for any robot, and a robot's own in their place."""
+    folders = (_PRESETS, RobotDescription.find_folder(robot) / "tasks")
+    return {path.stem: path for folder in folders for path in folder.glob("*.yaml")}
 
 
 def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str, Any]]:
@@ -163,7 +164,12 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
     for name in RobotDescription.available():
         if robot is None and task.startswith(f"{name}-"):
             task, robot = task.removeprefix(f"{name}-"), name
-    path, named = _task_file(task, robot or DEFAULT_ROBOT)
+    shipped = _shipped_tasks(robot or DEFAULT_ROBOT)
+    if task not in shipped and not Path(task).is_file():
+        raise SurefootError(
+            f"task '{task}' does not exist; choices: {choices(sorted(shipped))}, or the path of a YAML file"
+        )
+    path = shipped.get(task, Path(task))
     data = _with_base(read_yaml(path), path)
     train = data.pop("train", None) or {}
     data.pop("handcrafted", None)  # Belongs to `HandcraftedGait`, whose task this is.
@@ -173,7 +179,7 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
         config = from_mapping(
             TaskConfig, {"name": path.stem, **resolve_table(data, path.parent, data.get("robot", DEFAULT_ROBOT))}
         )
-        if named and config.robot != DEFAULT_ROBOT:
+        if task in shipped and config.robot != DEFAULT_ROBOT:
             config = replace(config, name=f"{RobotDescription.load(config.robot).name}-{path.stem}")
     if config.reference.file is not None:
         # A table's path counts from the task's file, wherever surefoot is run.
@@ -187,31 +193,18 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
     base = data.pop("base", None)
     if base is None:
         return data
-    names = sorted(found.stem for found in _PRESETS.glob("*.yaml") if found != path)
+    names = sorted(file.stem for file in _PRESETS.glob("*.yaml") if file != path)
     if base not in names:
         raise SurefootError(f"{path}: base is {quote(base)}; choices: {choices(names)}")
     below = _PRESETS / f"{base}.yaml"
-    return _laid_over(_with_base(read_yaml(below), below), data)
+    return _merge(_with_base(read_yaml(below), below), data)
 
 
-def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     """Return a table with what another one changes or adds, at every depth."""
     both = {
-        key: _laid_over(below[key], value)
+        key: _merge(below[key], value)
         for key, value in above.items()
         if isinstance(value, dict) and isinstance(below.get(key), dict)
     }
     return {**below, **above, **both}
-
-
-def _task_file(task: str, robot: str) -> tuple[Path, bool]:
-    """Return the file of a task, and whether it is one that ships."""
-    for folder in (_tasks_of(robot), _PRESETS):
-        path = folder / f"{task}.yaml"
-        if task in {found.stem for found in folder.glob("*.yaml")}:
-            return path, True
-    if not Path(task).is_file():
-        raise SurefootError(
-            f"task '{task}' does not exist; choices: {choices(preset_names(robot))}, or the path of a YAML file"
-        )
-    return Path(task), False

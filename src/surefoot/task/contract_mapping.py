@@ -118,7 +118,7 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
 
 def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, FeedbackConfig]:
     """Return what the feedback is added to, and its bounds on each coordinate."""
-    kind: ActionKind = "joint" if contract.action_names[0].startswith("joint.") else "leg"
+    kind: ActionKind = "joint" if contract.action_names[:1] == (f"joint.{robot.motor_names[0]}",) else "leg"
     names = action_names(robot, kind)
     if list(contract.action_names) != names:
         raise SurefootError(

@@ -18,7 +18,7 @@ from surefoot.task.commands import CommandFilter, CommandSource, CommandState
 from surefoot.task.config import TaskConfig
 from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
-from surefoot.task.reward import Scales, StepMotion, step_reward
+from surefoot.task.reward import Scales, StepMotion, base_height, step_reward
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
@@ -33,13 +33,7 @@ def has_fallen(truth: Truth, angle: float, height: float = 0.0, ground: Ground =
     Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not stated.
     """
     tilted = np.any(np.abs(truth.roll_pitch_yaw[:, :2]) > angle, axis=1)
-    return tilted | (_height(truth.base_position_world, ground) < height) if height else tilted
-
-
-def _height(position: Array, ground: Ground) -> Array:
-    """Return the heights (N,) [m] of points (N, 3) in the world over the level of the ground."""
-    heights: Array = position[:, 2] - ground.level(position[:, :2])
-    return heights
+    return tilted | (base_height(truth.base_position_world, ground) < height) if height else tilted
 
 
 class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
@@ -63,6 +57,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
+    arrays = ("steps", "returns", "start_position", "feedback", "over", "history")
+    """Names of the arrays that change over time."""
 
     def __init__(
         self,
@@ -103,13 +99,11 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.world: Simulation = self._make_world(self.robot, self.num_envs, self.nominal, seed, config)
         self.pusher = Pusher(task.pushes, self.num_envs, seed, self.robot.weight)
         self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed)
-        limits = task.commands.limits(self.robot)
         self.source: CommandSource | None = None
-        if limits:
+        self.commands: CommandFilter | None = None
+        if limits := task.commands.limits(self.robot):
             self.source = self._given_source or task.commands.source(limits, self.num_envs, seed)
-        self.commands = (
-            CommandFilter.from_reference(self.gait.reference, limits, self.robot, self.num_envs) if limits else None
-        )
+            self.commands = CommandFilter.from_reference(self.gait.reference, limits, self.robot, self.num_envs)
         self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)
         self.returns = np.zeros(self.num_envs)
@@ -119,7 +113,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.readings: Readings = self.world.readings()
         self.truth: Truth = self.world.truth()
         self._begin(np.arange(self.num_envs))
-        self._history = np.tile(self._observe()[:, None], (1, task.history, 1))
+        self.history = np.tile(self._observe()[:, None], (1, task.history, 1))
 
     def _begin(self, rows: NDArray[np.int64]) -> None:
         """Start new episodes for some robots."""
@@ -149,7 +143,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         return None if self.commands is None else self.commands.state
 
     def _observation(self) -> NDArray[np.float32]:
-        return self._history.reshape(self.num_envs, -1).astype(np.float32)
+        return self.history.reshape(self.num_envs, -1).astype(np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -165,7 +159,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             self._make(seed)
         else:
             self._begin(rows)
-            self._history[rows] = self._observe()[rows, None]
+            self.history[rows] = self._observe()[rows, None]
         return self._observation(), {}
 
     def step(
@@ -195,8 +189,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if diverged.any():
             info["diverged"] = diverged.copy()
         if task.history > 1:
-            self._history[:, 1:] = self._history[:, :-1].copy()
-        self._history[:, 0] = self._observe()
+            self.history[:, 1:] = self.history[:, :-1].copy()
+        self.history[:, 0] = self._observe()
         if done.any():
             rows = np.flatnonzero(done)
             info["figures"] = self._episode_figures(done)
@@ -207,7 +201,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
                 info["final_obs"] = self._observation()
                 info["_final_obs"] = done.copy()
                 self._begin(rows)
-                self._history[rows] = self._observe()[rows, None]
+                self.history[rows] = self._observe()[rows, None]
         return self._observation(), reward, terminated, truncated, info
 
     def _motion(self, before: Truth, last_feedback: Array) -> StepMotion:
@@ -218,19 +212,20 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             duration=self.world.params.control_step,
             before=before,
             after=self.truth,
-            height=_height(self.truth.base_position_world, self._ground) - _height(self.start_position, self._ground),
+            start_position=self.start_position,
+            ground=self._ground,
             gait=self.gait,
             feedback=self.feedback,
             last_feedback=last_feedback,
-            command=zero if self.commands is None else self.commands.followed,
+            command=zero if self.commands is None else self.commands.filtered_command,
             heading_error=zero[:, 0] if self.commands is None else self.commands.heading_error,
         )
 
     def _episode_figures(self, ended: NDArray[np.bool_]) -> dict[str, Array]:
         """Return the figures of the episodes that just ended; arrays (N,), zero for robots that go on."""
         distance = self.truth.base_position_world[:, 0] - self.start_position[:, 0]
-        found = {"return": self.returns, "steps": self.steps, "distance": distance, "duration": self.readings.time}
-        return {name: np.where(ended, values, 0.0) for name, values in found.items()}
+        figures = {"return": self.returns, "steps": self.steps, "distance": distance, "duration": self.readings.time}
+        return {name: np.where(ended, values, 0.0) for name, values in figures.items()}
 
     def privileged(self) -> NDArray[np.float32]:
         """Return what a critic may observe in simulation besides the observation: the true state (N, P).
@@ -253,7 +248,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self.commands is not None:
             velocity = in_heading_frame(velocity, truth.roll_pitch_yaw[:, 2])
         parts = [
-            (["height"], _height(truth.base_position_world, self._ground)[:, None]),
+            (["height"], base_height(truth.base_position_world, self._ground)[:, None]),
             (["velocity_x", "velocity_y", "velocity_z"], velocity),
             (["roll", "pitch", "yaw"], truth.roll_pitch_yaw),
             ([f"angle.{motor}" for motor in motors], truth.motor_angle),
@@ -280,22 +275,16 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.world.set_state(state["world"])
         self.readings, self.truth = self.world.readings(), self.world.truth()
         for name, array in self._arrays().items():
-            array[:] = state.get(name, 0) if name == "pushes_before" else state[name]  # older states have none
+            array[:] = state[name]
         for name, streams in self._streams().items():
             for stream, saved in zip(streams, state[name], strict=True):
                 stream.bit_generator.state = saved
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        commands = {}
-        if self.source is not None and self.commands is not None:
-            arrays = self.source.arrays() | self.commands.arrays()
-            commands = {f"commands_{name}": array for name, array in arrays.items()}
-        return {
-            **commands,
-            **{name: getattr(self, name) for name in ("steps", "returns", "start_position", "feedback", "over")},
-            **{"history": self._history, "push_force": self.pusher.force},
-            **{"pushes_drawn": self.pusher.drawn, "pushes_before": self.pusher.before},
-        }
+        owners: dict[str, Any] = {"": self, "pushes_": self.pusher}
+        if self.source is not None:
+            owners |= {"source_": self.source, "commands_": self.commands}
+        return {f"{prefix}{name}": getattr(owner, name) for prefix, owner in owners.items() for name in owner.arrays}
 
     def _streams(self) -> dict[str, list[np.random.Generator]]:
         drawn = {} if self.source is None else {"command_streams": self.source.streams}

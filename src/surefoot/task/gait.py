@@ -12,8 +12,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
-from surefoot.task.following import FollowingReference
-from surefoot.task.foot import FootReference
+from surefoot.task.foot_references import FollowingReference, FootReference
 from surefoot.task.reference import Reference
 
 Range = tuple[float, float]
@@ -67,12 +66,11 @@ class HybridGait:
         self._space = np.array(list(robot.leg_space.values())).T[..., None]
         count = robot.num_motors if action == "joint" else legs
         self.low, self.high = np.repeat(np.array(bounds, float).T, count, axis=1)
-        given = bounds if action == "leg" else [(0.0, 0.0)] * len(coordinates)
-        self._ranges = [
-            (least + low, most + high) for (least, most), (low, high) in zip(reference.extent(), given, strict=True)
-        ]
-        spans = zip(robot.leg_space.items(), robot.leg_geometry.units, reference.extent(), given, strict=True)
+        feedback = bounds if action == "leg" else [(0.0, 0.0)] * len(coordinates)
+        self._ranges: list[Range] = []
+        spans = zip(robot.leg_space.items(), robot.leg_geometry.units, reference.extent(), feedback, strict=True)
         for (name, (allowed_low, allowed_high)), unit, (least, most), (low, high) in spans:
+            self._ranges.append((least + low, most + high))
             if least + low < allowed_low - 1e-9 or most + high > allowed_high + 1e-9:
                 unit = "" if unit == "1" else f" {unit}"
                 raise SurefootError(

@@ -9,11 +9,12 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.configuration import Within, from_mapping
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.files import check_readable
 from surefoot.task.trace import EpisodeTrace
@@ -23,19 +24,22 @@ SUFFIX = ".partial"
 _KIND = "surefoot-partial-trace"
 
 
+Count = Annotated[int, Within(0, 100_000)]
+
+
 @dataclass(frozen=True)
-class Layout:
+class RowLayout:
     """Columns of the quantities in a row of numbers."""
 
-    motors: int
+    motors: Count
     """M"""
-    legs: int
+    legs: Count
     """L"""
-    observations: int
+    observations: Count
     """O"""
-    actions: int
+    actions: Count
     """A"""
-    commands: int = 0
+    commands: Count = 0
     """Commands to a policy that is steered, 3; else 0."""
 
     @property
@@ -63,14 +67,16 @@ class Layout:
 
     def columns(self, rows: Array) -> dict[str, Array]:
         """Return the rows (T, width) as arrays by name, (T,) or (T, n)."""
-        found, at = dict[str, Array](), 0
-        for name, width in self.widths.items():
-            found[name] = rows[:, at] if width == 1 else rows[:, at : at + width]
-            at += width
-        return found
+        parts = np.split(rows, np.cumsum(list(self.widths.values()))[:-1], axis=1)
+        return {
+            name: part[:, 0] if width == 1 else part
+            for (name, width), part in zip(self.widths.items(), parts, strict=True)
+        }
 
 
-def trace_of(layout: Layout, rows: Array, meta: dict[str, Any], truth: dict[str, Array] | None = None) -> EpisodeTrace:
+def make_trace(
+    layout: RowLayout, rows: Array, meta: dict[str, Any], truth: dict[str, Array] | None = None
+) -> EpisodeTrace:
     """Return the trace of rows (T, width), one a control step, with its meta; refuse rows that are none.
 
     Quantities that the robot does not measure are NaN, unless `truth` has them: base and feet, measured externally.
@@ -88,7 +94,7 @@ def trace_of(layout: Layout, rows: Array, meta: dict[str, Any], truth: dict[str,
     return EpisodeTrace(**columns, **(unknown | (truth or {})), meta=meta)
 
 
-def head_line(layout: Layout, meta: dict[str, Any]) -> bytes:
+def head_line(layout: RowLayout, meta: dict[str, Any]) -> bytes:
     """Return the first line of a partial file."""
     return json.dumps({"kind": _KIND, **vars(layout), "meta": meta}).encode() + b"\n"
 
@@ -107,20 +113,18 @@ def recover(path: str | Path) -> EpisodeTrace:
     path = Path(path)
     with describe_os_errors(f"partial trace {path}"):
         check_readable(path)
-        data = path.read_bytes()
-    line, _, body = data.partition(b"\n")
-    try:
-        head = json.loads(line)
-        if head["kind"] != _KIND:
-            raise ValueError("of another kind")
-        motors, legs, observations = (int(head[name]) for name in ("motors", "legs", "observations"))
-        layout = Layout(motors, legs, observations, int(head.get("actions", 2 * legs)), int(head.get("commands", 0)))
-        meta = dict(head["meta"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise SurefootError(f"partial trace {path}: is not one: {' '.join(str(error).split())}") from error
-    whole = len(body) // (8 * layout.width)
-    rows = np.frombuffer(body, "<f8", whole * layout.width).reshape(whole, layout.width).astype(float)
-    if not whole:
-        raise SurefootError(f"partial trace {path}: holds no whole control step")
+        line, _, body = path.read_bytes().partition(b"\n")
     with prefix_errors(f"partial trace {path}"):
-        return trace_of(layout, rows, {**meta, "ended": "fault", "reason": "cut off"})
+        try:
+            head = json.loads(line)
+            kind, meta = head.pop("kind"), dict(head.pop("meta"))
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
+            raise SurefootError(f"is not one: {' '.join(str(error).split())}") from error
+        if kind != _KIND:
+            raise SurefootError("is not one: it is of another kind")
+        layout = from_mapping(RowLayout, head)
+        steps = len(body) // (8 * layout.width)
+        if not steps:
+            raise SurefootError("holds no whole control step")
+        rows = np.frombuffer(body, "<f8", steps * layout.width).reshape(steps, layout.width).astype(float)
+        return make_trace(layout, rows, {**meta, "ended": "fault", "reason": "cut off"})

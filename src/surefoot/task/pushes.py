@@ -45,7 +45,7 @@ class PushConfig:
         if self.force[0] > self.force[1]:
             raise SurefootError(f"pushes.force is {list(self.force)}; the lower bound must come first")
 
-    def in_full(self, enabled: bool, force: tuple[float, float] | None = None) -> PushConfig:
+    def for_evaluation(self, enabled: bool, force: tuple[float, float] | None = None) -> PushConfig:
         """Return what a policy is tested with: every push that is due, from the first in full force.
 
         With a `force` from least to greatest [N] directions are horizontal and robots are pushed in any case.
@@ -69,6 +69,9 @@ class Pusher:
         seed: seeds the streams.
         weight: the robot's m g [N].
     """
+
+    arrays = ("force", "drawn", "before")
+    """Names of the arrays that change over time."""
 
     def __init__(self, config: PushConfig, num_envs: int, seed: int, weight: float) -> None:
         self.config = config
@@ -96,13 +99,13 @@ class Pusher:
         stop = ~pushing & self.force.any(axis=1)
         for i in np.flatnonzero(start):
             stream = self.streams[i]
-            given = stream.uniform() < config.probability
+            happens = stream.uniform() < config.probability
             direction = stream.standard_normal(3)
             if config.direction == "horizontal":
                 direction[2] = 0.0
             size = stream.uniform(*self.range[i]) / np.linalg.norm(direction)
             share = min(1.0, (self.before[i] + number[i]) / config.ramp) if config.ramp else 1.0
-            self.force[i] = share * size * direction if given else 0.0
+            self.force[i] = share * size * direction if happens else 0.0
             self.drawn[i] = number[i]
         self.force[stop] = 0
         return bool(start.any() or stop.any())

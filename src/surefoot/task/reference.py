@@ -24,8 +24,7 @@ from surefoot.files import check_readable
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import CommandState
-from surefoot.task.following import FollowingReference
-from surefoot.task.foot import LENGTHS, FootReference
+from surefoot.task.foot_references import LENGTHS, FollowingReference, FootReference
 
 PerLeg = float | dict[str, float]
 """One number, or one for each leg by name."""
@@ -190,8 +189,7 @@ class TableReference:
         place = np.asarray(time, float) / self.period % 1.0 * rows
         first = np.floor(place).astype(int) % rows
         share = (place - np.floor(place))[..., None, None]
-        pose: Array = self.rows[first] + share * (self.rows[(first + 1) % rows] - self.rows[first])
-        return pose
+        return np.asarray(self.rows[first] + share * (self.rows[(first + 1) % rows] - self.rows[first]))
 
     def extent(self) -> tuple[tuple[float, float], ...]:
         """Return the lowest and highest value of each coordinate over all legs and times."""

@@ -20,6 +20,7 @@ from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.rotations import in_heading_frame
 from surefoot.task.gait import HybridGait
 from surefoot.task.trace import ENERGY_WEIGHT
+from surefoot.world.ground import Ground
 from surefoot.world.interface import Truth
 
 PAPER_REWARD = {"progress": 1.0, "energy": -ENERGY_WEIGHT}
@@ -44,6 +45,11 @@ class Scales:
         """Return a robot's scales."""
         length = robot.leg_geometry.length
         return cls(length, float(np.sqrt(GRAVITY * length)), float(np.sqrt(GRAVITY / length)), robot.weight)
+
+
+def base_height(position: Array, ground: Ground) -> Array:
+    """Return heights (N,) [m] of points (N, 3) in the world over the level of the ground."""
+    return np.asarray(position[:, 2] - ground.level(position[:, :2]))
 
 
 def base_rates(before: Truth, after: Truth, duration: Array | float) -> tuple[Array, Array]:
@@ -73,8 +79,9 @@ class StepMotion:
     """Truth at the beginning."""
     after: Truth
     """Truth at the end."""
-    height: Array
-    """Height of the base above where it settled (N,) [m]."""
+    start_position: Array
+    """Where the base settled (N, 3) [m]."""
+    ground: Ground
     gait: HybridGait
     feedback: Array
     """Feedback of the step (N, A), see `HybridGait`."""
@@ -90,34 +97,34 @@ class StepMotion:
         return base_rates(self.before, self.after, self.duration[:, None])
 
     @property
+    def height(self) -> Array:
+        """Height of the base above where it settled (N,) [m]."""
+        return base_height(self.after.base_position_world, self.ground) - base_height(self.start_position, self.ground)
+
+    @property
     def velocity(self) -> Array:
-        """Mean velocity of the base in the heading frame (N, 3) [m/s]: forward, left, up."""
-        return self._rates[0]
+        """Mean velocity of the base in the heading frame (N, 3) [sqrt(g l)]: forward, left, up."""
+        return self._rates[0] / self.scales.speed
 
     @property
     def turn(self) -> Array:
-        """Mean rates of roll, pitch and yaw (N, 3) [rad/s]."""
-        return self._rates[1]
+        """Mean rates of roll, pitch and yaw (N, 3) [sqrt(g / l)]."""
+        return self._rates[1] / self.scales.rate
 
     @property
-    def power(self) -> Array:
-        """Mean of |tau . qdot| (N,) [W]."""
-        return self.after.energy / self.duration
+    def velocity_error(self) -> Array:
+        """Mean velocity less the command (N, 2) [sqrt(g l)]."""
+        return (self._rates[0][:, :2] - self.command[:, :2]) / self.scales.speed
 
     @property
-    def heat(self) -> Array:
-        """Mean heat of the motors (N, M) [W]."""
-        return self.after.heat / self.duration[:, None]
+    def yaw_rate_error(self) -> Array:
+        """Mean yaw rate less the command (N,) [sqrt(g / l)]."""
+        return (self._rates[1][:, 2] - self.command[:, 2]) / self.scales.rate
 
     @cached_property
     def action(self) -> Array:
         """Normalized feedback (N, A), -1 to 1 between its bounds."""
         return self.gait.action(self.feedback)
-
-    @property
-    def action_change(self) -> Array:
-        """Normalized feedback less that of the step before (N, A)."""
-        return self.action - self.gait.action(self.last_feedback)
 
 
 @dataclass(frozen=True)
@@ -134,15 +141,8 @@ class Term:
     """Whether it is a sum over the control step; else a rate."""
 
 
-def _near(error: Array, scale: float, width: float) -> Array:
-    """Return exp(-|e|^2 / width^2) of errors (N, ...) in units of a scale."""
-    square = (error / scale) ** 2
-    return np.asarray(np.exp(-(square.sum(axis=1) if square.ndim > 1 else square) / width**2))
-
-
-_RUDIN = "Rudin et al. 2022, Learning to Walk in Minutes, table of rewards"
-
 _TAN = "Tan et al. 2018, eq. 2"
+_RUDIN = "Rudin et al. 2022, Learning to Walk in Minutes, table of rewards"
 
 TERMS: dict[str, Term] = {
     "progress": Term(
@@ -153,25 +153,17 @@ TERMS: dict[str, Term] = {
     ),
     "energy": Term("|tau . qdot| dt, J", lambda m: m.after.energy, _TAN, is_sum=True),
     "transport_cost": Term("energy over m g, m", lambda m: m.after.energy / m.scales.weight, _TAN, is_sum=True),
-    "forward_speed": Term("speed, sqrt(g l)", lambda m: m.velocity[:, 0] / m.scales.speed, _TAN),
-    "power": Term("power, m g sqrt(g l)", lambda m: m.power / (m.scales.weight * m.scales.speed), _TAN),
-    "track_velocity": Term(
-        "1", lambda m: _near(m.velocity[:, :2] - m.command[:, :2], m.scales.speed, 0.12), f"{_RUDIN}; narrower"
+    "forward_speed": Term("speed, sqrt(g l)", lambda m: m.velocity[:, 0], _TAN),
+    "power": Term(
+        "power, m g sqrt(g l)", lambda m: m.after.energy / m.duration / (m.scales.weight * m.scales.speed), _TAN
     ),
-    "track_yaw_rate": Term(
-        "1", lambda m: _near(m.turn[:, 2] - m.command[:, 2], m.scales.rate, 0.08), f"{_RUDIN}; narrower"
-    ),
-    "velocity_error": Term(
-        "|e|, sqrt(g l)",
-        lambda m: np.hypot(*(m.velocity[:, :2] - m.command[:, :2]).T) / m.scales.speed,
-        "as the measure",
-    ),
-    "yaw_rate_error": Term(
-        "|e|, sqrt(g / l)", lambda m: np.abs(m.turn[:, 2] - m.command[:, 2]) / m.scales.rate, "as above"
-    ),
+    "track_velocity": Term("1", lambda m: np.exp(-(m.velocity_error**2).sum(axis=1) / 0.12**2), f"{_RUDIN}; narrower"),
+    "track_yaw_rate": Term("1", lambda m: np.exp(-(m.yaw_rate_error**2) / 0.08**2), f"{_RUDIN}; narrower"),
+    "velocity_error": Term("|e|, sqrt(g l)", lambda m: np.hypot(*m.velocity_error.T), "as the measure"),
+    "yaw_rate_error": Term("|e|, sqrt(g / l)", lambda m: np.abs(m.yaw_rate_error), "as above"),
     "heading_error": Term("|e|, rad", lambda m: np.abs(m.heading_error), "heading that is held"),
-    "vertical_speed": Term("v_z^2, g l", lambda m: (m.velocity[:, 2] / m.scales.speed) ** 2, _RUDIN),
-    "roll_pitch_rate": Term("w^2, g / l", lambda m: ((m.turn[:, :2] / m.scales.rate) ** 2).sum(axis=1), _RUDIN),
+    "vertical_speed": Term("v_z^2, g l", lambda m: m.velocity[:, 2] ** 2, _RUDIN),
+    "roll_pitch_rate": Term("w^2, g / l", lambda m: (m.turn[:, :2] ** 2).sum(axis=1), _RUDIN),
     "tilt": Term("angle^2, rad^2", lambda m: (m.after.roll_pitch_yaw[:, :2] ** 2).sum(axis=1), _RUDIN),
     "height": Term("height^2, l^2", lambda m: (m.height / m.scales.length) ** 2, _RUDIN),
     "torque": Term(
@@ -181,25 +173,30 @@ TERMS: dict[str, Term] = {
     ),
     "heat": Term(
         "M times the root mean square over motors of their heat, m g sqrt(g l)",
-        lambda m: np.sqrt(m.heat.shape[1] * np.square(m.heat).sum(axis=1)) / (m.scales.weight * m.scales.speed),
+        lambda m: (
+            np.sqrt(m.after.heat.shape[1] * (m.after.heat**2).sum(axis=1))
+            / (m.duration * m.scales.weight * m.scales.speed)
+        ),
         "R I^2 at servo rate; squares, since the hottest motor ends a run",
     ),
     "feedback": Term("mean of squares", lambda m: (m.action**2).mean(axis=1), "keeps the network's part small"),
-    "feedback_change": Term("mean of squares", lambda m: (m.action_change**2).mean(axis=1), _RUDIN),
+    "feedback_change": Term(
+        "mean of squares", lambda m: ((m.action - m.gait.action(m.last_feedback)) ** 2).mean(axis=1), _RUDIN
+    ),
 }
 """Every term that a task's reward can have. Costs have negative weights."""
 
 
-def check_reward(weights: Mapping[str, float], limits: Mapping[str, float]) -> None:
+def check_reward(weights: Mapping[str, float], limits: Mapping[str, float], key: str = "reward") -> None:
     """Refuse a reward without terms, terms that do not exist, and limits of terms that the reward does not have."""
     if not weights:
-        raise SurefootError(f"reward has no term; choices: {choices(TERMS)}")
+        raise SurefootError(f"{key} has no term; choices: {choices(TERMS)}")
     for name in weights:
         if name not in TERMS:
-            raise SurefootError(f"reward.{name} is not a term; choices: {choices(TERMS)}")
+            raise SurefootError(f"{key}.{name} is not a term; choices: {choices(TERMS)}")
     for name in limits:
         if name not in weights:
-            raise SurefootError(f"reward_limits.{name} is not a term of the reward; choices: {choices(weights)}")
+            raise SurefootError(f"reward_limits.{name} is not a term of {key}; choices: {choices(weights)}")
 
 
 def step_reward(weights: Mapping[str, float], limits: Mapping[str, float], motion: StepMotion) -> Array:

@@ -11,29 +11,50 @@ import zipfile
 import zlib
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
+from surefoot.configuration import Within, from_mapping, to_mapping
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import read_npz, write_npz
 
 SCHEMA = 1
-ENDINGS = ("time", "fall", "fault", "stopped")
 ENERGY_WEIGHT = 0.008  # w of the paper's reward, the same in all its experiments
 
-_REQUIRED_META = ("robot", "world", "control_step", "leg_names", "motor_names", "observation_names", "ended")
-_META_DEFAULTS: dict[str, Any] = {
-    "schema": SCHEMA,
-    "policy": "",
-    "seed": None,
-    "params": {},
-    "energy_weight": ENERGY_WEIGHT,
-    "max_steps": 1000,
-    "gait_period": None,
-}
+
+@dataclass(frozen=True)
+class TraceMeta:
+    """Entries of every trace's meta."""
+
+    robot: str
+    world: str
+    control_step: Annotated[float, Within(0, 3600, above=True)]
+    """s"""
+    leg_names: tuple[str, ...]
+    motor_names: tuple[str, ...]
+    observation_names: tuple[str, ...]
+    ended: Literal["time", "fall", "fault", "stopped"]
+    schema: Literal[1] = 1
+    policy: str = ""
+    seed: int | None = None
+    params: dict[str, Any] = field(default_factory=dict)
+    """Physical parameters: each a number, or a list where motors or axes have their own."""
+    energy_weight: Annotated[float, Within(0, 1e6)] = ENERGY_WEIGHT
+    """Weight of energy in returns [m/J]."""
+    max_steps: Annotated[int, Within(1, 1e9)] = 1000
+    gait_period: Annotated[float, Within(1e-3, 1e3)] | None = None
+    """Of the reference [s]; None: it has none."""
+
+    def __post_init__(self) -> None:
+        """Refuse names that repeat."""
+        for name in ("leg_names", "motor_names", "observation_names"):
+            if len(set(getattr(self, name))) != len(getattr(self, name)):
+                raise SurefootError(f"meta.{name} are {choices(getattr(self, name))}; names must not repeat")
+
+
 LOG = "log"
 """World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
 time of their row, readings are taken right after, times may repeat, and everything but time and target may be NaN."""
@@ -45,59 +66,56 @@ _MAY_BE_NAN = frozenset(
 )
 
 
+def _absent() -> Array:
+    return np.empty(0)
+
+
 @dataclass(frozen=True, eq=False)
 class EpisodeTrace:
     """An episode of T control steps of a robot with M motors, L legs and O observations.
 
     Arrays are float64 and read-only. World and base frames: x forward, y left, z up.
-
-    Attributes:
-        time: (T,) s since the episode's start at which the readings of each control step were taken,
-            that is at the END of the control step.
-        base_position_world: (T+1, 3) m. Row 0 is the start, row k is after control step k. NaN where unknown.
-        base_quat_world: (T+1, 4) unit quaternion w, x, y, z, rows as above. NaN where unknown.
-        roll_pitch_yaw: (T, 3) rad as the IMU measured it, with its delay and noise.
-        angular_velocity_base: (T, 3) rad/s in the base frame, as the IMU measured it.
-        motor_angle: (T, M) rad.
-        motor_velocity: (T, M) rad/s.
-        motor_torque: (T, M) N m at the end of the control step.
-        observation: (T, O) what the policy was given, in the units of the policy's contract.
-        feedback: (T, A), the policy's part of the action: each coordinate of leg space in turn, of every leg (A = 2L
-            or 3L; rad, extension of serial legs in lengths of the straight leg), or an angle [rad] of every motor.
-        target: (T, M) rad motor angles sent to the servos.
-        energy: (T,) J, integral over the control step of |tau . qdot| at servo rate.
-        foot_contact: (T, L) fraction of the control step's servo steps in which the foot touched, 0 to 1.
-            NaN where unknown.
-        foot_position_world: (T, L, 3) m; NaN where unknown, all NaN when left out.
-        true_motor_angle: (T, M) rad at the end of the control step, without the readings' delay; NaN where
-            unknown, all NaN when left out.
-        command: (T, 3) speeds forward and to the left [m/s] and yaw rate [rad/s] that the robot was told to follow; all
-            NaN without commands, and then not in the file.
-        push_force_world: (T, 3) N that pushed the base during the control step; all NaN where pushes are unknown or
-            there are none, and then not in the file.
-        meta: what can be written as JSON: schema, robot, world, policy, seed, control_step (s), leg_names,
-            motor_names, observation_names, params (each a number, or a list where motors or axes differ),
-            energy_weight, ended (one of `ENDINGS`), max_steps, gait_period (of the reference, s; None: it has none).
     """
 
     time: Array
+    """(T,) s since the episode's start at which the readings of each control step were taken: at its end."""
     base_position_world: Array
+    """(T+1, 3) m. Row 0 is the start, row k is after control step k. NaN where unknown."""
     base_quat_world: Array
+    """(T+1, 4) unit quaternion w, x, y, z, rows as above. NaN where unknown."""
     roll_pitch_yaw: Array
+    """(T, 3) rad as the IMU measured it, with its delay and noise."""
     angular_velocity_base: Array
+    """(T, 3) rad/s in the base frame, as the IMU measured it."""
     motor_angle: Array
+    """(T, M) rad."""
     motor_velocity: Array
+    """(T, M) rad/s."""
     motor_torque: Array
+    """(T, M) N m at the end of the control step."""
     observation: Array
+    """(T, O) inputs of the policy, in the units of its contract."""
     feedback: Array
+    """(T, A), the policy's part of the action: each coordinate of leg space in turn, of every leg (A = 2L or 3L; rad,
+    extension of serial legs in lengths of the straight leg), or an angle [rad] of every motor."""
     target: Array
+    """(T, M) rad motor angles sent to the servos."""
     energy: Array
+    """(T,) J, integral over the control step of |tau . qdot| at servo rate."""
     foot_contact: Array
-    foot_position_world: Array = field(default_factory=lambda: np.empty(0))
-    true_motor_angle: Array = field(default_factory=lambda: np.empty(0))
-    command: Array = field(default_factory=lambda: np.empty(0))
-    push_force_world: Array = field(default_factory=lambda: np.empty(0))
+    """(T, L) fraction of the control step's servo steps in which the foot touched, 0 to 1. NaN where unknown."""
+    foot_position_world: Array = field(default_factory=_absent)
+    """(T, L, 3) m; NaN where unknown, all NaN when left out."""
+    true_motor_angle: Array = field(default_factory=_absent)
+    """(T, M) rad at the end of the control step, without the readings' delay; NaN as above."""
+    command: Array = field(default_factory=_absent)
+    """(T, 3) speeds forward and to the left [m/s] and yaw rate [rad/s] that were commanded; all NaN without commands,
+    and then not in the file."""
+    push_force_world: Array = field(default_factory=_absent)
+    """(T, 3) N that pushed the base during the control step; all NaN where pushes are unknown or there are none, and
+    then not in the file."""
     meta: dict[str, Any] = field(default_factory=dict)
+    """The entries of `TraceMeta`, and others that JSON can hold."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "meta", _checked_meta(self.meta))
@@ -203,49 +221,32 @@ def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict
 
 def _checked_array(name: str, value: ArrayLike, shape: tuple[int, ...], may_be_nan: bool) -> Array:
     """Return a read-only float64 copy after checking shape and finiteness."""
-    given = np.asarray(value)
-    if given.dtype.kind not in "biuf":
-        raise SurefootError(f"trace: {name} holds {given.dtype}, but must hold numbers")
-    array = given.astype(np.float64)
+    array = np.asarray(value)
+    if array.dtype.kind not in "biuf":
+        raise SurefootError(f"trace: {name} holds {array.dtype}, but must hold numbers")
     if array.shape != shape:
         raise SurefootError(f"trace: {name} has shape {array.shape}, but must have {shape}")
-    if array.size == 0 and shape[0] == 0:
+    if shape[0] == 0:
         raise SurefootError("trace: an episode needs at least one control step")
+    array = array.astype(np.float64)
     bad = np.isinf(array) if may_be_nan else ~np.isfinite(array)
     if np.any(bad):
-        row = int(np.argwhere(bad)[0][0])
         rule = "finite or NaN" if may_be_nan else "finite"
-        raise SurefootError(f"trace: {name} row {row} holds {array[bad][0]}, but must be {rule}")
+        raise SurefootError(f"trace: {name} row {np.argwhere(bad)[0][0]} holds {array[bad][0]}, but must be {rule}")
     array.setflags(write=False)
     return array
 
 
 def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:
     """Return meta with defaults filled in, as plain JSON types."""
-    missing = [name for name in _REQUIRED_META if name not in meta]
-    if missing:
-        raise SurefootError(f"trace: meta lacks {choices(missing)}")
     try:
-        plain: dict[str, Any] = json.loads(json.dumps({**_META_DEFAULTS, **meta}, default=_plain))
+        plain: dict[str, Any] = json.loads(json.dumps(meta, default=_plain))
     except TypeError as error:
         raise SurefootError(f"trace: meta must be what JSON can hold: {error}") from error
-    if plain["schema"] != SCHEMA:
-        raise SurefootError(f"trace: schema {plain['schema']}, but surefoot writes schema {SCHEMA}")
-    if plain["ended"] not in ENDINGS:
-        raise SurefootError(f"trace: ended {plain['ended']!r} is not one of {choices(ENDINGS)}")
-    for name in ("control_step", "max_steps", "energy_weight"):
-        value, may_be_zero = plain[name], name == "energy_weight"
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not is_number or not (value > 0 or (may_be_zero and value == 0)):
-            raise SurefootError(f"trace: {name} {value!r} must be {'0 or above' if may_be_zero else 'above 0'}")
-    period = plain["gait_period"]
-    if period is not None and not (isinstance(period, int | float) and 1e-3 <= period <= 1e3):
-        raise SurefootError(f"trace: gait_period {period!r} must be .001 to 1000 s, or none")
-    for name in ("leg_names", "motor_names", "observation_names"):
-        names = plain[name]
-        if not isinstance(names, list) or len(set(map(str, names))) != len(names):
-            raise SurefootError(f"trace: {name} {names!r} must be a list of different names")
-    return plain
+    names = {item.name for item in fields(TraceMeta)}
+    with prefix_errors("trace"):
+        known = from_mapping(TraceMeta, {name: value for name, value in plain.items() if name in names}, "meta")
+    return {**to_mapping(known), **plain}
 
 
 def _plain(value: object) -> object:

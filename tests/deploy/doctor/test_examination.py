@@ -44,6 +44,22 @@ class NoOperator:
     stops = 0
 
 
+@pytest.fixture
+def ready(link: RobotLink) -> RobotLink:
+    """Return the link after its handshake, with a state."""
+    link.connect()
+    assert link.wait_for(lambda: link.state is not None, 1.0)
+    return link
+
+
+def failures(results: list[CheckResult], *names: str) -> dict[str, CheckResult]:
+    """Return the failed checks by name, of results with these names."""
+    assert [result.name for result in results] == list(names)
+    failed = {result.name: result for result in results if result.passed is False}
+    assert all(result.remedy for result in failed.values())
+    return failed
+
+
 # Link.
 
 
@@ -70,8 +86,7 @@ def figures(trips: Any = 0.001, **changed: Any) -> LinkFigures:
 
 def link_failures(measured: LinkFigures) -> dict[str, CheckResult]:
     results = check_link(measured, lead=0.003, control_step=0.006, lockstep=False)
-    assert [result.name for result in results] == ["link, losses", "link, bursts", "link, round trip", "robot's clock"]
-    return {result.name: result for result in results if result.passed is False}
+    return failures(results, "link, losses", "link, bursts", "link, round trip", "robot's clock")
 
 
 def test_a_good_link_passes():
@@ -95,7 +110,6 @@ def test_a_bad_link_fails(measured: LinkFigures, check: str, why: str):
     failed = link_failures(measured)
     assert list(failed) == [check]
     assert why in failed[check].message
-    assert failed[check].remedy
 
 
 def test_a_link_without_answers_fails_once():
@@ -125,10 +139,8 @@ def samples_of(state: State, rng: np.random.Generator, count: int = 100, **chang
 
 
 def rest_failures(samples: list[TimedState], robot: RobotDescription, link: RobotLink) -> dict[str, CheckResult]:
-    handshake = link.connect()
-    results = check_rest(samples, robot, handshake, SafetyLimits.from_robot(robot))
-    assert [result.name for result in results] == ["battery", "temperature", "encoders", "IMU"]
-    return {result.name: result for result in results if not result.passed}
+    results = check_rest(samples, robot, link.connect(), SafetyLimits.from_robot(robot))
+    return failures(results, "battery", "temperature", "encoders", "IMU")
 
 
 def pose_of(robot: RobotDescription, swing: Any, extension: Any) -> np.ndarray:
@@ -171,18 +183,11 @@ def test_a_robot_at_rest_passes_if_all_legs_are_in_the_same_pose(
     ],
 )
 def test_a_fault_at_rest_fails_its_check(
-    changed: dict[str, Any],
-    check: str,
-    why: str,
-    a_state: State,
-    robot: RobotDescription,
-    link: RobotLink,
-    rng: Any,
+    changed: dict[str, Any], check: str, why: str, a_state: State, robot: RobotDescription, link: RobotLink, rng: Any
 ):
     failed = rest_failures(samples_of(a_state, rng, **changed), robot, link)
     assert list(failed) == [check]
     assert why in failed[check].message
-    assert failed[check].remedy
 
 
 @pytest.mark.parametrize("motor", range(8))
@@ -394,16 +399,13 @@ def test_every_inference_is_timed(policy: PolicyRuntime):
 # Motion.
 
 
-def move(link: RobotLink, robot: RobotDescription, operator: Any = NoOperator, **options: Any) -> DoctorMotion:
-    if link.handshake is None:
-        link.connect()
-        assert link.wait_for(lambda: link.state is not None, 1.0)
-    return DoctorMotion(link, robot, 0.006, operator, options.pop("max_error", 0.15), **options)
+def motion_of(link: RobotLink, robot: RobotDescription, operator: Any = NoOperator, **options: Any) -> DoctorMotion:
+    return DoctorMotion(link, robot, 0.006, operator, **({"max_error": 0.15} | options))
 
 
-def test_a_motion_is_smooth_and_ends_disarmed(link: RobotLink, robot: RobotDescription, toy: Any):
+def test_a_motion_is_smooth_and_ends_disarmed(ready: RobotLink, robot: RobotDescription, toy: Any):
     end = toy.angle + 0.3
-    with move(link, robot, max_error=1.0) as motion:
+    with motion_of(ready, robot, max_error=1.0) as motion:
         motion.go(end, 0.6)
     assert np.allclose(toy.angle, end, atol=1e-6)
     targets = np.array([message.target[0] for _, message in toy.heard if type(message).__name__ == "Position"])
@@ -411,27 +413,26 @@ def test_a_motion_is_smooth_and_ends_disarmed(link: RobotLink, robot: RobotDescr
     assert len(motion.states) >= 100
     assert toy.kinds() == ["Hello", "Arm", "Position", "Disarm"]
     assert toy.firmware.mode == Mode.DISARMED
-    assert link.on_state is None
+    assert ready.on_state is None
 
 
-def test_a_robot_on_the_ground_sits_before_it_is_disarmed(link: RobotLink, robot: RobotDescription, toy: Any):
-    with move(link, robot, sits=True) as motion:
+def test_a_robot_on_the_ground_sits_before_it_is_disarmed(ready: RobotLink, robot: RobotDescription, toy: Any):
+    with motion_of(ready, robot, sits=True) as motion:
         motion.go(pose_of(robot, 0.0, 1.5), 0.5)
     assert np.allclose(toy.angle, sitting_pose(robot), atol=1e-6)
     assert toy.firmware.mode == Mode.DISARMED
 
 
-def test_a_motor_far_from_its_target_damps_all(link: RobotLink, robot: RobotDescription, toy: Any):
+def test_a_motor_far_from_its_target_damps_all(ready: RobotLink, robot: RobotDescription, toy: Any):
     def offset(time: float, readings: Any) -> Any:
         angle = readings.motor_angle.copy()
         angle[3] += 0.4 if toy.firmware.armed else 0.0
         return replace(readings, motor_angle=angle)
 
     toy.sensors = offset
-    start = toy.angle.copy()
-    motion = move(link, robot)
+    motion = motion_of(ready, robot)
     with pytest.raises(MotionStoppedError, match=r"back_left_1_motor is .0.40 rad from where it was sent"), motion:
-        motion.hold(start, 0.5)
+        motion.hold(toy.angle.copy(), 0.5)
     assert motion.tracking_error == (3, pytest.approx(0.4))
     assert toy.kinds()[-1] == "Damp"
     assert toy.firmware.mode == Mode.FAULT
@@ -439,31 +440,26 @@ def test_a_motor_far_from_its_target_damps_all(link: RobotLink, robot: RobotDesc
 
 @pytest.mark.parametrize(("stops", "last", "mode"), [(1, "Disarm", Mode.DISARMED), (2, "Damp", Mode.FAULT)])
 def test_ctrl_c_lets_the_robot_sit_and_a_second_one_damps_it(
-    stops: int, last: str, mode: Mode, link: RobotLink, robot: RobotDescription, toy: Any
+    stops: int, last: str, mode: Mode, ready: RobotLink, robot: RobotDescription, toy: Any
 ):
     class Impatient:
         @property
         def stops(self) -> int:
-            return stops if link.clock.now() > 0.3 else 0
+            return stops if ready.clock.now() > 0.3 else 0
 
-    stand = pose_of(robot, 0.0, 1.5)
-    motion = move(link, robot, Impatient(), sits=True)
+    motion = motion_of(ready, robot, Impatient(), sits=True)
     with pytest.raises(MotionStoppedError) as stopped, motion:
-        motion.go(stand, 5.0)
+        motion.go(pose_of(robot, 0.0, 1.5), 5.0)
     assert stopped.value.verdict.reason == "operator"
     assert toy.kinds()[-1] == last
     assert toy.firmware.mode == mode
     assert np.allclose(toy.angle, sitting_pose(robot), atol=1e-6) == (stops == 1)
 
 
-def test_an_exception_in_the_middle_damps(link: RobotLink, robot: RobotDescription, toy: Any):
-    def fail(motion: DoctorMotion) -> None:
-        with motion:
-            motion.hold(toy.angle.copy(), 0.1)
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        fail(move(link, robot))
+def test_an_exception_in_the_middle_damps(ready: RobotLink, robot: RobotDescription, toy: Any):
+    with pytest.raises(ZeroDivisionError), motion_of(ready, robot) as motion:  # noqa: PT012
+        motion.hold(toy.angle.copy(), 0.1)
+        raise ZeroDivisionError
     assert toy.kinds()[-1] == "Damp"
     assert toy.firmware.mode == Mode.FAULT
 
@@ -507,18 +503,15 @@ def test_a_lost_link_ends_the_checks_with_a_failure(
 
 
 def test_a_step_that_is_stopped_names_the_motor(
-    link: RobotLink, robot: RobotDescription, policy: PolicyRuntime, toy: Any
+    ready: RobotLink, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
     def runaway(time: float, readings: Any) -> Any:
-        moved = readings.motor_angle - sitting_pose(robot)
         angle = readings.motor_angle.copy()
-        angle[2] -= 5 * moved[2]
+        angle[2] -= 5 * (angle - sitting_pose(robot))[2]
         return replace(readings, motor_angle=angle)
 
     toy.sensors = runaway
-    link.connect()
-    assert link.wait_for(lambda: link.state is not None, 1.0)
-    results = rack_check.step_motors(link, policy.contract, robot, NoOperator())  # type: ignore[arg-type]
+    results = rack_check.step_motors(ready, policy.contract, robot, NoOperator())  # type: ignore[arg-type]
     assert results[0].passed is False
     assert (
         "back_left_2_motor went -0.25 rad from where it was sent while back_left_2_motor was asked"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
 from surefoot.cli.helpers.options import Json, Settings, World, check_suffix
+from surefoot.cli.helpers.output import print_json
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration, Within
 from surefoot.robot import DEFAULT_ROBOT
@@ -74,7 +74,7 @@ def main(argv: list[str]) -> int:
         files.append(MotorLog(log.name, log.time, log.target, angles["dc"]).write(command.record))
     if command.json:
         told = {"motor": motor, "robot": robot.name, "world": command.world, "against": against, "rms_error": errors}
-        print(json.dumps({**told, "files": [str(file) for file in files]}))
+        print_json({**told, "files": files})
         return 0
     for name, error in errors.items():
         print(f"{STYLES[name][1]}: {error:.4f} rad RMS from {against}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 from collections.abc import Callable, Iterator
 from importlib import import_module
@@ -15,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from surefoot.cli.helpers.output import print_json
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import Known, overlay, write_known
 from surefoot.identify.result import Identification, ParameterEstimate
@@ -71,7 +71,7 @@ def report(
 ) -> None:
     """Print what was found, and the files that were written, as tables or as one JSON object, which has more."""
     if as_json:
-        print(json.dumps(as_mapping(robot, known, found) | more | {"files": [str(file) for file in files]}))
+        print_json(as_mapping(robot, known, found) | more | {"files": files})
         return
     console = Console(highlight=False, emoji=False)
     console.print(_estimates(robot, known, found))

@@ -15,6 +15,7 @@ from rich.text import Text
 from surefoot.check_result import first_failure
 from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import Json, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.output import make_console
 from surefoot.deploy.checks import check_handshake
 from surefoot.deploy.display import PlainLines, open_display
 from surefoot.deploy.loop import RunMonitor, Snapshot
@@ -65,7 +66,7 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
     if not command.yes:
         check_terminal(PLACES[plan.rack])
     with _greeted(command, robot) as (link, said):
-        _show_plan(plan, said, Console(stderr=command.json, highlight=False, soft_wrap=True, emoji=False))
+        _show_plan(plan, said, make_console(stderr=command.json))
         if command.yes:
             return _run(command, link, plan, robot, path)
     # A robot does not wait for slow answers: it is greeted anew.
@@ -113,13 +114,12 @@ def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
         table.add_row(Text(counted), Text(f"{sum(times):.1f} s"), Text(what))
     console.print(table)
     pwm = f"; duty without servo at most {plan.largest_duty:g}" if plan.largest_duty else ""
-    console.print(f"motor angles from {low.min():.2f} to {high.max():.2f} rad{pwm}", markup=False)
+    console.print(f"motor angles from {low.min():.2f} to {high.max():.2f} rad{pwm}")
     console.print(
         f"ends with damped motors when a motor leaves {plan.angle_low.min() - limits.angle_room:.2f} to "
         f"{plan.angle_high.max() + limits.angle_room:.2f} rad, gives more than "
         f"{limits.torque:g} N m for {limits.torque_time:g} s or is hotter than {limits.temperature:g} degC, after "
         f"{limits.duration:g} s, or with Ctrl-C",
-        markup=False,
     )
 
 

@@ -1,4 +1,4 @@
-"""The runs behind the page of the paper: every command in order, each skipped once its result is there."""
+"""The runs behind the page of the paper: all commands in order; those whose result is there are skipped."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from surefoot.cli.helpers.options import Ray, Workers
+from surefoot.cli.helpers.output import make_console
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import atomic_write
 
@@ -30,113 +31,114 @@ _PICTURES = ("learning_curve.png", "footfalls.png")
 
 
 @dataclass(frozen=True)
-class Runs:
-    """Where and how the runs are made."""
+class PaperRuns:
+    """Settings of the runs."""
 
     root: Path
     """A clone of surefoot: its studies and benchmarks."""
     folder: Path
-    """Folder for everything that is made."""
+    """Folder for all results."""
     quick: bool
-    """Small versions."""
     workers: Workers = 0
     ray: Ray = None
-    console: Console = field(default_factory=lambda: Console(stderr=True, highlight=False, soft_wrap=True))
+    console: Console = field(default_factory=lambda: make_console(stderr=True))
 
-    def many(self) -> list[str]:
-        """Return the words that say where many trainings run."""
+    def workers_options(self) -> list[str]:
+        """Return the options of commands that run many trainings."""
         return ["--workers", str(self.workers), *(["--ray", self.ray] if self.ray else [])]
 
-    def small(self, *words: object) -> list[str]:
-        """Return the words that make a command small; none for the full version."""
+    def quick_options(self, *words: object) -> list[str]:
+        """Return the options that make a command small; none for the full version."""
         return list(map(str, words)) if self.quick else []
+
+    def make_folder(self, name: str) -> Path:
+        """Make a folder in that of the runs; return its path."""
+        path = self.folder / name
+        path.mkdir(parents=True, exist_ok=True)
+        return path
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One step: what it makes, and how."""
+    """One step of the runs."""
 
     makes: str
     """File that is there when it is done, from the folder of the runs."""
-    make: Callable[[Runs], None]
-    """Make it."""
+    make: Callable[[PaperRuns], None]
 
 
-def command(runs: Runs, *words: object) -> None:
+def command(runs: PaperRuns, *words: object) -> None:
     """Run a command of surefoot in the folder of the runs; raise `SurefootError` or `KeyboardInterrupt` if it fails."""
     from surefoot.cli.main import main
 
-    given = [str(word) for word in words]
-    runs.console.print(shlex.join(["surefoot", *given]), style="bold")
+    argv = [str(word) for word in words]
+    runs.console.print(shlex.join(["surefoot", *argv]), style="bold")
     with contextlib.chdir(runs.folder):
-        code = main(given)
+        code = main(argv)
     if code == 130:
         raise KeyboardInterrupt
     if code != 0:
-        raise SurefootError(f"surefoot {shlex.join(given)}: ended with exit code {code}")
+        raise SurefootError(f"surefoot {shlex.join(argv)}: ended with exit code {code}")
 
 
 def train(task: str, steps: int) -> Stage:
-    """Train a policy of a task, from a run that was stopped if there is one, and keep file and figures."""
+    """Train a policy of a task, or resume a run that was stopped; keep file and figures."""
 
-    def make(runs: Runs) -> None:
-        begun = sorted((runs.folder / "runs" / task).glob("*/config.yaml"))
-        if begun:
-            command(runs, "train", "--resume", begun[-1].parent)
+    def make(runs: PaperRuns) -> None:
+        pattern = f"runs/{task}/*/config.yaml"
+        if started := sorted(runs.folder.glob(pattern)):
+            command(runs, "train", "--resume", started[-1].parent)
         else:
-            given = runs.root / "examples" / f"{task}.yaml" if task in HYBRIDS else task
-            command(runs, "train", given, "--runs", "runs", *runs.small("--steps", steps))
-        (run,) = (path.parent for path in (runs.folder / "runs" / task).glob("*/config.yaml"))
-        target = runs.folder / "policies"
-        (target / task).mkdir(parents=True, exist_ok=True)
+            source = runs.root / "examples" / f"{task}.yaml" if task in HYBRIDS else task
+            command(runs, "train", source, "--runs", "runs", *runs.quick_options("--steps", steps))
+        (run,) = (path.parent for path in runs.folder.glob(pattern))
+        target = runs.make_folder(f"policies/{task}")
         for name in _PICTURES:
             # A training in which no episode has ended has no curve.
             if (run / "figures" / name).exists():
-                shutil.copy(run / "figures" / name, target / task / name)
-        shutil.copy(run / "policy.onnx", target / f"{task}.onnx")
+                shutil.copy(run / "figures" / name, target / name)
+        shutil.copy(run / "policy.onnx", target.with_suffix(".onnx"))
 
     return Stage(f"policies/{task}.onnx", make)
 
 
 def evaluate(makes: str, task: str, *words: object, quick: tuple[object, ...] = ()) -> Stage:
-    """Evaluate a policy; keep what `--json` prints."""
+    """Evaluate a policy; write the output of `--json` to the file `makes`."""
 
-    def make(runs: Runs) -> None:
-        path = runs.folder / makes
-        path.parent.mkdir(parents=True, exist_ok=True)
-        said = io.StringIO()
-        with contextlib.redirect_stdout(said):
-            command(runs, "evaluate", f"policies/{task}.onnx", *words, *runs.small(*quick), "--json")
-        atomic_write(path, said.getvalue())
+    def make(runs: PaperRuns) -> None:
+        output = io.StringIO()
+        with contextlib.redirect_stdout(output):
+            command(runs, "evaluate", f"policies/{task}.onnx", *words, *runs.quick_options(*quick), "--json")
+        atomic_write(runs.make_folder(str(Path(makes).parent)) / Path(makes).name, output.getvalue())
 
     return Stage(makes, make)
 
 
-def motor_figure(runs: Runs) -> None:
-    """Let both models of the motor follow what a motor with friction did in Bullet."""
+def motor_figure(runs: PaperRuns) -> None:
+    """Fit both models of the motor to a motor with friction in Bullet."""
     log = "results/motor.csv"
-    (runs.folder / "results").mkdir(exist_ok=True)
-    (runs.folder / "docs").mkdir(exist_ok=True)
+    runs.make_folder("results")
+    runs.make_folder("docs")
     friction = ("--world", "bullet", "--set", "motor_friction=0.02")
     command(runs, "identify", "motor-figure", "--record", log, *friction, "--out", "docs/motor.png")
     command(runs, "identify", "motor-figure", "--log", log, "--out", "docs/motor.png")
 
 
-def pushes_figure(runs: Runs) -> None:
+def pushes_figure(runs: PaperRuns) -> None:
     """Draw falls over the force of every push."""
-    (runs.folder / "docs").mkdir(exist_ok=True)
-    policies, small = [f"policies/{task}.onnx" for task in POLICIES], runs.small("--values", 4, "--episodes", 4)
-    words = (*("--ranges", "none", "--push-force", 0, 220, "--values", 12, "--episodes", 20), *small)
-    command(runs, "sensitivity", *policies, *words, "--out", "results/push-force")
-    shutil.copy(runs.folder / "results" / "push-force" / "push_force.png", runs.folder / "docs" / "pushes.png")
+    policies = [f"policies/{task}.onnx" for task in POLICIES]
+    words = ("--ranges", "none", "--push-force", 0, 220, "--values", 12, "--episodes", 20)
+    small = runs.quick_options("--values", 4, "--episodes", 4)
+    command(runs, "sensitivity", *policies, *words, *small, "--out", "results/push-force")
+    shutil.copy(runs.folder / "results/push-force/push_force.png", runs.make_folder("docs") / "pushes.png")
 
 
 def study(name: str, steps: int, *only: str) -> Stage:
     """Run a study of the clone; its small version has one seed and some of the groups."""
 
-    def make(runs: Runs) -> None:
-        small = runs.small("--steps", steps, "--seeds", 0, *(("--only", *only) if only else ()))
-        command(runs, "study", runs.root / "studies" / f"{name}.yaml", *runs.many(), *small)
+    def make(runs: PaperRuns) -> None:
+        small = runs.quick_options("--steps", steps, "--seeds", 0, *(("--only", *only) if only else ()))
+        command(runs, "study", runs.root / "studies" / f"{name}.yaml", *runs.workers_options(), *small)
 
     return Stage(f"results/{name}/summary.json", make)
 
@@ -145,36 +147,35 @@ def tune(gait: str, speed: float) -> Stage:
     """Tune a handcrafted gait."""
     makes = f"results/handcrafted/{gait}-{round(100 * speed)}.yaml"
 
-    def make(runs: Runs) -> None:
-        (runs.folder / makes).parent.mkdir(parents=True, exist_ok=True)
-        # The gait is written after every generation: whole only under its own name.
+    def make(runs: PaperRuns) -> None:
+        runs.make_folder("results/handcrafted")
+        # The gait is written after every generation; the file of this name is of the last one.
         part = Path(makes).with_suffix(".part.yaml")
-        command(runs, "tune", "--gait", gait, "--speed", speed, "--out", part, *runs.small("--generations", 12))
+        small = runs.quick_options("--generations", 12)
+        command(runs, "tune", "--gait", gait, "--speed", speed, "--out", part, *small)
         (runs.folder / part).rename(runs.folder / makes)
 
     return Stage(makes, make)
 
 
-def handcrafted(runs: Runs) -> None:
+def handcrafted(runs: PaperRuns) -> None:
     """Compare handcrafted gaits with learned ones."""
-    script, policies = (
-        runs.root / "benchmarks" / "handcrafted.py",
-        [f"policies/{task}.onnx" for task in (*POLICIES, *HYBRIDS)],
-    )
-    words = [sys.executable, str(script), "results/handcrafted", "--policies", *policies]
-    small = runs.small("--episodes", 5, "--conditions", "mujoco")
-    runs.console.print(shlex.join(["python", *words[1:], *small]), style="bold")
-    code = subprocess.run([*words, *small], cwd=runs.folder).returncode
+    script = runs.root / "benchmarks" / "handcrafted.py"
+    policies = [f"policies/{task}.onnx" for task in (*POLICIES, *HYBRIDS)]
+    small = runs.quick_options("--episodes", 5, "--conditions", "mujoco")
+    words = [sys.executable, str(script), "results/handcrafted", "--policies", *policies, *small]
+    runs.console.print(shlex.join(["python", *words[1:]]), style="bold")
+    code = subprocess.run(words, cwd=runs.folder).returncode
     if code != 0:
         raise SurefootError(f"{script}: ended with exit code {code}")
 
 
-def search(runs: Runs) -> None:
+def search(runs: PaperRuns) -> None:
     """Search settings of the gallop."""
     out = Path("results") / "search"
-    again = ["--resume"] if (runs.folder / out / "search.yaml").exists() else []
-    small = runs.small("--trials", 4, "--steps", 60_000)
-    command(runs, "search", "gallop", "--out", out, *runs.many(), *small, *again)
+    resume = ["--resume"] if (runs.folder / out / "search.yaml").exists() else []
+    small = runs.quick_options("--trials", 4, "--steps", 60_000)
+    command(runs, "search", "gallop", "--out", out, *runs.workers_options(), *small, *resume)
 
 
 STAGES = (
@@ -207,14 +208,14 @@ STAGES = (
 """All runs, in order."""
 
 
-def make_all(runs: Runs) -> bool:
-    """Make what is missing; returns false if that was stopped, and then the same again goes on.
+def make_all(runs: PaperRuns) -> bool:
+    """Run the stages whose results are missing; return false if stopped, after which the same call goes on.
 
     Raises:
-        SurefootError: a command that did not end well; the others' results are kept.
+        SurefootError: a command that failed; the results of the others stay.
     """
     with describe_os_errors(runs.folder, "made"):
-        runs.folder.mkdir(parents=True, exist_ok=True)
+        runs.make_folder("")
     for number, stage in enumerate(STAGES, start=1):
         done = (runs.folder / stage.makes).exists()
         runs.console.print(f"{number} of {len(STAGES)}: {stage.makes}{': is there' if done else ''}")
@@ -225,5 +226,5 @@ def make_all(runs: Runs) -> bool:
         except KeyboardInterrupt:
             return False
         if not (runs.folder / stage.makes).exists():
-            raise SurefootError(f"{stage.makes} was not made; see what was said above")
+            raise SurefootError(f"{stage.makes} was not made; see the output above")
     return True

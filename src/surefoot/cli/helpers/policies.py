@@ -1,24 +1,22 @@
-"""Policies and tasks of command lines: found, adjusted and run."""
+"""Find, load and run policies that a command line names."""
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
-from surefoot.cli.helpers.simulator import Simulator
 from surefoot.configuration import to_mapping
 from surefoot.deploy.checks import check_policy
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.progress import ProgressBar
-from surefoot.robot import RobotDescription, parse_settings
-from surefoot.robot.randomization import Ranges
+from surefoot.robot import RobotDescription
 from surefoot.studies.handcrafted import HandcraftedGait
-from surefoot.task.commands import read_schedule
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
@@ -48,13 +46,6 @@ def find_policy(policy: str) -> Path:
     raise SurefootError(f"policy '{policy}' does not exist; {names}, or the path of a policy file")
 
 
-def find_policies(policies: Sequence[str]) -> list[Path]:
-    """Return the files of one or more policies."""
-    if not policies:
-        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
-    return [find_policy(policy) for policy in policies]
-
-
 def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, RobotDescription]:
     """Return a policy and the robot to run it on, given by name or folder; the policy's own, if None.
 
@@ -78,7 +69,7 @@ def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDesc
 
 
 def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, TaskConfig, dict[str, str]]:
-    """Return a policy or handcrafted gait (.yaml), its robot and task, and the name and hash of its configuration.
+    """Return policy, robot, task, and name and hash of the configuration, of a policy file or handcrafted gait (.yaml).
 
     Raises:
         SurefootError: as `load_policy`, or a file that is no handcrafted gait.
@@ -88,25 +79,25 @@ def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, 
         return policy, description, task, {"name": policy.contract.name, "config_hash": policy.contract.config_hash}
     gait = HandcraftedGait.load(path)
     task = gait.task if robot is None else replace(gait.task, robot=robot)
-    config = {"task": to_mapping(task), "raibert": gait.raibert and to_mapping(gait.raibert)}
-    identity = {"name": task.name, "config_hash": config_hash(config)}
-    return replace(gait, task=task).policy(), RobotDescription.load(task.robot), task, identity
+    whole = {"task": to_mapping(task), "raibert": gait.raibert and to_mapping(gait.raibert)}
+    origin = {"name": task.name, "config_hash": config_hash(whole)}
+    return replace(gait, task=task).policy(), RobotDescription.load(task.robot), task, origin
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A policy that is compared with others."""
+class Candidate(NamedTuple):
+    """A policy that is compared with others; no other one has its name."""
 
     name: str
-    """Distinct name."""
     path: Path
     policy: PolicyRuntime
     task: TaskConfig
-    """The task that it was made for."""
 
 
-def load_policies(paths: Sequence[Path]) -> tuple[list[Candidate], RobotDescription]:
-    """Return policies that are compared, and their one robot."""
+def load_policies(policies: Sequence[str]) -> tuple[list[Candidate], RobotDescription]:
+    """Return policies to compare, given as for `find_policy`, and the one robot that all of them are for."""
+    if not policies:
+        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
+    paths = [find_policy(policy) for policy in policies]
     loaded = [load_policy(path, None) for path in paths]
     names = distinct_names([policy.contract.name for policy, _, _ in loaded], [path.stem for path in paths])
     robot = loaded[0][1]
@@ -116,74 +107,20 @@ def load_policies(paths: Sequence[Path]) -> tuple[list[Candidate], RobotDescript
                 f"policy '{name}' is for robot '{other.name}' and '{names[0]}' for '{robot.name}'; "
                 "policies that are compared must be for the same robot"
             )
-    candidates = zip(names, paths, loaded, strict=True)
-    return [Candidate(name, path, policy, task) for name, path, (policy, _, task) in candidates], robot
+    parts = zip(names, paths, loaded, strict=True)
+    return [Candidate(name, path, policy, task) for name, path, (policy, _, task) in parts], robot
 
 
 def distinct_names(names: Sequence[str], stems: Sequence[str]) -> list[str]:
-    """Return distinct names of policies: a repeated name becomes that of the policy's file, and then gets a number."""
-    often = Counter(names)
-    chosen = [name if often[name] == 1 else stem for name, stem in zip(names, stems, strict=True)]
-    often, taken = Counter(chosen), set(chosen)
+    """Return distinct names: the stem of the policy's file for a repeated name, with a number for a repeated stem."""
+    repeated = {name for name, count in Counter(names).items() if count > 1}
+    chosen = [stem if name in repeated else name for name, stem in zip(names, stems, strict=True)]
+    counts, taken = Counter(chosen), set(chosen)
     for i, name in enumerate(chosen):
-        if often[name] > 1:
-            number = 1
-            while f"{name}-{number}" in taken:
-                number += 1
-            chosen[i] = f"{name}-{number}"
+        if counts[name] > 1:
+            chosen[i] = next(text for k in itertools.count(1) if (text := f"{name}-{k}") not in taken)
             taken.add(chosen[i])
     return chosen
-
-
-def adjust_task(
-    task: TaskConfig,
-    robot: RobotDescription,
-    settings: Sequence[Sequence[str]],
-    pushes: bool,
-    thermal_protection: bool = False,
-    randomize: Ranges | None = None,
-    simulator: Simulator | None = None,
-    push_force: tuple[float, float] | None = None,
-    commands: Path | None = None,
-) -> TaskConfig:
-    """Return the task with another simulator, parameters, pushes and randomization.
-
-    Args:
-        task: as the policy was trained.
-        robot: its description limits the values.
-        settings: words NAME=VALUE, as often as `--set` was given.
-        pushes: whether the base is pushed, as hard and often as the task says; every push that is due is given.
-        thermal_protection: switch off motors that overheat, whatever the task says.
-        randomize: ranges that every episode draws from, whatever the task says; none, if not given.
-        simulator: actuator, latencies and file of parameters; the task's, if not given.
-        push_force: least and greatest force [N] of pushes in horizontal directions, in place of the task's.
-        commands: file of commands over time, in place of drawn ones.
-
-    Raises:
-        SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.
-    """
-    params = parse_settings([word for group in settings for word in group])
-    task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
-    task = (simulator or Simulator()).of(task, params)
-    task.nominal(robot)  # refuses parameters that the robot does not allow
-    command_config = replace(task.commands, ramp=0)
-    if commands is not None:
-        if not task.commands.enabled:
-            raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
-        command_config = replace(command_config, schedule=read_schedule(commands))
-    pushing = task.pushes.in_full(pushes, push_force)
-    return replace(task, randomize=randomize or {}, pushes=pushing, commands=command_config)
-
-
-def with_duration(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:
-    """Return the task with episodes of a duration [s], whatever its control step."""
-    steps = round(duration / float(task.nominal(robot).control_step[0]))
-    return replace(task, max_steps=max(steps, 1))
-
-
-def describe_simulator(task: TaskConfig) -> dict[str, Any]:
-    """Return actuator and physical parameters of a task, as JSON holds them."""
-    return {"actuator": task.actuator, "params": task.params, "params_source": task.params_source}
 
 
 def run_policy(
@@ -196,17 +133,17 @@ def run_policy(
     name: str = "",
     title: str = "",
 ) -> list[EpisodeTrace]:
-    """Run episodes of a policy in a world, given by its name, with a progress bar; return their traces.
+    """Run episodes of a policy in a world with a progress bar; return their traces.
 
     Args:
         policy: the policy.
         task: its task.
-        episodes: how many.
-        world: as of `find_world`.
-        seed: of the episodes.
-        threads: of the simulation; 0 means one a core.
+        episodes: number of episodes.
+        world: name of the world.
+        seed: seed of the episodes.
+        threads: threads of the simulation; 0: one a core.
         name: name of the policy in the traces.
-        title: title of the bar; the name, if empty.
+        title: title of the bar; the name, if not given.
     """
     from surefoot.evaluate.rollout import run_episodes
 

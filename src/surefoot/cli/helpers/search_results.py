@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -16,13 +17,13 @@ from surefoot.studies.search_space import get
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.studies.trials import Retest, TrialResult
+    import pandas as pd
 
 TOP = 3
 """Best trials that are evaluated anew."""
 EPISODES = 20
 SEED = 2_000_003
-"""Of fresh episodes: neither training nor search has seen them."""
+"""Seed of fresh episodes, which neither training nor search has used."""
 
 
 def report(search: Search, command: str, console: Console) -> None:
@@ -31,97 +32,84 @@ def report(search: Search, command: str, console: Console) -> None:
     Raises:
         SurefootError: no trial is complete.
     """
-    from surefoot.studies.search_report import write_report
-    from surefoot.studies.trials import SearchResult, best
+    import pandas as pd
+
+    from surefoot.studies.search_report import SearchResult, sort_trials, write_report
     from surefoot.world.process_world import worker_pool
 
     make_figures_folder(search.folder)
-    trials = _trials(search, console)
-    train = search.config.train
-    complete = [trial for trial in trials if trial.complete]
-    if not complete:
+    trials = pd.DataFrame([_trial_row(search, trial, console) for trial in search.study.trials])
+    complete = trials[trials.state == "complete"]
+    if not len(complete):
         raise SurefootError(f"{search.folder}: no trial is complete; there is nothing to report yet")
-    retests = []
+    fresh = []
     with worker_pool():
-        for trial in best(complete, TOP):
-            with console.status(f"evaluating trial {trial.number} in fresh episodes"):
-                retests.append(_retest(search, trial))
-    result = SearchResult(
-        train.task.name,
-        search.config.seed,
-        train.steps,
-        train.evaluation_episodes,
-        tuple(trials),
-        search.importance(),
-        tuple(retests),
-    )
+        for trial in sort_trials(complete)[:TOP].itertuples():
+            with console.status(f"evaluating trial {trial.trial} in fresh episodes"):
+                fresh.append(_fresh_runs(search, trial.policy))
+            fresh[-1].insert(0, "trial", trial.trial)
+    result = SearchResult(search.config, trials, pd.concat(fresh, ignore_index=True), search.importance())
     console.print(f"Report: {write_report(result, search.folder, command)}")
 
 
-def _trials(search: Search, console: Console) -> list[TrialResult]:
+def _trial_row(search: Search, trial: Any, console: Console) -> dict[str, Any]:
+    """Return the row of a trial of Optuna's study, as `SearchResult` has it, from its folder."""
     from surefoot.studies.evaluations import evaluate
-    from surefoot.studies.trials import TrialResult
 
-    found = []
-    for trial in search.study.trials:
-        training = search.training(trial.number)
-        policy = training.policy if training.policy.exists() else None
-        rows, config = training.rows(), training.stored() if policy else None
-        curve = tuple((row["steps"], row["evaluation"]["return_mean"]) for row in rows if "evaluation" in row)
-        gait = None
-        if policy is not None:
-            with console.status(f"naming the gait of trial {trial.number}"):
-                gait = evaluate(policy, "gait", find_world)
-        found.append(
-            TrialResult(
-                trial.number,
-                trial.state.name.lower(),
-                config.seed if config else None,
-                curve[-1][1] if curve else math.nan,
-                rows[-1]["steps"] if rows else 0,
-                rows[-1]["seconds"] if rows else 0.0,
-                curve,
-                {name: _told(get(config, name)) if config else None for name in search.config.space},
-                policy,
-                gait,
-                trial.user_attrs.get("why", ""),
-            )
-        )
-    return found
+    training = search.training(trial.number)
+    policy = training.policy if training.policy.exists() else None
+    rows, config = training.rows(), training.stored() if policy else None
+    curve = [(row["steps"], row["evaluation"]["return_mean"]) for row in rows if "evaluation" in row]
+    result = None
+    if policy is not None:
+        with console.status(f"naming the gait of trial {trial.number}"):
+            result = evaluate(policy, "gait")
+    return {
+        "trial": trial.number,
+        "state": trial.state.name.lower(),
+        "return": curve[-1][1] if curve else math.nan,
+        "steps": rows[-1]["steps"] if rows else 0,
+        "seconds": rows[-1]["seconds"] if rows else 0.0,
+        "gait": result and result["gait"],
+        "pattern": result and result["pattern"],
+        "seed": config.seed if config else None,
+        **{name: _cell(get(config, name)) if config else None for name in search.config.space},
+        "why": trial.user_attrs.get("why", ""),
+        "curve": curve,
+        "policy": policy,
+        "result": result,
+    }
 
 
-def _told(value: Any) -> Any:
+def _cell(value: Any) -> Any:
     """Return a value as a cell of a table."""
     return " ".join(map(str, value)) if isinstance(value, list) else value
 
 
-def _retest(search: Search, trial: TrialResult) -> Retest:
-    """Run a policy at home as the search did, and in Bullet on the robot of the data sheet; in fresh episodes.
+def _fresh_runs(search: Search, path: Path) -> pd.DataFrame:
+    """Run a policy in fresh episodes at home, and in Bullet on the robot of the data sheet; results are cached."""
+    import pandas as pd
 
-    Runs are stored beside the policy: a report without new trials among the best simulates nothing.
-    """
     from surefoot.evaluate.gap import away_task
     from surefoot.evaluate.rollout import run_episodes
-    from surefoot.evaluate.runs import Runs
+    from surefoot.evaluate.runs import measure_runs
     from surefoot.policy.runtime import PolicyRuntime
-    from surefoot.studies.evaluations import Result, made_once
-    from surefoot.studies.trials import Retest
+    from surefoot.studies.evaluations import Result, cached_result
     from surefoot.task.contract_mapping import task_from_contract
 
-    assert trial.policy is not None
-    path, reward = trial.policy, search.config.train.task.reward
+    reward = search.config.train.task.reward
 
-    def runs(world: str) -> Runs:
-        def make() -> Result:
+    def run(world: str) -> pd.DataFrame:
+        def compute() -> Result:
             policy = PolicyRuntime.load(path)
             task = replace(task_from_contract(policy.contract), reward=reward)
             task = replace(task, pushes=replace(task.pushes, enabled=False))
             task = task if world == "mujoco" else away_task(task)
             traces = run_episodes(policy, task, EPISODES, find_world(world), SEED, world_name=world)
-            return Runs.of_traces(traces).to_mapping()
+            return {"runs": measure_runs(traces).to_dict("list")}
 
         settings = {"world": world, "episodes": EPISODES, "seed": SEED, "reward": reward}
-        return Runs.from_mapping(made_once(path, f"fresh_{world}", settings, make))
+        return pd.DataFrame(cached_result(path, f"fresh_{world}", settings, compute)["runs"])
 
-    has_bullet = find_spec("pybullet") is not None
-    return Retest(trial, runs("mujoco"), runs("bullet") if has_bullet else None)
+    worlds = ("mujoco", "bullet") if find_spec("pybullet") is not None else ("mujoco",)
+    return pd.concat(list(map(run, worlds)), ignore_index=True)

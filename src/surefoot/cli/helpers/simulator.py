@@ -1,40 +1,23 @@
-"""Another simulator and other ranges than the task's.
-
-`--params`, `--actuator`, `--control-latency`, `--servo-latency`; `--randomize TABLE`, `--randomize.NAME LOW HIGH`.
-"""
+"""Options of commands that simulate: another simulator, robot, parameters, pushes and commands than the task's."""
 
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from surefoot.cli.helpers.options import Pushes, PushForce, RobotName, Seed, Settings, World
-from surefoot.errors import SurefootError, choices
-from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
-from surefoot.robot.params import PARAMETERS
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription, parse_settings
 from surefoot.robot.params_file import ParamValue, find_params, read_params
-from surefoot.robot.randomization import (
-    ParamRange,
-    Ranges,
-    RelativeRange,
-    check_ranges,
-    load_ranges,
-    mean_interval,
-    range_names,
-)
+from surefoot.robot.randomization import Ranges
+from surefoot.task.commands import read_schedule
 from surefoot.task.config import TaskConfig
 from surefoot.world.interface import WorldConfig
-
-_RANGES_HELP = """--randomize TABLE           ranges that an episode draws its parameters from: {names}, or a YAML file
---randomize.NAME LOW HIGH   another range for one parameter; scale LOW HIGH: factors of its nominal value;
-                            add LOW HIGH: added to it; none: it is not drawn. Names and ranges of table1:"""
-_RELATIVE = ("scale", "add")
 
 
 @dataclass(frozen=True)
@@ -54,26 +37,25 @@ class Simulator:
     @property
     def latencies(self) -> dict[str, float]:
         """Latencies that are given [s], by name."""
-        given = {"control_latency": self.control_latency, "servo_latency": self.servo_latency}
-        return {name: value for name, value in given.items() if value is not None}
+        names = ("control_latency", "servo_latency")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
-    def of(self, task: TaskConfig, settings: Mapping[str, ParamValue] | None = None) -> TaskConfig:
-        """Return the task in this simulator, with further physical parameters, by name.
+    def apply(self, task: TaskConfig, settings: Mapping[str, ParamValue] | None = None) -> TaskConfig:
+        """Return the task in this simulator, with further physical parameters by name.
 
         Raises:
             SurefootError: a parameter given twice, an actuator that the task does not go with, or a file of parameters
-                that can't be read or does not fit the task's robot and control step.
+                that does not fit the task's robot and control step.
         """
         settings = settings or {}
         if twice := sorted(set(settings) & set(self.latencies)):
             option = twice[0].replace("_", "-")
             raise SurefootError(f"{twice[0]} is given twice, by --{option} and as a parameter; give it once")
         if self.params is not None:
-            task = _with_file(task, self.params)
+            task = _apply_file(task, self.params)
         params = {**task.params, **self.latencies, **settings}
         task = replace(task, actuator=self.actuator or task.actuator, params=params)
-        # The world says what goes together; it is asked here because nothing has been simulated yet.
-        WorldConfig(actuator=task.actuator, thermal_protection=task.thermal_protection)
+        WorldConfig(actuator=task.actuator, thermal_protection=task.thermal_protection)  # checked early
         return task
 
 
@@ -81,23 +63,23 @@ SimulatorOptions = Annotated[Simulator, tyro.conf.OmitArgPrefixes]
 """The options as a field of a command."""
 
 
-def _with_file(task: TaskConfig, path: Path) -> TaskConfig:
+def _apply_file(task: TaskConfig, path: Path) -> TaskConfig:
     """Return the task on the robot of a file of parameters.
 
-    None of the task's own parameters stays beside the file's, so that a policy that was trained on one identified
-    robot is not run on a mixture of two; only the control step does, which belongs to the policy and to no robot.
+    The file replaces all of the task's parameters, so that a policy that was trained on one identified robot does not
+    run on a mixture of two. Only the control step stays: it belongs to the policy and to no robot.
     """
     robot = RobotDescription.load(task.robot)
     path = find_params(path, robot)
-    found, expected = read_params(path, robot), float(task.nominal(robot).control_step[0])
-    step = float(found.params.control_step[0])
-    if "control_step" in found.given and not math.isclose(step, expected, rel_tol=1e-9):
+    file, expected = read_params(path, robot), float(task.nominal(robot).control_step[0])
+    step = float(file.params.control_step[0])
+    if "control_step" in file.names and not math.isclose(step, expected, rel_tol=1e-9):
         raise SurefootError(
             f"{path}: control_step is {step:g}, and the task's is {expected:g}; "
             "it belongs to the policy, not to the robot: leave it out of the file"
         )
-    kept = {name: value for name, value in task.params.items() if name == "control_step"}
-    return replace(task, params={**found.values, **kept}, params_source=found.source)
+    own = {name: value for name, value in task.params.items() if name == "control_step"}
+    return replace(task, params={**file.values, **own}, params_source=file.source)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,77 +100,39 @@ class RunOptions:
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
     drawn as in its training, if not given."""
 
+    def apply(
+        self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None, thermal_protection: bool = False
+    ) -> TaskConfig:
+        """Return a policy's task as it is run: randomized and pushed only where options say so.
 
-def ranges_help() -> str:
-    """Return the help of `--randomize`, with the ranges of the paper's table."""
-    table, nominal = load_ranges("table1"), PhysicalParams.nominal(RobotDescription.load(DEFAULT_ROBOT))
-    intervals = {name: mean_interval(given, getattr(nominal, name)) for name, given in table.items()}
-    lines = _RANGES_HELP.format(names=choices(range_names())).splitlines()
-    lines += [f"    {name:<20}{low:g} to {high:g}" for name, (low, high) in intervals.items()]
-    others = f"and, not in table1: {choices(name for name in PARAMETERS if name not in table)}"
-    lines += textwrap.wrap(others, 100, initial_indent="    ", subsequent_indent="    ")
-    return textwrap.indent("\n".join(lines), "  ")
+        Args:
+            task: as the policy was trained.
+            robot: the task's robot.
+            ranges: ranges of the parameters that every episode draws.
+            thermal_protection: switch off motors that overheat, whatever the task says.
 
-
-@dataclass(frozen=True)
-class RangeOptions:
-    """The options `--randomize` of a command line."""
-
-    table: str | None
-    """Name or path of a table of ranges."""
-    ranges: dict[str, ParamRange | None]
-    """Ranges in place of the table's; None drops one."""
-
-    def apply(self, robot: str | Path, base: Ranges | None = None) -> Ranges:
-        """Return the ranges for a robot, by name or folder; parameters without options are as in `base`."""
-        below = (base or {}) if self.table is None else load_ranges(self.table, robot=robot)
-        ranges = {name: given for name, given in {**below, **self.ranges}.items() if given is not None}
-        check_ranges(ranges, RobotDescription.load(robot))
-        return ranges
+        Raises:
+            SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.
+        """
+        settings = parse_settings([word for group in self.settings for word in group])
+        task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
+        task = self.simulator.apply(task, settings)
+        task.nominal(robot)  # refuses parameters that the robot does not allow
+        commands = replace(task.commands, ramp=0)
+        if self.commands is not None:
+            if not task.commands.enabled:
+                raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
+            commands = replace(commands, schedule=read_schedule(self.commands))
+        pushes = task.pushes.for_evaluation(self.pushes, self.push_force)
+        return replace(task, randomize=ranges or {}, pushes=pushes, commands=commands)
 
 
-def take_ranges(words: list[str]) -> tuple[list[str], RangeOptions]:
-    """Take the options `--randomize` out of a command's words; return the other words, and the options."""
-    rest: list[str] = []
-    table: str | None = None
-    ranges: dict[str, ParamRange | None] = {}
-    queue = list(words)
-    while queue:
-        word = queue.pop(0)
-        name, equals, value = word.partition("=")
-        if name == "--randomize":
-            if not equals and (not queue or queue[0].startswith("--")):
-                raise SurefootError(f"--randomize has no value; choices: {choices(range_names())}, or a YAML file")
-            table = value if equals else queue.pop(0)
-        elif name.startswith("--randomize."):
-            parameter = name.removeprefix("--randomize.").replace("-", "_")
-            check_ranges({parameter: (0.0, 0.0)})
-            values = [value] if equals else []
-            while queue and not queue[0].startswith("--") and len(values) < _count(values):
-                values.append(queue.pop(0))
-            ranges[parameter] = _read_range(name, values)
-        else:
-            rest.append(word)
-    return rest, RangeOptions(table, ranges)
+def with_duration(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:
+    """Return the task with episodes of a duration [s]."""
+    steps = round(duration / float(task.nominal(robot).control_step[0]))
+    return replace(task, max_steps=max(steps, 1))
 
 
-def _count(values: list[str]) -> int:
-    """Return how many words a range has that begins with some words."""
-    first = values[0].lower() if values else ""
-    return {"none": 1, "scale": 3, "add": 3}.get(first, 2)
-
-
-def _read_range(option: str, words: list[str]) -> ParamRange | None:
-    kind = words[0].lower() if words else ""
-    if kind == "none":
-        return None
-    try:
-        low, high = (float(word) for word in words[kind in _RELATIVE :])
-    except ValueError:
-        message = " ".join(words) or "nothing"
-        raise SurefootError(
-            f"{option} is {message}; it takes LOW HIGH, scale LOW HIGH, add LOW HIGH, or none"
-        ) from None
-    if kind == "scale":
-        return RelativeRange(scale=(low, high))
-    return RelativeRange(add=(low, high)) if kind == "add" else (low, high)
+def describe_simulator(task: TaskConfig) -> dict[str, Any]:
+    """Return actuator and physical parameters of a task, as JSON holds them."""
+    return {"actuator": task.actuator, "params": task.params, "params_source": task.params_source}

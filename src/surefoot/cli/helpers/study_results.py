@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -15,40 +15,39 @@ from surefoot.studies.training import Training
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.studies.comparison import Comparison, SeedResult
+    from surefoot.studies.comparison import Comparison
 
 
-def check_kinds(study: StudyConfig, worlds: bool) -> None:
-    """Refuse evaluations that can't be made, and `worlds` that do not exist, before anything is trained.
+def check_evaluations(study: StudyConfig, worlds: bool) -> None:
+    """Refuse evaluations that do not exist or lack a `worlds`, before anything is trained.
 
     Raises:
-        SurefootError: with what can't be made.
+        SurefootError: an unknown evaluation or world, or bars without a gap.
     """
     from surefoot.studies.evaluations import EVALUATIONS, evaluation_names
 
     kinds = evaluation_names(study.evaluate)
     if study.bars and "gap" not in kinds:
         raise SurefootError("bars: they show the reality gap; evaluate must name 'gap' for them")
-    for world in {name: None for kind in kinds for name in EVALUATIONS[kind].world_names} if worlds else ():
+    for world in {name for kind in kinds for name in EVALUATIONS[kind].world_names} if worlds else ():
         find_world(world)
 
 
 def evaluate_runs(study: StudyConfig, runs: list[Training], threads: int, console: Console) -> None:
-    """Make every evaluation of every finished run that is not there yet."""
+    """Run every evaluation of every finished run that is not cached."""
     from surefoot.evaluate.statistics import decimal
     from surefoot.studies.evaluations import EVALUATIONS, evaluate, evaluation_names, stored_result
     from surefoot.world.process_world import worker_pool
 
-    kinds = evaluation_names(study.evaluate)
-    finished = [run for run in runs if run.state == "finished"]
+    kinds, finished = evaluation_names(study.evaluate), [run for run in runs if run.state == "finished"]
     todo = [(run, kind) for run in finished for kind in kinds if stored_result(run.policy, kind) is None]
     with worker_pool():
         for number, (run, kind) in enumerate(todo, start=1):
             start = time.perf_counter()
             with console.status(f"evaluating {run.name}: {kind} ({number} of {len(todo)})"):
-                result = evaluate(run.policy, kind, find_world, threads)
+                values = EVALUATIONS[kind].read_figures(evaluate(run.policy, kind, threads))
             figures = ", ".join(
-                f"{one.title} {decimal(one.read(result), one.digits)} {one.unit}" for one in EVALUATIONS[kind].figures
+                f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in EVALUATIONS[kind].figures
             )
             seconds = time.perf_counter() - start
             console.print(
@@ -57,7 +56,7 @@ def evaluate_runs(study: StudyConfig, runs: list[Training], threads: int, consol
 
 
 def report(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:
-    """Write tables, figures and README of all runs that are finished and evaluated, whichever were asked for now."""
+    """Write tables, figures and README of all runs that are finished and evaluated, of whichever group."""
     comparison = _collect(study, root)
     make_figures_folder(out)
     from surefoot.studies.study_report import write_report
@@ -70,38 +69,24 @@ def report(study: StudyConfig, root: Path, out: Path, command: str, console: Con
 
 def _collect(study: StudyConfig, root: Path) -> Comparison:
     """Return all runs of a study that are finished and have every evaluation; one or more."""
-    from surefoot.studies.comparison import Comparison, GroupResult
-    from surefoot.studies.evaluations import evaluation_names
+    import pandas as pd
 
-    kinds = evaluation_names(study.evaluate)
-    found: dict[str, list[SeedResult]] = {name: [] for name in study.groups}
-    missing = []
-    for run in study_runs(study, root):
-        result = _result(run, kinds)
-        if result is None:
-            missing.append(run.name)
-        else:
-            found[run.group].append(result)
-    groups = tuple(GroupResult(name, study.label(name), tuple(seeds)) for name, seeds in found.items() if seeds)
-    if not groups:
+    from surefoot.studies.comparison import Comparison
+
+    runs = study_runs(study, root)
+    rows = {run.name: _policy_row(run, study) for run in runs}
+    present = [row for group in study.groups for row in rows.values() if row is not None and row["group"] == group]
+    if not present:
         raise SurefootError(f"{root}: no run of the study is finished and evaluated; there is nothing to report yet")
-    return Comparison(
-        study.name,
-        kinds,
-        groups,
-        study.pairs,
-        tuple(missing),
-        study.top,
-        study.bars,
-        tuple((frozenset(finding.groups), finding.text) for finding in study.findings),
-    )
+    missing = tuple(name for name, row in rows.items() if row is None)
+    return Comparison(study, pd.DataFrame(present), missing)
 
 
-def _result(run: Training, kinds: tuple[str, ...]) -> SeedResult | None:
-    """What is known of a run; None if it is not finished, not evaluated, or not what the study asks for."""
+def _policy_row(run: Training, study: StudyConfig) -> dict[str, Any] | None:
+    """Return the row of a run; None if it is not finished, not evaluated, or not the one of the study."""
     from surefoot.policy.runtime import PolicyRuntime
-    from surefoot.studies.comparison import Curve, SeedResult
-    from surefoot.studies.evaluations import stored_result
+    from surefoot.studies.comparison import policy_row
+    from surefoot.studies.evaluations import evaluation_names, stored_result
 
     if run.state != "finished":
         return None
@@ -109,11 +94,10 @@ def _result(run: Training, kinds: tuple[str, ...]) -> SeedResult | None:
         run.check()
     except SurefootError:
         return None
-    results = {kind: result for kind in kinds if (result := stored_result(run.policy, kind)) is not None}
-    if len(results) < len(kinds):
+    results = {kind: stored_result(run.policy, kind) for kind in evaluation_names(study.evaluate)}
+    stored = {kind: result for kind, result in results.items() if result is not None}
+    if len(stored) < len(results):
         return None
-    rows = run.rows()
     best = PolicyRuntime.load(run.policy).contract.figures.get("training", {}).get("steps")
-    return SeedResult(
-        run.config.seed, rows[-1]["steps"], rows[-1]["seconds"], Curve.of_rows(rows), results, best, run.policy
-    )
+    row = policy_row(run.group, run.config.seed, run.rows(), stored)
+    return row | {"best_steps": best, "policy": run.policy}

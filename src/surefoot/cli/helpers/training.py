@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import Evaluation, TrainingLoop
 
-_LINE_PERIOD = 10.0
-"""Least time between two lines of progress where there is no terminal [s]."""
 _EPISODES = 20
 _RANDOMIZED_EPISODES = 100
 """Episodes with randomized parameters: falls are rare there, and robots differ."""
@@ -50,7 +48,7 @@ class TrainingProgress(ProgressBar):
 
     def __init__(self, config: TrainConfig, console: Console, done: int = 0) -> None:
         self._steps, self._done = config.updates * config.samples_per_update, done
-        super().__init__(config.task.name, console, self._steps, done, _LINE_PERIOD, transient=False)
+        super().__init__(config.task.name, console, self._steps, done)
         self._start = time.monotonic()
         self._return = self._speed = math.nan
 
@@ -82,7 +80,7 @@ def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
     from surefoot.evaluate.runs import summarize
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
-    from surefoot.studies.comparison import Curve
+    from surefoot.studies.comparison import learning_curve
     from surefoot.studies.study_figures import learning_curves
 
     loop.export(folder.policy)
@@ -94,7 +92,7 @@ def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
     if task.randomize:
         kinds["randomized"] = (replace(nominal, randomize=task.randomize), _RANDOMIZED_EPISODES)
     if task.pushes.enabled:
-        kinds["with_pushes"] = (replace(nominal, pushes=task.pushes.in_full(True)), _EPISODES)
+        kinds["with_pushes"] = (replace(nominal, pushes=task.pushes.for_evaluation(True)), _EPISODES)
     name = policy.contract.name
     traces = {
         kind: run_episodes(policy, task, episodes, find_world(world), seed=0, world_name=world, policy_name=name)
@@ -106,7 +104,7 @@ def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
     figures.mkdir(exist_ok=True)
     rows = folder.rows()
     if any(row["return_mean"] is not None for row in rows):
-        learning_curves({task.name: [Curve.of_rows(rows)]}, figures / "learning_curve.png")
+        learning_curves({task.name: [learning_curve(rows)]}, figures / "learning_curve.png")
     episodes = sorted(traces["without_pushes"], key=lambda trace: trace.base_position_world[-1, 0])
     median = episodes[len(episodes) // 2]
     draw_episode(figures, median, robot)

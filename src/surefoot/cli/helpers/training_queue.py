@@ -13,7 +13,7 @@ from rich.table import Table
 from surefoot.progress import ProgressDisplay
 from surefoot.stop_signals import StopSignals
 from surefoot.studies.training import Training
-from surefoot.studies.workers import Outcome, Told, ray_cluster, run_trainings
+from surefoot.studies.workers import ProgressReport, TrainingsOutcome, ray_cluster, run_trainings
 
 _LINE_PERIOD = 60.0
 """Least time between two lines on one training, where there is no terminal [s]."""
@@ -25,24 +25,23 @@ def train_many(
     workers: int,
     address: str | None,
     console: Console,
-    on_told: Callable[[Training, Told], bool] = lambda *_: False,
+    on_report: Callable[[Training, ProgressReport], bool] = lambda *_: False,
     on_change: Callable[[Training, str, str], None] = lambda *_: None,
-) -> Outcome:
-    """Train on this machine or on the Ray cluster at an address, show how far it is, and stop by Ctrl-C.
+) -> TrainingsOutcome:
+    """Train on this machine or on the Ray cluster at an address, show the progress, and stop by Ctrl-C.
 
     Args:
         title: what is trained.
-        trainings: as `run_trainings` takes them, like what is not told here.
+        trainings: as for `run_trainings`.
         workers: how many run at a time.
         address: HOST:PORT of a cluster; this machine, if None.
         console: where to show it.
-        on_told: called with how far a training is; true prunes it.
+        on_report: called with the progress of a training; true prunes it.
         on_change: called when a training starts or ends.
 
     Raises:
         SurefootError: no cluster at the address.
     """
-    from surefoot.world.registry import find_world
 
     def say(count: int) -> None:
         if count == 1:
@@ -50,9 +49,9 @@ def train_many(
 
     display = QueueDisplay(title, console)
 
-    def told(training: Training, told: Told) -> bool:
-        display.report_progress(training, told)
-        return on_told(training, told)
+    def report(training: Training, progress: ProgressReport) -> bool:
+        display.report_progress(training, progress)
+        return on_report(training, progress)
 
     def changed(training: Training, what: str, why: str) -> None:
         on_change(training, what, why)
@@ -60,7 +59,7 @@ def train_many(
 
     # Ray listens to signals as well, and only the last one who began to listen hears them.
     with ray_cluster(address, workers), StopSignals(on_signal=say, respect_nohup=True) as stops, display:
-        return run_trainings(trainings, find_world, workers, told, changed, lambda: stops.count)
+        return run_trainings(trainings, workers, report, changed, lambda: stops.count)
 
 
 @dataclass
@@ -117,7 +116,7 @@ class QueueDisplay(ProgressDisplay):
         self.print(self._title)
         return super().__enter__()
 
-    def report_progress(self, training: Training, progress: Told) -> None:
+    def report_progress(self, training: Training, progress: ProgressReport) -> None:
         """Show the progress of a training."""
         row = self._rows[training.name]
         row.steps = progress.steps

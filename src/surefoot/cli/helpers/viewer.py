@@ -1,4 +1,4 @@
-"""Robots in MuJoCo's viewer, where every link is a mocap body: recorded runs, and emulated robots while they run."""
+"""Recorded runs and emulated robots in MuJoCo's viewer, where every link is a mocap body."""
 
 from __future__ import annotations
 
@@ -41,13 +41,12 @@ def has_display() -> bool:
 
 
 def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
-    """Return a model with the ground, a light and a mocap body, by its name, for every body that has shapes."""
+    """Return a model with ground, light and a mocap body for every body that has shapes."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-    seen: dict[str, Any] = {"contype": 0, "conaffinity": 0}
-    level = [0.0, 0.0, float(FLAT.height(np.zeros(2)))]
-    plane: dict[str, Any] = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "pos": level, "size": [0, 0, 0.5]}
-    spec.worldbody.add_geom(rgba=[0.8, 0.82, 0.84, 1], **plane, **seen)
+    visual: dict[str, Any] = {"contype": 0, "conaffinity": 0}
+    level, plane = [0.0, 0.0, float(FLAT.height(np.zeros(2)))], mujoco.mjtGeom.mjGEOM_PLANE
+    spec.worldbody.add_geom(rgba=[0.8, 0.82, 0.84, 1], type=plane, pos=level, size=[0, 0, 0.5], **visual)
     bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in dict.fromkeys(s.link for s in shapes)}
     for shape in shapes:
         bodies[shape.link].add_geom(
@@ -56,14 +55,14 @@ def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
             pos=shape.position,
             quat=matrix_quat(shape.rotation),
             rgba=[*(channel / 255 for channel in shape.color), 1],
-            **seen,
+            **visual,
         )
     return spec.compile()
 
 
-def set_stage(model: mujoco.MjModel, data: mujoco.MjData, at: Mapping[str, Array], step: int) -> None:
-    """Move every body to its pose at one step of `at` (T, 4, 4)."""
-    for name, pose in at.items():
+def set_stage(model: mujoco.MjModel, data: mujoco.MjData, poses: Mapping[str, Array], step: int) -> None:
+    """Move every body to its pose at one step of the poses (T, 4, 4) by body."""
+    for name, pose in poses.items():
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
         if body >= 0:
             row = model.body_mocapid[body]
@@ -83,7 +82,7 @@ def replay(robot: RobotDescription, trace: EpisodeTrace) -> None:
 
 
 def _show(robot: RobotDescription, now: Callable[[], tuple[Mapping[str, Array], int]]) -> None:
-    """Show a robot until the window is closed; `now` gives poses by body (T, 4, 4), and the step to show."""
+    """Show a robot until the window is closed; `now` returns poses (T, 4, 4) by body, and the step to show."""
     import mujoco.viewer
 
     model = build_stage(scene(robot))
@@ -93,20 +92,24 @@ def _show(robot: RobotDescription, now: Callable[[], tuple[Mapping[str, Array], 
         viewer.cam.trackbodyid = model.body(robot.base).id
         viewer.cam.distance, viewer.cam.azimuth, viewer.cam.elevation = 1.4, 120, -15
         while viewer.is_running():
-            # Where a leg can't close its loop for a moment, the last picture stays.
-            with contextlib.suppress(SurefootError):
+            with contextlib.suppress(SurefootError):  # the last picture stays where a leg can't close its loop
                 set_stage(model, data, *now())
             viewer.sync()
             time.sleep(1 / 60)
 
 
 class EmulateViewer:
-    """Shows an emulated robot (name or folder, and its body) while it runs, from a process that can't hold it up."""
+    """Window of an emulated robot, in a process of its own that can't delay it.
+
+    Args:
+        robot: name or folder.
+        plant: the robot's body.
+    """
 
     def __init__(self, robot: str, plant: Plant) -> None:
         self._plant = plant
         context = multiprocessing.get_context("spawn")
-        # Written here and read there without a lock: half a pose is drawn at worst, and for 1/60 s.
+        # Without a lock: half a new pose is drawn at worst, for 1/60 s.
         self._shared = context.RawArray("d", _BASE + plant.robot.num_motors)
         self._next = 0
         self._write()
@@ -114,7 +117,7 @@ class EmulateViewer:
         self._process.start()
 
     def see(self, now: int) -> None:
-        """Take in that a servo step has ended at this time [us]."""
+        """Show the state at the end of a servo step [us], if a picture is due."""
         if now >= self._next:
             self._next = now + _PERIOD
             self._write()
@@ -130,12 +133,12 @@ class EmulateViewer:
 
 
 def pose_of(robot: RobotDescription, numbers: Any) -> dict[str, Array]:
-    """Return transforms (1, 4, 4) of all links, by name, from base position, quaternion and motor angles in a row."""
+    """Return transforms (1, 4, 4) by link, from a row of base position, quaternion and motor angles."""
     row = np.array(numbers)
     return poses(robot, row[:3], row[3:_BASE], row[_BASE:])
 
 
 def _show_shared(name: str, shared: Any) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the emulator hears it too, and closes the window
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the emulator closes the window
     robot = RobotDescription.load(name)
     _show(robot, lambda: (pose_of(robot, shared), 0))

@@ -7,6 +7,7 @@ y left, z up. Lengths in m.
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -25,8 +26,6 @@ SEGMENTS = 20  # of a circle
 TO_LIGHT = np.array([-0.30, -0.42, 0.86]) / np.linalg.norm([-0.30, -0.42, 0.86])
 SKY, HAZE, GROUND, SQUARE = np.array([(150, 184, 216), (232, 238, 243), (208, 213, 216), (184, 191, 197)], float)
 SHADOW = (52, 58, 66)
-
-
 _EXTENT = 0.8856
 """Extent [m] of a robot that fills the picture of a camera as it stands."""
 
@@ -59,21 +58,22 @@ class Mesh:
     """All shapes as flat faces, in the frames of their bodies."""
 
     def __init__(self, shapes: Sequence[Shape], bodies: list[str]) -> None:
-        solids = [_solid(s.kind, s.size) for s in shapes]
-        turn, place = [s.rotation for s in shapes], [s.position for s in shapes]
+        solids = [_solid(shape.kind, shape.size) for shape in shapes]
         start = np.cumsum([0] + [len(points) for points, _ in solids])
-        body = np.array([bodies.index(s.link) for s in shapes])
-        corner = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+        corner = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
         self.half = np.array([np.abs(points).max(axis=0) for points, _ in solids])  # (S, 3) of the bounding boxes
-        self.axes, self.place, self.body = np.array(turn), np.array(place), body
-        self.points = np.concatenate([p @ r.T + t for (p, _), r, t in zip(solids, turn, place, strict=True)])
-        self.point_body = np.repeat(body, np.diff(start))
+        self.axes = np.array([shape.rotation for shape in shapes])
+        self.place = np.array([shape.position for shape in shapes])
+        self.body = np.array([bodies.index(shape.link) for shape in shapes])
+        placed = zip(solids, self.axes, self.place, strict=True)
+        self.points = np.concatenate([points @ turn.T + place for (points, _), turn, place in placed])
+        self.point_body = np.repeat(self.body, np.diff(start))
         self.corners = np.einsum("sij,skj->ski", self.axes, corner * self.half[:, None]) + self.place[:, None]
         self.faces = [tuple(a + i for i in f) for (_, fs), a in zip(solids, start[:-1], strict=True) for f in fs]
         self.owner = np.repeat(np.arange(len(shapes)), [len(faces) for _, faces in solids])
-        self.centres = np.array([self.points[list(f)].mean(axis=0) for f in self.faces])
-        self.normals = np.array([_normal(self.points[list(f)]) for f in self.faces])
-        self.color = np.array([s.color for s in shapes], dtype=np.float64)[self.owner]
+        self.centres = np.array([self.points[list(face)].mean(axis=0) for face in self.faces])
+        self.normals = np.array([_normal(self.points[list(face)]) for face in self.faces])
+        self.color = np.array([shape.color for shape in shapes], float)[self.owner]
 
     def place_points(self, poses: Array) -> Array:
         """Return all points (P, 3) of bodies with these poses (B, 4, 4), in the poses' world."""

@@ -53,8 +53,9 @@ def parameter_figure(
         for number, (label, found) in enumerate(groups.items()):
             if row not in found[0].rows:
                 continue
-            falls = np.array([100 * one.fell[one.of_row(row)].mean(axis=1) for one in found])
-            _band(right, found[0].values_of(row), falls, number, label)
+            worlds = [one.of_row(row) for one in found]
+            falls = np.array([100 * one.falls / one.episodes for one in worlds])
+            _band(right, worlds[0].value, falls, number, label)
             if trained_ranges is not None:
                 _training(left, found[0], row, number, trained_ranges.get(label, {}).get(row))
         left.set_title("Return (m)")
@@ -96,12 +97,12 @@ def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path) -> 
     """
     with new_figure(path, (7.6, 1.2 + 0.62 * len(sensitivities))) as (_, (ax,)):
         for place, result in enumerate(sensitivities):
-            color, means = f"C{place}", result.mean_return
+            color, means = f"C{place}", result.worlds.return_mean
             ax.barh(place, result.mean, 0.62, color=color, alpha=0.35, linewidth=0)
             across = place + scattered(len(means), 0.5)
             ax.plot(means, across, "o", color=color, alpha=0.55, markersize=2.8, markeredgewidth=0)
             ax.errorbar(result.mean, place, xerr=result.std, color=INK, linewidth=1.3, capsize=4.0)
-            ax.plot(result.nominal.mean_return, place, "D", color="white", markeredgecolor=INK, markersize=5.5)
+            ax.plot(result.nominal["return"].mean(), place, "D", color="white", markeredgecolor=INK, markersize=5.5)
             said = f"{result.mean:.2f} ± {result.std:.2f} m\n{100 * result.fall_rate:.1f} % fall"
             ax.text(1.02, place, said, transform=ax.get_yaxis_transform(), va="center", fontsize=8.5, color=INK)
         ax.axvline(0.0, color=QUIET, linewidth=0.8)
@@ -116,13 +117,13 @@ def _returns(ax: Axes, groups: Groups, row: str) -> None:
     """Draw the return of every group against a parameter, and mark the nominal value."""
     for number, (label, found) in enumerate(groups.items()):
         if row in found[0].rows:
-            rows = found[0].of_row(row)
-            returns = np.array([one.mean_return[rows] for one in found])
+            worlds = [one.of_row(row) for one in found]
+            returns = np.array([one.return_mean for one in worlds])
             if len(found) == 1:
-                error = np.nan_to_num(found[0].standard_error[rows])
+                error = worlds[0].return_error.fillna(0.0)
                 returns = np.array([returns[0] - error, returns[0], returns[0] + error])
-            _band(ax, found[0].values_of(row), returns, number, label)
-    nominal = {one.nominal.values[row] for found in groups.values() for one in found if row in one.nominal.values}
+            _band(ax, worlds[0].value, returns, number, label)
+    nominal = {one.nominal_values[row] for found in groups.values() for one in found if row in one.nominal_values}
     for value in sorted(nominal)[:1]:
         ax.axvline(value, color=QUIET, linewidth=0.9, linestyle=(0, (2, 2)), zorder=0, label="nominal")
 
@@ -140,7 +141,7 @@ def _training(ax: Axes, result: Sensitivity, row: str, number: int, trained: tup
     if trained is not None and trained[1] > trained[0]:
         ax.axvspan(*trained, color=color, alpha=0.07, linewidth=0, zorder=0)
     else:
-        value = result.nominal.values[row] if trained is None else trained[0]
+        value = result.nominal_values[row] if trained is None else trained[0]
         ax.axvline(value, color=color, linewidth=1.0, linestyle=(2 * number, (4, 6)), zorder=0.5)
 
 

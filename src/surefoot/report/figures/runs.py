@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.evaluate.footfalls import Footfalls, analyze_footfalls
-from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.runs import measure_runs
 from surefoot.report.figures.style import (
     BLUE,
     GREEN,
@@ -32,13 +32,14 @@ from surefoot.task.trace import EpisodeTrace
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# As Hildebrand drew it: hind above fore on each side, so that a trot shows as a diagonal pattern.
 _DIAGRAM_ORDER = ("back_left", "front_left", "front_right", "back_right")
-_SHOWN = 2.0  # s of the footfalls
-_ZOOM = 1.0
-"""Length [s] of the part that angles are drawn of: they could not be told apart over a whole episode."""
-_POWER_MEAN = 0.5
-"""Time [s] over which power is averaged: it swings with every step."""
+"""Hildebrand's order, hind above fore on each side: a trot shows as a diagonal pattern."""
+_DIAGRAM_TIME = 2.0
+"""Length of a footfall diagram [s]."""
+_ZOOM_TIME = 1.0
+"""Length of the part that angles are drawn of [s]."""
+_MEAN_TIME = 0.5
+"""Time over which speed and power are averaged [s]: they swing with every step."""
 STYLES = {"dc": (ORANGE, "servo and DC motor"), "constraint": (GREEN, "constraint motor")}
 """Colour and name of each actuator."""
 
@@ -57,24 +58,27 @@ def footfall_diagram(trace: EpisodeTrace, path: str | Path) -> Path:
 def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path) -> Path:
     """Draw one episode: tilt, speed and power over its whole length, measured leg angles over one second."""
     step = np.diff(trace.time, prepend=0.0)
-    runs = Runs.of_traces([trace])
+    run = measure_runs([trace]).iloc[0]
     with new_figure(path, (9.0, 7.0), rows=3, columns=2) as (figure, axes):
         tilt, turn, speed, power, *legs = axes
-        for column, (name, color) in enumerate((("roll", BLUE), ("pitch", ORANGE))):
-            tilt.plot(trace.time, trace.roll_pitch_yaw[:, column], color=color, label=name, linewidth=1.0)
+        for name, color, angle in (
+            ("roll", BLUE, trace.roll_pitch_yaw[:, 0]),
+            ("pitch", ORANGE, trace.roll_pitch_yaw[:, 1]),
+        ):
+            tilt.plot(trace.time, angle, color=color, label=name, linewidth=1.0)
         tilt.set_title("Roll and pitch as measured (rad)")
         turn.plot(trace.time, np.unwrap(trace.roll_pitch_yaw[:, 2]), color=GREEN, linewidth=1.0)
         turn.set_title("Yaw as measured (rad)")
         forward = np.diff(trace.base_position_world[:, 0]) / step
-        _raw_and_smooth(speed, trace, forward, BLUE, runs.speed[0], "m/s")
+        _raw_and_smooth(speed, trace, forward, BLUE, run.speed, "m/s")
         speed.set_title("Forward speed (m/s)")
-        _raw_and_smooth(power, trace, trace.energy / step, ORANGE, runs.power[0], "W")
+        _raw_and_smooth(power, trace, trace.energy / step, ORANGE, run.power, "W")
         power.set_title("Mechanical power (W)")
         for ax in (tilt, turn, speed, power):
             ax.set_xlim(0.0, trace.duration)
         power.set_ylim(bottom=0.0)
-        start = min(max(trace.duration - 1.0, 0.0), 2.0)
-        shown = (trace.time >= start) & (trace.time <= start + 1.0)
+        start = min(max(trace.duration - _ZOOM_TIME, 0.0), 2.0)
+        shown = (trace.time >= start) & (trace.time <= start + _ZOOM_TIME)
         poses = robot.to_pose(trace.motor_angle[shown])
         for ax, place in zip(legs, (-2, -1), strict=True):
             angle, name, unit = poses[:, place], robot.coordinates[place], robot.leg_geometry.units[place]
@@ -84,7 +88,7 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
                 color = LEG_COLORS.get(leg, f"C{index}")
                 ax.plot(trace.time[shown], angle[:, index], line, color=color, label=spoken(leg))
             ax.set_title(f"Leg: {name} over one second{'' if unit == '1' else f' ({unit})'}")
-            ax.set_xlim(start, start + 1.0)
+            ax.set_xlim(start, start + _ZOOM_TIME)
             ax.set_xlabel("time (s)")
         _legend_above(tilt)
         figure.legend(*legs[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(trace.leg_names))
@@ -94,31 +98,28 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
 
 def _stance_bars(ax: Axes, feet: Footfalls) -> None:
     """Draw each foot's stances as bars, from the end of the transient on."""
-    known = [leg for leg in _DIAGRAM_ORDER if leg in feet.intervals]
-    legs = known + [leg for leg in feet.intervals if leg not in known]
+    first = [leg for leg in _DIAGRAM_ORDER if leg in feet.intervals]
+    legs = [*first, *(leg for leg in feet.intervals if leg not in first)][::-1]
     start = feet.window[0]
-    end = min(start + _SHOWN, feet.window[1])
-    for row, leg in enumerate(reversed(legs)):
-        spans = [(max(a, start), min(b, end)) for a, b in feet.intervals[leg] if b > start and a < end]
-        bars = [(a, b - a) for a, b in spans]
+    end = min(start + _DIAGRAM_TIME, feet.window[1])
+    for row, leg in enumerate(legs):
+        bars = [(max(a, start), min(b, end) - max(a, start)) for a, b in feet.intervals[leg] if b > start and a < end]
         ax.broken_barh(bars, (row - 0.34, 0.68), facecolors=LEG_COLORS.get(leg, BLUE), linewidth=0)
-    labels = [f"{spoken(leg)} ({feet.duty_factor[leg]:.2f})" for leg in reversed(legs)]
-    place_labels(ax, labels, vertical=True)
+    place_labels(ax, [f"{spoken(leg)} ({feet.duty_factor[leg]:.2f})" for leg in legs], vertical=True)
     ax.set_ylim(-0.6, len(legs) - 0.4)
     ax.set_xlim(start, end)
 
 
 def _stride_text(feet: Footfalls) -> str:
-    """Tell pattern and stride in one line, which fits over the diagram."""
+    """Return pattern and stride in one line."""
     stride = f", stride {feet.stride_period:.2f} s" if math.isfinite(feet.stride_period) else ""
-    what = feet.reason if feet.gait == "other" else feet.pattern
-    return f"{what}{stride}; in brackets: duty factors"
+    return f"{feet.reason if feet.gait == 'other' else feet.pattern}{stride}; in brackets: duty factors"
 
 
 def _raw_and_smooth(ax: Axes, trace: EpisodeTrace, values: Array, color: str, mean: float, unit: str) -> None:
-    """Draw a signal faintly, its running mean over half a second on top, and the episode's mean as a line."""
+    """Draw a signal faintly, its running mean over it, and the episode's mean as a line."""
     ax.plot(trace.time, values, color=color, alpha=0.28, linewidth=0.7)
-    width = min(max(round(0.5 / float(trace.meta["control_step"])), 1), len(values))
+    width = min(max(round(_MEAN_TIME / float(trace.meta["control_step"])), 1), len(values))
     smooth = np.convolve(values, np.ones(width) / width, "valid")
     ax.plot(trace.time[width // 2 : width // 2 + len(smooth)], smooth, color=color)
     if math.isfinite(mean):
@@ -132,17 +133,18 @@ def _legend_above(ax: Axes) -> None:
 
 
 def _name(trace: EpisodeTrace) -> str:
-    """Name an episode by policy and world."""
-    policy = str(trace.meta["policy"]) or "no policy"
-    return f"{policy} in {trace.meta['world']}"
+    return f"{trace.meta['policy'] or 'no policy'} in {trace.meta['world']}"
 
 
 def side_by_side(runs: Mapping[str, Sequence[EpisodeTrace]], path: str | Path, title: str) -> Path:
-    """Draw where the robot was, its power, its tilt, and one motor in a second of the gait, for runs in several worlds.
+    """Draw runs in several worlds: place and power of all runs, tilt and one motor in a second of the first of each.
 
-    Distance, side and power are drawn of every run; tilt and motor of the first run in each world. What a trace does
-    not know is left out, such as the place of a robot that no motion capture sees. `runs` has one trace or more for
-    each world, home first.
+    What a trace lacks is left out, such as the place of a robot without motion capture.
+
+    Args:
+        runs: one trace or more for each world, home first.
+        path: PNG to write.
+        title: title of the figure.
     """
     with new_figure(path, (9.0, 7.0), rows=3, columns=2) as (figure, axes):
         distance, aside, power, pitch, roll, motor = axes
@@ -154,9 +156,8 @@ def side_by_side(runs: Mapping[str, Sequence[EpisodeTrace]], path: str | Path, t
                     ax.plot([0.0, *trace.time], moved[:, column], color=color, linewidth=1.1, alpha=0.85)
                 power.plot(*_mean_power(trace), color=color, linewidth=1.1, alpha=0.85)
             first = traces[0]
-            # A second in the middle of the run, when it has found its gait.
-            start = max((first.duration - _ZOOM) / 2, 0.0)
-            shown = (first.time >= start) & (first.time <= start + _ZOOM)
+            start = max((first.duration - _ZOOM_TIME) / 2, 0.0)
+            shown = (first.time >= start) & (first.time <= start + _ZOOM_TIME)
             angles = ((pitch, first.roll_pitch_yaw[:, 1]), (roll, first.roll_pitch_yaw[:, 0]))
             for ax, values in (*angles, (motor, first.motor_angle[:, 0])):
                 ax.plot(first.time[shown], values[shown], color=color, linewidth=1.1)
@@ -166,7 +167,7 @@ def side_by_side(runs: Mapping[str, Sequence[EpisodeTrace]], path: str | Path, t
         for ax, text in (
             (distance, "Distance forward (m)"),
             (aside, "To the left (m)"),
-            (power, f"Mechanical power over {_POWER_MEAN:g} s (W)"),
+            (power, f"Mechanical power over {_MEAN_TIME:g} s (W)"),
             (pitch, "Pitch as measured (rad)"),
             (roll, "Roll as measured (rad)"),
             (motor, f"{capital(spoken(first.meta['motor_names'][0]))} (rad)"),
@@ -181,9 +182,9 @@ def side_by_side(runs: Mapping[str, Sequence[EpisodeTrace]], path: str | Path, t
 
 
 def _mean_power(trace: EpisodeTrace) -> tuple[Array, Array]:
-    """Times [s] and power [W], each over the `_POWER_MEAN` seconds before it, or as long as the run has lasted."""
+    """Return times [s], and the mean power [W] over the `_MEAN_TIME` before each, or since the start."""
     energy, times = np.concatenate([[0.0], np.cumsum(trace.energy)]), np.concatenate([[0.0], trace.time])
-    start = np.maximum(trace.time - _POWER_MEAN, 0.0)
+    start = np.maximum(trace.time - _MEAN_TIME, 0.0)
     return trace.time, (energy[1:] - np.interp(start, times, energy)) / (trace.time - start)
 
 
@@ -200,19 +201,18 @@ def motor_figure(
 
     Args:
         path: PNG to write.
-        time: (T,) s.
-        target: (T,) rad.
-        measured: (T,) rad, NaN where nothing was measured; all NaN, if nothing was: errors are then to the target.
-        simulated: by actuator, (T,) rad.
+        time: (T,) [s].
+        target: (T,) [rad].
+        measured: (T,) [rad], NaN where nothing was measured. Errors refer to the target, if nothing was at all.
+        simulated: by actuator, (T,) [rad].
         errors: by actuator, root mean square error [rad].
-        title: what was done.
+        title: title of the figure.
     """
-    reference, known = np.asarray(measured, float), np.isfinite(np.asarray(measured, float))
-    told = "measured" if known.any() else "target"
-    reference = reference if known.any() else np.asarray(target, float)
+    is_measured = np.isfinite(np.asarray(measured, float)).any()
+    reference = np.asarray(measured if is_measured else target, float)
     with new_figure(path, (8.0, 5.8), rows=2, sharex=True, height_ratios=(2.2, 1)) as (figure, (above, below)):
         above.step(time, target, where="post", color=QUIET, alpha=0.6, label="target")
-        if known.any():
+        if is_measured:
             above.plot(time, reference, color=BLUE, linewidth=2.4, label="measured")
         for name, angle in simulated.items():
             color, label = STYLES[name]
@@ -220,7 +220,7 @@ def motor_figure(
             below.plot(time, 1000 * (np.asarray(angle) - reference), color=color)
         above.set_title("Motor angle (rad)")
         below.axhline(0, color=QUIET, linewidth=0.8)
-        below.set_title(f"Less {told} (mrad)")
+        below.set_title(f"Less {'measured' if is_measured else 'target'} (mrad)")
         below.set_xlabel("time (s)")
         figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2)
         heading(figure, title)

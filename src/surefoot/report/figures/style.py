@@ -1,4 +1,4 @@
-"""What all figures share: colours, style, and parts that several of them draw."""
+"""Colours, style and parts of all figures."""
 
 from __future__ import annotations
 
@@ -57,10 +57,9 @@ _STYLE: dict[str, Any] = {
 def new_figure(
     path: str | Path, size: tuple[float, float], rows: int = 1, columns: int = 1, **options: Any
 ) -> Iterator[tuple[Figure, list[Axes]]]:
-    """Give a new figure in the style of all figures and its axes, row by row; write it to path (.png) when done.
+    """Yield a new figure in the style of all figures, and its axes row by row; write it to `path` (.png) at the end.
 
-    Other options are those of matplotlib's `Figure.subplots`. Only its Agg canvas is used: no display, no global state,
-    nothing of the user's own style.
+    Other options are those of matplotlib's `Figure.subplots`. Display and the user's own style are not used.
     """
     import matplotlib.style
     from matplotlib import rc_context
@@ -87,7 +86,7 @@ def heading(figure: Figure, text: str) -> None:
 
 
 def place_labels(axis: Axes, labels: list[str], vertical: bool = False) -> None:
-    """Label the places 0, 1, ... of an axis of names, which needs neither ticks nor grid."""
+    """Label the places 0, 1, ... of an axis of names, without ticks and grid."""
     name = "y" if vertical else "x"
     (axis.set_yticks if vertical else axis.set_xticks)(range(len(labels)), labels)
     axis.tick_params(axis=name, length=0)  # type: ignore[arg-type]
@@ -95,12 +94,12 @@ def place_labels(axis: Axes, labels: list[str], vertical: bool = False) -> None:
 
 
 def scattered(count: int, width: float) -> Array:
-    """Return places (count,) around 0 for dots that would cover each other: spread evenly by the golden ratio."""
+    """Return places (count,) around 0 that spread dots evenly, by the golden ratio."""
     return np.asarray(width * ((np.arange(count) * 0.618034) % 1.0 - 0.5), np.float64)
 
 
 def spoken(name: str) -> str:
-    """Turn front_left into front left."""
+    """Return a name as words, such as front left for front_left."""
     return name.replace("_", " ").replace("imu", "IMU")
 
 

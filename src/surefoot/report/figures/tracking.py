@@ -17,7 +17,7 @@ from surefoot.task.trace import EpisodeTrace
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_MOST = {"m/s": 0.2, "rad/s": 0.4}
+_MAX_ERROR = {"m/s": 0.2, "rad/s": 0.4}
 """Errors from which on colours are the same."""
 _NAMES = ("forward", "to the left", "yaw rate")
 
@@ -29,7 +29,7 @@ def tracking_figure(traces: Sequence[EpisodeTrace], path: str | Path) -> Path:
     """
     commands = np.array([trace.command[0] for trace in traces])
     errors = np.array(
-        [Tracking.of_traces([trace], float(trace.meta["gait_period"] or STRIDE)).rmse_stride for trace in traces]
+        [Tracking.from_traces([trace], float(trace.meta["gait_period"] or STRIDE)).rmse_stride for trace in traces]
     )
     fell = np.array([trace.fell for trace in traces])
     across = [2, *([1] if commands[:, 1].any() else [])]
@@ -38,7 +38,7 @@ def tracking_figure(traces: Sequence[EpisodeTrace], path: str | Path) -> Path:
             chosen = commands[:, 3 - other] == 0
             for k, (name, unit) in enumerate(zip(_NAMES, COMMANDS.values(), strict=True)):
                 ax = axes[3 * row + k]
-                image = _panel(ax, commands[chosen][:, [0, other]], errors[chosen, k], fell[chosen], _MOST[unit])
+                image = _panel(ax, commands[chosen][:, [0, other]], errors[chosen, k], fell[chosen], _MAX_ERROR[unit])
                 ax.set_title(f"error {name}")
                 ax.set_xlabel("forward (m/s)")
                 ax.set_ylabel(f"{_NAMES[other]} ({list(COMMANDS.values())[other]})")
@@ -46,13 +46,13 @@ def tracking_figure(traces: Sequence[EpisodeTrace], path: str | Path) -> Path:
     return Path(path)
 
 
-def _panel(ax: Axes, commands: Array, errors: Array, fell: Array, most: float) -> Any:
-    """Draw errors (N,) over two commands (N, 2); return what a colour bar needs."""
+def _panel(ax: Axes, commands: Array, errors: Array, fell: Array, max_error: float) -> Any:
+    """Draw errors (N,) over two commands (N, 2); return the image for a colour bar."""
     x, y = (np.unique(commands[:, k]) for k in range(2))
     table = np.full((len(y), len(x)), np.nan)
     places = np.searchsorted(y, commands[:, 1]), np.searchsorted(x, commands[:, 0])
     table[places] = errors
     ax.grid(visible=False)
-    image = ax.pcolormesh(x, y, table, shading="nearest", cmap="viridis_r", vmin=0.0, vmax=most)
+    image = ax.pcolormesh(x, y, table, shading="nearest", cmap="viridis_r", vmin=0.0, vmax=max_error)
     ax.plot(commands[fell, 0], commands[fell, 1], "x", color="#a8324a")
     return image

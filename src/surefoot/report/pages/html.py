@@ -21,10 +21,9 @@ code { font-size: .85em; overflow-wrap: anywhere; } figure { margin: 1rem 0; } .
 def page(title: str, parts: Iterable[str]) -> str:
     """Return a whole page of HTML parts; the title is text."""
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
+    body = "\n".join(parts)
     return (
-        f'<!doctype html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>\n<body>\n'
-        + "\n".join(parts)
-        + "\n</body></html>\n"
+        f'<!doctype html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n'
     )
 
 
@@ -43,9 +42,9 @@ def picture(png: bytes, alt: str) -> str:
 
 
 def document(name: str) -> str:
-    """Return a page with a script of its own, a file beside this one, with the style and the plots that all share."""
+    """Return the page in a file beside this one, with the shared style and plots."""
     here = Path(__file__).parent
     text = (here / name).read_text("utf-8")
-    for part, mark in (("page.css", "/* page.css */"), ("plots.js", "// plots.js")):
+    for mark, part in (("/* page.css */", "page.css"), ("// plots.js", "plots.js")):
         text = text.replace(mark, (here / part).read_text("utf-8").rstrip())
     return text

@@ -1,6 +1,6 @@
-"""A robot in 3D in a browser: shapes, ground and trail, by viser's server. It shows, and takes nothing.
+"""A robot in 3D in a browser, by viser's server: shapes, ground and trail.
 
-All stands in one frame that follows the robot over the ground, so that a browser's camera stays with it.
+All is in one frame that follows the robot over the ground, so that a browser's camera stays with it.
 """
 
 from __future__ import annotations
@@ -23,27 +23,26 @@ from surefoot.robot.urdf import GREY, Shape
 from surefoot.rotations import matrix_quat
 from surefoot.world.ground import FLAT
 
-_TRAIL = 300
-"""Points of the trail."""
+_TRAIL_POINTS = 300
 _FOLLOW = 0.4
-"""Share of the way to the robot that the ground's frame goes with each picture."""
-_BARE = "<style>.mantine-Paper-root, .mantine-Notifications-root { display: none !important; }</style>"
-"""Hides the viewer's own panel and notes, which would cover a small picture; pages have their own."""
+"""Share of the way to the robot that the frame moves with each picture."""
+_HIDE_PANELS = "<style>.mantine-Paper-root, .mantine-Notifications-root { display: none !important; }</style>"
+"""Hides viser's own panel and notes, which would cover a small picture."""
 
 
 def bare_viewer() -> str:
-    """Return viser's page, which draws a scene and nothing else."""
-    return (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8") + _BARE
+    """Return viser's page with the scene alone."""
+    return (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8") + _HIDE_PANELS
 
 
 def quiet_server() -> viser.ViserServer:
-    """Start viser's server on a free port that only this machine reaches, without its banner."""
+    """Start viser's server on a free port of this machine, without its banner."""
     with contextlib.redirect_stdout(io.StringIO()):
         return viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
 
 
 def add_ground(scene: viser.SceneApi, name: str, size: float) -> None:
-    """Add the ground for robots that are so large [m]."""
+    """Add the ground for robots of a size [m]."""
     scene.add_grid(
         name,
         infinite_grid=True,
@@ -58,10 +57,7 @@ def add_ground(scene: viser.SceneApi, name: str, size: float) -> None:
 
 def add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
     """Add a solid in the frame of its body."""
-    place: dict[str, Any] = {
-        "position": shape.position,
-        "wxyz": matrix_quat(shape.rotation),
-    }
+    place: dict[str, Any] = {"position": shape.position, "wxyz": matrix_quat(shape.rotation)}
     if shape.kind == "box":
         x, y, z = shape.size
         scene.add_box(name, shape.color, (2 * x, 2 * y, 2 * z), **place)
@@ -72,19 +68,19 @@ def add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
 
 
 class RobotView:
-    """The 3D view; only this machine reaches its port, and pages get it passed on."""
+    """The 3D view, on a port of this machine that pages forward."""
 
     def __init__(self) -> None:
         self._server = quiet_server()
         self.port = self._server.get_port()
         self.frames = 0
-        """Pictures that were sent."""
+        """Number of pictures that were sent."""
 
     def show(self, robot: RobotDescription) -> None:
         """Show another robot, at the start of a new trail."""
         self._robot, size, server = robot, extent(robot), self._server
         self._links: dict[str, viser.FrameHandle] = {}
-        self._trail: deque[Array] = deque(maxlen=_TRAIL)
+        self._trail: deque[Array] = deque(maxlen=_TRAIL_POINTS)
         self._at, self._size = np.zeros(2), size
         with server.atomic():
             server.scene.reset()
@@ -100,8 +96,7 @@ class RobotView:
 
     def move(self, base_position: ArrayLike, base_quat: ArrayLike, motor_angles: ArrayLike) -> None:
         """Show the robot at a base position (3,) [m], orientation (4,) w x y z and motor angles (M,) [rad]."""
-        # A diverged state is not drawn; the next picture shows the robot again.
-        with contextlib.suppress(SurefootError), self._server.atomic():
+        with contextlib.suppress(SurefootError), self._server.atomic():  # a diverged state is not drawn
             placed = poses(self._robot, base_position, base_quat, motor_angles)
             at = np.asarray(base_position, float)
             far = np.linalg.norm(at[:2] - self._at) > 2 * self._size

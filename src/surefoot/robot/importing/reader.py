@@ -7,8 +7,9 @@ import itertools
 import math
 import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -135,9 +136,7 @@ def _find_mesh(name: str, path: Path) -> Path:
 
 class _Foot(NamedTuple):
     centre: Array
-    """(3,) [m]"""
     radius: float
-    """[m]"""
     source: str
     """How it was recognized."""
 
@@ -147,50 +146,46 @@ class _Reader:
 
     def __init__(self, path: Path, model: mujoco.MjModel, speeds: dict[str, float], notes: list[str]) -> None:
         self.path, self.model, self.speeds, self.notes = path, model, speeds, notes
-        self.group = self._groups()
         self.data = mujoco.MjData(model)
+        self.group = self._groups()
 
     def _error(self, text: str) -> SurefootError:
         return SurefootError(f"{self.path}: {text}")
 
-    def _joints(self, body: int) -> range:
-        first = int(self.model.body_jntadr[body])
-        return range(first, first + int(self.model.body_jntnum[body]))
-
-    def _name(self, joint: int) -> str:
-        return str(self.model.joint(joint).name)
+    def _joint_names(self, bodies: Iterable[int]) -> list[str]:
+        return [str(self.model.joint(self.model.body_jntadr[body]).name) for body in bodies]
 
     def _groups(self) -> NDArray[np.int64]:
         """Return for each body the body whose joint moves it; what has no joint is fixed to its parent."""
         model = self.model
         group = np.zeros(model.nbody, np.int64)
         for body in range(1, model.nbody):
-            kinds = [int(model.jnt_type[j]) for j in self._joints(body)]
-            if len(kinds) > 1 or set(kinds) - {int(mjtJoint.mjJNT_HINGE), int(mjtJoint.mjJNT_FREE)}:
-                raise self._error(
-                    f"body '{model.body(body).name}' has joints that are no single hinge; legs have hinges"
-                )
+            kinds = model.jnt_type[model.jnt_bodyid == body].tolist()
+            if len(kinds) > 1 or set(kinds) - {mjtJoint.mjJNT_HINGE.value, mjtJoint.mjJNT_FREE.value}:
+                name = model.body(body).name
+                raise self._error(f"body '{name}' has joints that are no single hinge; legs have hinges")
             # Without a free joint, bodies on the world may be the base.
             top = not kinds and model.body_parentid[body] == 0 and mjtJoint.mjJNT_FREE not in model.jnt_type
             group[body] = body if kinds or top else group[model.body_parentid[body]]
         return group
 
     def read(self, forward: str | None) -> ImportedRobot:
+        """Return the robot; see `read_robot`."""
         chains, base = self._chains()
-        data = self.data
-        for joint in self._joints(base):
-            if self.model.jnt_type[joint] == mjtJoint.mjJNT_FREE:
-                data.qpos[self.model.jnt_qposadr[joint] :][:7] = [0, 0, 0, 1, 0, 0, 0]
-        mujoco.mj_kinematics(self.model, data)
+        model, data = self.model, self.data
+        if (joint := model.body_jntadr[base]) >= 0 and model.jnt_type[joint] == mjtJoint.mjJNT_FREE:
+            data.qpos[model.jnt_qposadr[joint] :][:7] = [0, 0, 0, 1, 0, 0, 0]
+        mujoco.mj_kinematics(model, data)
         forward = forward or self._guess_forward(chains)
         self._turn(FORWARD[forward])
-        joints = np.array([[self._joints(body)[0] for body in chain] for chain in chains])
-        feet = [self._foot(chain[-1], data.xanchor[joint]) for chain, joint in zip(chains, joints[:, -1], strict=True)]
-        order = self._order(data.xanchor[joints[:, -2]], np.array([foot.centre for foot in feet]))
-        joints, chains, feet = joints[order], [chains[leg] for leg in order], [feet[leg] for leg in order]
+        places = data.xanchor[model.body_jntadr[chains]]
+        feet = [self._foot(chain[-1], place[-1]) for chain, place in zip(chains, places, strict=True)]
+        order = self._order(places[:, -2], np.array([foot.centre for foot in feet]))
+        chains, feet = [chains[leg] for leg in order], [feet[leg] for leg in order]
+        knees = self._joint_names(chain[-1] for chain in chains)
         for source in dict.fromkeys(foot.source for foot in feet):
-            radii = {name: foot.radius for foot, name in zip(feet, joints[:, -1], strict=True) if foot.source == source}
-            which = "feet" if len(radii) == 4 else f"feet of {choices(map(self._name, radii))}"
+            radii = {name: foot.radius for foot, name in zip(feet, knees, strict=True) if foot.source == source}
+            which = "feet" if len(radii) == len(feet) else f"feet of {choices(radii)}"
             radius = choices(dict.fromkeys(f"{radius:.3g}" for radius in radii.values()))
             self.notes.append(f"{which}: {source}, radius {radius} m")
         stem = self.path.stem if self.path.stem != "robot" else self.path.parent.name
@@ -200,8 +195,9 @@ class _Reader:
             forward=forward,
             base=self._body(base),
             base_box=self._box(base),
+            joints=tuple(tuple(self._joint_names(chain)) for chain in chains),
             bodies=tuple(tuple(map(self._body, chain)) for chain in chains),
-            **self._hinges(joints),
+            **self._hinges(chains),
             feet=np.array([foot.centre for foot in feet]),
             foot_radius=np.array([foot.radius for foot in feet]),
             notes=tuple(self.notes),
@@ -210,9 +206,9 @@ class _Reader:
     def _chains(self) -> tuple[list[list[int]], int]:
         """Return the four chains of moving bodies that hang from one base, and the base."""
         model = self.model
-        movers = sorted({int(group) for group in self.group[1:]})
         if mjtJoint.mjJNT_HINGE not in model.jnt_type:
             raise self._error("nothing in it moves; a quadruped has four legs of hinges")
+        movers = np.unique(self.group[1:]).tolist()
         children: dict[int, list[int]] = {body: [] for body in (0, *movers)}
         for body in movers:
             children[int(self.group[model.body_parentid[body]])].append(body)
@@ -229,18 +225,14 @@ class _Reader:
             raise self._error("its legs hang from nothing that moves; the base needs to be a body")
         chains = [longest(child) for child in children[base]]
         legs = [chain for chain in chains if len(chain) in (2, 3)]
-        if len(legs) != 4:
-            legs = chains
-        for chain in chains:
-            if chain not in legs:
-                name = self._name(self._joints(chain[0])[0])
-                self.notes.append(f"joint '{name}' and what hangs from it are held still: no leg's")
-                self.group[np.isin(self.group, below(chain[0]))] = base
+        legs = legs if len(legs) == 4 else chains
+        for first, *_ in (chain for chain in chains if chain not in legs):
+            (name,) = self._joint_names([first])
+            self.notes.append(f"joint '{name}' and what hangs from it are held still: no leg's")
+            self.group[np.isin(self.group, below(first))] = base
         if model.neq or any(len(children[body]) > 1 for chain in legs for body in chain[:-1]):
             what = "closed loops" if model.neq else "legs that branch and no loop that closes them"
-            raise self._error(
-                f"it has {what}; surefoot reads serial legs; a sheet for five-bar legs is written by hand"
-            )
+            raise self._error(f"it has {what}; surefoot reads serial legs; write a sheet for five-bar legs by hand")
         if len(legs) != 4:
             raise self._error(f"{len(legs)} legs hang from '{model.body(base).name}'; a quadruped has 4")
         if len({len(chain) for chain in legs}) != 1 or len(legs[0]) > 3:
@@ -250,11 +242,10 @@ class _Reader:
 
     def _guess_forward(self, chains: list[list[int]]) -> str:
         """Return the direction that is forward: across the knees' axes, towards the legs whose names say front."""
-        hips = np.array([self.data.xanchor[self._joints(chain[0])[0]] for chain in chains])
-        knee = self.data.xaxis[self._joints(chains[0][-1])[0]]
-        axis = 0 if abs(knee[1]) > abs(knee[0]) else 1
-        names = [" ".join(self._name(self._joints(body)[0]) for body in chain) for chain in chains]
-        front = np.array([bool(_FRONT.search(name)) for name in names])
+        joints = self.model.body_jntadr[chains]
+        hips, knee = self.data.xanchor[joints[:, 0]], np.abs(self.data.xaxis[joints[0, -1]])
+        axis = 0 if knee[1] > knee[0] else 1
+        front = np.array([bool(_FRONT.search(" ".join(self._joint_names(chain)))) for chain in chains])
         ahead = 1.0
         if front.sum() == 2:
             ahead = hips[front, axis].mean() - hips[~front, axis].mean()
@@ -282,26 +273,26 @@ class _Reader:
             raise self._error(f"body '{model.body(mover).name}' has no mass; every moving part needs an inertia")
         return fuse(parts)
 
-    def _hinges(self, joints: NDArray[np.int64]) -> dict[str, Any]:
-        """Return what an `ImportedRobot` has of joints (4, m); refuse axes that are not along the base's x and y."""
-        model, axes, along = self.model, self.data.xaxis[joints], np.array((0, 1, 1)[-joints.shape[1] :])
+    def _hinges(self, chains: list[list[int]]) -> dict[str, Array]:
+        """Return what an `ImportedRobot` has of its hinges; refuse axes that are not along the base's x and y."""
+        model, joints, along = self.model, self.model.body_jntadr[chains], np.array((0, 1, 1)[-len(chains[0]) :])
+        axes = self.data.xaxis[joints]
         cosines = np.take_along_axis(axes, along[None, :, None], axis=2)[..., 0]
         for leg, k in np.argwhere(np.abs(np.abs(cosines) - 1) > _AXIS_TOLERANCE):
-            x, y, z = axes[leg, k]
+            (name,), (x, y, z) = self._joint_names([chains[leg][k]]), axes[leg, k]
             part = ("abduction", "hip", "knee")[k - len(along)]
             raise self._error(
-                f"joint '{self._name(joints[leg, k])}' should be the {part}, and its axis at zero is "
-                f"({x:.2f}, {y:.2f}, {z:.2f}) with x forward; it must be along {'xy'[along[k]]}"
+                f"joint '{name}' should be the {part}, and its axis at zero is ({x:.2f}, {y:.2f}, {z:.2f}) with x "
+                f"forward; it must be along {'xy'[along[k]]}"
             )
         dofs = model.jnt_dofadr[joints]
-        names = [[self._name(joint) for joint in row] for row in joints]
+        speeds = [[self.speeds.get(name, np.nan) for name in self._joint_names(chain)] for chain in chains]
         return {
-            "joints": tuple(map(tuple, names)),
             "places": self.data.xanchor[joints],
             "axes": np.eye(3)[along] * np.sign(cosines)[..., None],
             "limits": np.where(model.jnt_limited[joints][..., None], model.jnt_range[joints], np.nan),
-            "torque": np.array([[self._torque(joint) for joint in row] for row in joints]),
-            "speed": np.array([[self.speeds.get(name, np.nan) for name in row] for row in names]),
+            "torque": np.vectorize(self._torque, otypes=[float])(joints),
+            "speed": np.array(speeds),
             "damping": model.dof_damping.reshape(model.nv, -1)[dofs, 0],
             "friction": model.dof_frictionloss[dofs],
             "rotor_inertia": model.dof_armature[dofs],
@@ -320,35 +311,35 @@ class _Reader:
                 return gear * float(np.abs(model.actuator_ctrlrange[k]).max())
         return math.nan
 
-    def _geoms(self, mover: int) -> list[int]:
+    def _geoms(self, mover: int) -> NDArray[np.int64]:
         """Return the shapes that move with a body."""
-        return np.flatnonzero(self.group[self.model.geom_bodyid] == mover).tolist()
+        return np.flatnonzero(self.group[self.model.geom_bodyid] == mover)
 
     def _foot(self, body: int, knee: Array) -> _Foot:
         """Return a leg's foot: the last link's sphere, else a link that is named so, else the end of its shapes."""
         model, data, geoms = self.model, self.data, self._geoms(body)
-        spheres = [g for g in geoms if model.geom_type[g] == mjtGeom.mjGEOM_SPHERE]
-        if spheres:
-            last = max(spheres, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - knee)))
+        spheres = geoms[model.geom_type[geoms] == mjtGeom.mjGEOM_SPHERE]
+        if spheres.size:
+            last = spheres[np.argmax(np.linalg.norm(data.geom_xpos[spheres] - knee, axis=1))]
             return _Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), "the last link's sphere")
         if named := [b for b in np.flatnonzero(self.group == body) if _FOOT.search(model.body(int(b)).name)]:
             centre = data.xpos[named[-1]]
             return _Foot(centre, self._thickness(geoms, centre), "a link named so")
-        if not geoms:
+        if not geoms.size:
             raise self._error(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
-        ends = np.concatenate([self._corners(g) for g in geoms])
+        ends = np.concatenate([self._corners(geom) for geom in geoms])
         end = ends[np.argmax(np.linalg.norm(ends - knee, axis=1))]
         end[1] = (ends[:, 1].min() + ends[:, 1].max()) / 2  # in the middle plane of the shapes
         radius = self._thickness(geoms, end)
         end[2] += radius
         return _Foot(end, radius, "the far end of the last link's shapes")
 
-    def _thickness(self, geoms: list[int], place: Array) -> float:
+    def _thickness(self, geoms: NDArray[np.int64], place: Array) -> float:
         """Return a radius [m] for a foot: half of the width of the shape that is nearest to it."""
         usual = 0.06 * max(float(np.linalg.norm(place - self.data.xanchor[0])), 0.1)
-        if not geoms:
+        if not geoms.size:
             return usual
-        nearest = min(geoms, key=lambda g: float(np.linalg.norm(self.data.geom_xpos[g] - place)))
+        nearest = geoms[np.argmin(np.linalg.norm(self.data.geom_xpos[geoms] - place, axis=1))]
         return float(np.clip(self.model.geom_aabb[nearest, 3:].min(), 0.3 * usual, usual))
 
     def _corners(self, geom: int) -> Array:
@@ -366,8 +357,8 @@ class _Reader:
 
     def _box(self, base: int) -> tuple[Array, Array]:
         """Return centre and half of the sides of a box around the base's shapes, or with its inertia."""
-        if geoms := self._geoms(base):
-            corners = np.concatenate([self._corners(g) for g in geoms])
+        if (geoms := self._geoms(base)).size:
+            corners = np.concatenate([self._corners(geom) for geom in geoms])
             low, high = corners.min(axis=0), corners.max(axis=0)
             return (low + high) / 2, (high - low) / 2
         body = self._body(base)

@@ -1,4 +1,4 @@
-"""A reference gait that follows commands: strides, turning, standing, reach."""
+"""Foot trajectories that follow commands: strides, turning, standing, reach."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import load_task
-from surefoot.task.following import FollowingReference
+from surefoot.task.foot_references import FollowingReference
 
 ROBOTS = ("minitaur", "solo8", "go2", "pupper_v2")
 
@@ -103,17 +103,11 @@ def test_the_longest_stride_holds_with_its_frequency() -> None:
     assert reference.frequency(np.zeros((1, 3)))[0] == pytest.approx(1.0 / reference.period)
 
 
-def test_what_a_contract_holds_makes_the_same_gait_again() -> None:
+def test_reference_of_a_contract_is_the_same_gait() -> None:
     reference = reference_of("go2")
     again = read_reference(reference.to_dict(), reference.robot, reference.limits)
     given = state((0.5, 0.1, 0.3))
     assert again.pose(0.0, given) == pytest.approx(reference.pose(0.0, given), abs=1e-12)
-
-
-def test_without_commands_there_is_nothing_to_follow() -> None:
-    reference = reference_of("go2")
-    with pytest.raises(SurefootError, match=r"reference\.kind is follow; it needs commands"):
-        read_reference(reference.to_dict(), reference.robot)
 
 
 def test_a_stride_out_of_reach_is_refused() -> None:

@@ -1,0 +1,95 @@
+"""The options `--randomize TABLE` and `--randomize.NAME LOW HIGH`."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+
+from surefoot.errors import SurefootError, choices
+from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
+from surefoot.robot.params import PARAMETERS
+from surefoot.robot.randomization import (
+    ParamRange,
+    Ranges,
+    RelativeRange,
+    check_ranges,
+    load_ranges,
+    mean_interval,
+    range_names,
+)
+
+_RANGES_HELP = """--randomize TABLE           ranges that an episode draws its parameters from: {names}, or a YAML file
+--randomize.NAME LOW HIGH   another range for one parameter; scale LOW HIGH: factors of its nominal value;
+                            add LOW HIGH: added to it; none: it is not drawn. Names and ranges of table1:"""
+_WORDS = {"none": 1, "scale": 3, "add": 3}
+"""Number of words of a range, by its first word; 2 for all others."""
+
+
+def ranges_help() -> str:
+    """Return the help of `--randomize`, with the ranges of the paper's table."""
+    table, nominal = load_ranges("table1"), PhysicalParams.nominal(RobotDescription.load(DEFAULT_ROBOT))
+    intervals = {name: mean_interval(given, getattr(nominal, name)) for name, given in table.items()}
+    lines = _RANGES_HELP.format(names=choices(range_names())).splitlines()
+    lines += [f"    {name:<20}{low:g} to {high:g}" for name, (low, high) in intervals.items()]
+    others = f"and, not in table1: {choices(name for name in PARAMETERS if name not in table)}"
+    lines += textwrap.wrap(others, 100, initial_indent="    ", subsequent_indent="    ")
+    return textwrap.indent("\n".join(lines), "  ")
+
+
+@dataclass(frozen=True)
+class RangeOptions:
+    """The options `--randomize` of a command line."""
+
+    table: str | None
+    """Name or path of a table of ranges."""
+    ranges: dict[str, ParamRange | None]
+    """Ranges in place of the table's; None drops one."""
+
+    def apply(self, robot: str | Path, base: Ranges | None = None) -> Ranges:
+        """Return the ranges for a robot, by name or folder; parameters without options are as in `base`."""
+        below = (base or {}) if self.table is None else load_ranges(self.table, robot=robot)
+        ranges = {name: given for name, given in {**below, **self.ranges}.items() if given is not None}
+        check_ranges(ranges, RobotDescription.load(robot))
+        return ranges
+
+
+def take_ranges(words: list[str]) -> tuple[list[str], RangeOptions]:
+    """Take the options `--randomize` out of a command's words; return the other words, and the options."""
+    rest: list[str] = []
+    table: str | None = None
+    ranges: dict[str, ParamRange | None] = {}
+    queue = list(words)
+    while queue:
+        word = queue.pop(0)
+        name, equals, value = word.partition("=")
+        if name == "--randomize":
+            if not equals and (not queue or queue[0].startswith("--")):
+                raise SurefootError(f"--randomize has no value; choices: {choices(range_names())}, or a YAML file")
+            table = value if equals else queue.pop(0)
+        elif name.startswith("--randomize."):
+            parameter = name.removeprefix("--randomize.").replace("-", "_")
+            check_ranges({parameter: (0.0, 0.0)})
+            values = [value] if equals else []
+            while queue and not queue[0].startswith("--") and len(values) < _WORDS.get("".join(values[:1]).lower(), 2):
+                values.append(queue.pop(0))
+            ranges[parameter] = _read_range(name, values)
+        else:
+            rest.append(word)
+    return rest, RangeOptions(table, ranges)
+
+
+def _read_range(option: str, words: list[str]) -> ParamRange | None:
+    kind = "".join(words[:1]).lower()
+    if kind == "none":
+        return None
+    try:
+        low, high = (float(word) for word in words[kind in _WORDS :])
+    except ValueError:
+        message = " ".join(words) or "nothing"
+        raise SurefootError(
+            f"{option} is {message}; it takes LOW HIGH, scale LOW HIGH, add LOW HIGH, or none"
+        ) from None
+    if kind == "scale":
+        return RelativeRange(scale=(low, high))
+    return RelativeRange(add=(low, high)) if kind == "add" else (low, high)

@@ -1,0 +1,265 @@
+"""Foot trajectories: references given by the path of each foot.
+
+A foot's cycle begins with its touchdown. In stance it goes backward by its stroke at constant speed; in swing it goes
+forward again on a cubic curve that begins and ends with the speed of the stance, so that it lands without a jerk.
+
+A `FootReference` repeats in the legs' planes. The strides of a `FollowingReference` have the commanded speed and
+direction: with the commanded velocity v and yaw rate w, the foot of a leg mounted at r goes backward by (v + w x r)
+times the time of stance, times a gain for what is lost to slip and soft legs. Without commands feet are lifted on the
+spot; a robot that stands keeps them on the ground.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.robot.commands import CommandLimits
+from surefoot.robot.leg import Legs
+from surefoot.task.commands import MAX_HEADING_ERROR, CommandState
+
+QUANTITIES = ("stroke", "clearance", "duty_factor", "phase", "height", "offset", "depth")
+"""What each leg has of its own."""
+LENGTHS = ("stroke", "clearance", "height", "offset", "depth")
+"""Those that are lengths."""
+RATE_STEP = 0.002
+"""Half of the time [s] over which the velocity of a pose is taken."""
+_SAMPLES = 360
+_PHASES = 48
+
+
+@dataclass(frozen=True)
+class FootReference:
+    """Paths of feet; arrays (L,), or (N, L) where each of N robots has its own.
+
+    Raises:
+        SurefootError: a path out of the leg's reach.
+    """
+
+    legs: tuple[str, ...]
+    leg: Legs
+    frequency: Array
+    """Cycles a second [Hz], () or (N, 1)."""
+    stroke: Array
+    """How far a foot goes backward in stance, relative to the base [m]; below 0: forward."""
+    clearance: Array
+    """How far it is lifted in the middle of its swing [m]."""
+    duty_factor: Array
+    """Part of the cycle in stance."""
+    phase: Array
+    """When its cycle begins, in cycles."""
+    height: Array
+    """Of the motor axis over the foot's end at touchdown and lift-off [m]."""
+    offset: Array
+    """Of the middle of the stroke, forward from the motor axis [m]."""
+    depth: Array
+    """How far it is pressed below that height in the middle of its stance [m]."""
+    velocity_feedforward: float = 0.0
+    """Time [s] by which commands lead along the velocity of the pose; k_d / k_p makes up for an actuator's damping."""
+    _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Refuse paths out of reach."""
+        paths = self.path(np.linspace(0.0, 1.0, _SAMPLES, endpoint=False)[:, None])
+        poses = self.leg.plane_pose(paths)
+        lost = ~np.isfinite(poses[0])
+        if lost.any():
+            place, (x, z) = np.argwhere(lost)[0], paths[lost][0]
+            raise SurefootError(
+                f"reference.foot: the foot of {self.legs[place[-1]]} goes to {x:.3f} m before and {-z:.3f} m below its "
+                "motors, out of the leg's reach; change height, offset, stroke, depth or clearance"
+            )
+        extent = [(float(part.min()), float(part.max())) for part in poses]
+        object.__setattr__(self, "_extent", (*[(0.0, 0.0)] * (len(self.leg.coordinates) - 2), *extent))
+
+    @property
+    def period(self) -> Any:
+        """Time [s] after which the reference repeats, a number; (N,) where robots have paths of their own."""
+        period = 1.0 / np.reshape(self.frequency, -1)
+        return float(period[0]) if self.frequency.ndim == 0 else period
+
+    @property
+    def speed(self) -> Array:
+        """Speed [m/s] at which feet go backward in stance: the base's, if they do not slip."""
+        return self.stroke * self.frequency / self.duty_factor
+
+    def shares(self, cycle: ArrayLike) -> Array:
+        """Return the part of each leg's own cycle that is over (..., N, L), 0 to 1, after cycles (..., N)."""
+        return np.asarray((np.asarray(cycle, float)[..., None] - self.phase) % 1.0)
+
+    def curve(self, cycle: ArrayLike) -> tuple[Array, Array]:
+        """Return where feet are along their strokes, .5 (front) to -.5, and above `height` [m], after cycles (..., N).
+
+        Both (..., N, L).
+        """
+        share, duty = self.shares(cycle), self.duty_factor
+        stance = share < duty
+        part = np.where(stance, share / duty, (share - duty) / (1.0 - duty))
+        # Slope at both ends of the swing, in strokes over a swing: the speed of the stance.
+        slope = -(1.0 - duty) / duty
+        forward = -0.5 + part**2 * (3.0 - 2.0 * part) + slope * part * (1.0 - part) * (1.0 - 2.0 * part)
+        bump = np.where(stance, -self.depth, self.clearance) * (1.0 - np.cos(2.0 * np.pi * part)) / 2.0
+        return np.where(stance, 0.5 - part, forward), bump
+
+    def path(self, cycle: ArrayLike) -> Array:
+        """Return the places (..., N, L, 2) [m] of the feet's ends after cycles (..., N), x forward and z up."""
+        along, bump = self.curve(cycle)
+        return np.stack(np.broadcast_arrays(self.offset + self.stroke * along, bump - self.height), -1)
+
+    @classmethod
+    def stacked(cls, references: Sequence[FootReference]) -> FootReference:
+        """Return the paths of N robots, one reference each."""
+        first = references[0]
+        values: dict[str, Any] = {name: np.stack([getattr(one, name) for one in references]) for name in QUANTITIES}
+        frequency = np.array([[one.frequency] for one in references], float)
+        return cls(first.legs, first.leg, frequency, **values)
+
+    def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the poses (N, C, L) at times (N,) [s] since the episode's start: no abduction, whatever the state."""
+        swing, extension = self.leg.plane_pose(self.path(np.asarray(time, float) * np.reshape(self.frequency, -1)))
+        level = [np.zeros_like(swing)] * (len(self.leg.coordinates) - 2)
+        return np.stack([*level, swing, extension], axis=-2)
+
+    def pose_rate(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the velocities (N, C, L) of the poses at times (N,) [s], in units of leg space a second."""
+        time = np.asarray(time, float)
+        return (self.pose(time + RATE_STEP) - self.pose(time - RATE_STEP)) / (2 * RATE_STEP)
+
+    def extent(self) -> tuple[tuple[float, float], ...]:
+        """Return the lowest and highest value of each coordinate over all legs and times."""
+        return self._extent
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the `ReferenceConfig` that makes it again, as JSON values."""
+        values = {name: dict(zip(self.legs, getattr(self, name).tolist(), strict=True)) for name in QUANTITIES}
+        ahead = {"velocity_feedforward": self.velocity_feedforward} if self.velocity_feedforward else {}
+        return {"kind": "foot", "foot": {"frequency": float(self.frequency), **values}, **ahead}
+
+
+@dataclass(frozen=True)
+class FollowingReference:
+    """Feet that follow commands.
+
+    Raises:
+        SurefootError: a stride out of the legs' reach.
+    """
+
+    robot: RobotDescription
+    feet: FootReference
+    """Frequency, clearance, phases and posture of the feet; its stroke is the longest stride."""
+    limits: CommandLimits
+    """Commands that are followed."""
+    stride_gain: float
+    """Length of a stride over that of a foot that does not slip."""
+    frequency_rise: float
+    """Frequency gained at the greatest stride, over the frequency on the spot."""
+    turn_gain: float = 1.0
+    """What a stride has for turning, over that of a foot that does not slip. Legs without abduction turn a robot only
+    as far as they make feet slide."""
+    places: Array = field(init=False, repr=False)
+    """Feet below the legs' mounts, (L, 3) [m] from the mounts; z is the height."""
+    _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Check that legs reach every stride."""
+        legs, resting = self.robot.leg_geometry, self._resting()
+        _, aside, below = legs.foot_position(resting).T
+        axis = below - legs.foot_in_plane(resting)[:, 1]
+        places = np.stack(np.broadcast_arrays(self.feet.offset, aside, axis - self.feet.height), -1)
+        object.__setattr__(self, "places", places)
+        poses = self.pose(0.0, self._extremes())
+        if not np.isfinite(poses).all():
+            leg = self.feet.legs[int(np.argwhere(~np.isfinite(poses))[0][-1])]
+            raise SurefootError(
+                f"reference.foot: a stride of {leg} is out of the leg's reach; "
+                "change height, stroke, depth or clearance"
+            )
+        extent = tuple((float(part.min()), float(part.max())) for part in np.moveaxis(poses, -2, 0))
+        object.__setattr__(self, "_extent", extent)
+
+    def _resting(self) -> Array:
+        """Return the motor angles (L, m) of legs without abduction or swing."""
+        pose = np.array(self.robot.rest)
+        pose[:-1] = 0.0
+        return self.robot.leg_geometry.to_motors(np.repeat(pose[:, None], len(self.feet.legs), axis=1))
+
+    def _extremes(self) -> CommandState:
+        """Return the states in which legs are furthest from their places: strides all around, at every phase."""
+        corners = np.array(np.meshgrid(*zip(self.limits.low, self.limits.high, strict=True))).reshape(3, -1).T
+        rate = np.max(np.abs(self.limits.yaw_rate)) + self.limits.heading_gain * MAX_HEADING_ERROR
+        corners[:, 2] = np.where(corners[:, 2] > 0, rate, -rate)
+        corners = np.concatenate([corners, corners * [1, 1, 0], np.zeros((1, 3))])
+        phase = np.tile(np.arange(_PHASES) / _PHASES, len(corners))
+        return CommandState(np.repeat(corners, _PHASES, axis=0), np.ones(len(phase)), phase)
+
+    @property
+    def period(self) -> float:
+        """Time of a step on the spot [s]."""
+        return float(self.feet.period)
+
+    def _on_the_spot(self, command: Array) -> tuple[Array, Array]:
+        """Return the strides (N, L, 2) [m] that commands (N, 3) need at the frequency on the spot, and their share.
+
+        The share (N,) is that of the longest over the longest allowed, at most 1.
+        """
+        x, y = self.robot.leg_mounts[:, 0], self.robot.leg_mounts[:, 1] + self.places[:, 1]
+        turn = self.turn_gain * command[:, 2:]
+        forward, aside = command[:, :1] - turn * y, command[:, 1:2] + turn * x
+        if "abduction" not in self.robot.coordinates:
+            aside = np.zeros_like(aside)
+        stance = self.feet.duty_factor / self.feet.frequency
+        stride = self.stride_gain * stance[:, None] * np.stack([forward, aside], -1)
+        share = np.linalg.norm(stride, axis=-1) / np.maximum(self.feet.stroke, 1e-9)
+        return stride, np.minimum(share.max(axis=-1), 1.0)
+
+    def strides(self, command: Array) -> Array:
+        """Return the strides (N, L, 2) [m] forward and to the left for commands (N, 3), no longer than allowed.
+
+        A higher frequency comes with longer strides, so that feet keep the commanded speed.
+        """
+        stride, share = self._on_the_spot(command)
+        stride = stride / (1.0 + self.frequency_rise * share)[:, None, None]
+        length = np.linalg.norm(stride, axis=-1, keepdims=True)
+        return np.asarray(stride * np.minimum(1.0, self.feet.stroke[:, None] / np.maximum(length, 1e-9)))
+
+    def frequency(self, command: Array) -> Array:
+        """Return the frequency (N,) [Hz] at commands (N, 3)."""
+        _, share = self._on_the_spot(command)
+        return np.asarray(self.feet.frequency * (1.0 + self.frequency_rise * share))
+
+    def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the poses (N, C, L) at what the gait follows, whatever the times (N,)."""
+        assert state is not None
+        along, bump = self.feet.curve(state.phase)
+        active = state.activity[:, None]
+        step = (active * along)[..., None] * self.strides(state.command)
+        foot = np.concatenate([step, (active * bump)[..., None]], axis=-1) + self.places
+        return self.robot.leg_geometry.foot_pose(foot)
+
+    @property
+    def velocity_feedforward(self) -> float:
+        """Time [s] by which commands lead along the velocity of the pose."""
+        return self.feet.velocity_feedforward
+
+    def pose_rate(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the velocities (N, C, L) of the poses at what the gait follows, in units of leg space a second."""
+        assert state is not None
+        change = RATE_STEP * self.frequency(state.command)
+        before, after = (self.pose(time, replace(state, phase=state.phase + sign * change)) for sign in (-1, 1))
+        return (after - before) / (2 * RATE_STEP)
+
+    def extent(self) -> tuple[tuple[float, float], ...]:
+        """Return the lowest and highest value of each coordinate over all legs, phases and commands."""
+        return self._extent
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the `ReferenceConfig` that makes it again, as JSON values."""
+        gains = {name: getattr(self, name) for name in ("stride_gain", "frequency_rise", "turn_gain")}
+        return {**self.feet.to_dict(), "kind": "follow", **gains}

@@ -1,0 +1,45 @@
+"""Tables of runs and sensitivities with numbers of one's choice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from surefoot.evaluate.gap import PolicyGap
+from surefoot.evaluate.sensitivity import NOMINAL, Sensitivity, row_unit
+
+
+def runs_table(world: str, *returns: float, falls: int = 0) -> pd.DataFrame:
+    """Return runs with these returns, each 1 m/s at 10 W, of which the first ones fell."""
+    values, fell = np.array(returns), np.arange(len(returns)) < falls
+    columns = {"return": values, "distance": values + 1, "speed": 1.0, "power": 10.0, "steps": 100}
+    return pd.DataFrame({"world": world, "run": range(len(values)), **columns, "fell": fell, "balanced": ~fell})
+
+
+def policy_gap(name: str, home: Sequence[float], away: Mapping[str, Sequence[float]], falls: int = 0) -> PolicyGap:
+    """Return a policy's runs with these returns in mujoco and in other worlds, where the first ones fell."""
+    worlds = [runs_table(world, *returns, falls=falls) for world, returns in away.items()]
+    return PolicyGap.from_runs(name, [runs_table("mujoco", *home), *worlds])
+
+
+def sensitivity_table(
+    policy: str,
+    worlds: Sequence[tuple[Any, ...]],
+    returns: ArrayLike,
+    fell: ArrayLike,
+    nominal: tuple[Mapping[str, float], ArrayLike, ArrayLike],
+) -> Sensitivity:
+    """Return a sensitivity at .5 m/s from returns (W, E) and falls (W, E) in test worlds.
+
+    Of the nominal world there are values of rows, returns (E,) and falls (E,).
+    """
+    values, nominal_returns, nominal_fell = nominal
+    table = np.vstack([nominal_returns, returns])
+    places = [(NOMINAL, "", np.nan), *((row, row_unit(row), value) for row, value, *_ in worlds)]
+    frame = pd.DataFrame([one for one in places for _ in range(table.shape[1])], columns=["row", "unit", "value"])
+    columns = {"return": table.ravel(), "speed": 0.5, "fell": np.vstack([nominal_fell, fell]).ravel()}
+    return Sensitivity(policy, values, frame.assign(run=np.tile(np.arange(table.shape[1]), len(table)), **columns))
