@@ -244,7 +244,8 @@ class Randomizer:
         self._parts, numbers = _number_places(nominal)
         # K values are drawn: those of all motors and axes of every parameter with a range.
         self._columns: dict[str, slice] = {}
-        places, low, high, allowed, shown = [np.zeros(0, np.int64)], [], [], [], list[int]()
+        places, low, high = [np.zeros(0, np.int64)], list[Array](), list[Array]()
+        allowed, shown = list[Interval](), list[int]()
         for name, param_range in self.ranges.items():
             ends = [end.reshape(nominal.num_envs, -1) for end in resolve_range(param_range, getattr(nominal, name))]
             independent, size, first = is_independent(name, param_range), ends[0].shape[1], len(allowed)
