@@ -104,10 +104,11 @@ def test_worlds_are_the_ends_and_evenly_spaced_values_between(robot: RobotDescri
 def test_a_relative_range_scales_the_values_of_all_motors():
     robot = RobotDescription.load("go2")
     nominal = PhysicalParams.nominal(robot)
-    least, greatest = make_test_worlds({"motor_friction": RelativeRange(scale=(0.5, 1.5))}, nominal, 2)
+    ranges: Ranges = {"motor_friction": RelativeRange(scale=(0.5, 1.5))}
+    (_, _, values), (_, mean, _) = make_test_worlds(ranges, nominal, 2)
     assert np.ptp(nominal.motor_friction) > 0
-    np.testing.assert_allclose(least.values, 0.5 * nominal.motor_friction[0])
-    assert greatest.value == pytest.approx(1.5 * nominal.motor_friction.mean())
+    np.testing.assert_allclose(values, 0.5 * nominal.motor_friction[0])
+    assert mean == pytest.approx(1.5 * nominal.motor_friction.mean())
 
 
 def test_returns_by_hand_over_the_same_time():
