@@ -68,14 +68,14 @@ def run(world: str, policy: str, steps: int) -> dict[str, Any]:
             )
         finally:
             emulator.send_signal(signal.SIGINT)
-            said = emulator.communicate(timeout=20)[1]
+            output = emulator.communicate(timeout=20)[1]
     if not done.stdout:
         raise SystemExit(f"deploy ended with {done.returncode}: {done.stderr}")
     deployed = json.loads(done.stdout)["runs"][0]
-    return {"world": world, "bare": bare, "deployed": deployed, "emulator": said.strip().splitlines()[-1]}
+    return {"world": world, "bare": bare, "deployed": deployed, "emulator": output.strip().splitlines()[-1]}
 
 
-def tell(result: dict[str, Any]) -> None:
+def print_result(result: dict[str, Any]) -> None:
     """Print one world's figures."""
     bare, run = result["bare"], result["deployed"]
     timing = run["timing"]
@@ -101,13 +101,13 @@ def main() -> None:
     parser.add_argument("--policy", default="trot-robust")
     parser.add_argument("--worlds", nargs="+", default=["mujoco", "bullet"])
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
-    results = [run(world, asked.policy, asked.steps) for world in asked.worlds]
-    if asked.json:
+    options = parser.parse_args()
+    results = [run(world, options.policy, options.steps) for world in options.worlds]
+    if options.json:
         print(json.dumps(results))
         return
     for result in results:
-        tell(result)
+        print_result(result)
 
 
 if __name__ == "__main__":

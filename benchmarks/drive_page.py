@@ -36,18 +36,18 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--tabs", type=int, default=1)
     parser.add_argument("--hours", type=float, default=0.0, help="then simulate so long at full speed: memory")
-    given = parser.parse_args()
+    options = parser.parse_args()
     path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if path is None:
         raise SystemExit("no Chromium on this computer")
-    drive, view, stop = DrivePage(given.policy, "mujoco"), RobotView(), threading.Event()
+    drive, view, stop = DrivePage(options.policy, "mujoco"), RobotView(), threading.Event()
     page = PageServer(None, 0, view.port)
     thread = threading.Thread(target=drive.run, args=(page, view, stop))
     thread.start()
     with sync_playwright() as playwright:
         words = ["--no-sandbox", "--enable-unsafe-swiftshader"]
         browser = playwright.chromium.launch(executable_path=path, args=words)
-        tabs = [browser.new_page(viewport={"width": 600, "height": 420}) for _ in range(given.tabs)]
+        tabs = [browser.new_page(viewport={"width": 600, "height": 420}) for _ in range(options.tabs)]
         for tab in tabs:
             tab.goto(page.address)
             tab.wait_for_function("document.getElementById('state').textContent.includes('m/s')")
@@ -59,14 +59,14 @@ def main() -> None:
         tabs[0].evaluate(_COUNT)
         drive.delays.clear()
         begin, sent, simulated = time.perf_counter(), view.frames, drive.robot.time
-        while (passed := time.perf_counter() - begin) < given.seconds:
+        while (passed := time.perf_counter() - begin) < options.seconds:
             tabs[0].mouse.move(x + reach * math.sin(passed), y - reach * math.cos(passed))
             time.sleep(0.03)
         shown, passed = tabs[0].evaluate("window.pictures"), time.perf_counter() - begin
         kept, sent = (drive.robot.time - simulated) / passed, view.frames - sent
         memory = [held(tabs)]
-        if given.hours:
-            end, drive.speed = drive.robot.time + 3600.0 * given.hours, 1e6
+        if options.hours:
+            end, drive.speed = drive.robot.time + 3600.0 * options.hours, 1e6
             while drive.robot.time < end:
                 tabs[0].mouse.move(x + reach * math.sin(time.time()), y - reach * math.cos(time.time()))
                 time.sleep(0.03)
@@ -77,13 +77,13 @@ def main() -> None:
     page.stop()
     view.stop()
     delays = 1e3 * np.array(drive.delays)
-    print(f"load of {os.cpu_count()} cores {os.getloadavg()[0]:.1f}, tabs {given.tabs}")
+    print(f"load of {os.cpu_count()} cores {os.getloadavg()[0]:.1f}, tabs {options.tabs}")
     print(f"pictures sent {sent / passed:.1f} /s, drawn in software {shown / passed:.1f} /s")
     if delays.size:
         middle, late = np.quantile(delays, [0.5, 0.99])
         print(f"joystick to command, ms: median {middle:.1f}, 99 % {late:.1f}, of {len(delays)}")
     print(f"share of real time {kept:.3f}")
-    print("memory: " + f"; after {given.hours:g} h of simulated driving ".join(memory))
+    print("memory: " + f"; after {options.hours:g} h of simulated driving ".join(memory))
 
 
 if __name__ == "__main__":

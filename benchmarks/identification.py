@@ -1,11 +1,11 @@
-"""Identify emulated robots whose parameters nobody was told, and compare what was found with what was hidden.
+"""Identify emulated robots with hidden parameters, and compare estimates and true values.
 
     python benchmarks/identification.py --seeds 1-10 --worlds mujoco bullet --out build/identification.jsonl
 
 Each draw is a process of its own (`surefoot emulate --hidden-seed`), on its rack and then on the ground; experiments
 and fits see what comes over the link and nothing else. The hidden values are read when everything has been found.
-Told are the share of hidden values within their 95 % intervals, median errors, how many values an experiment did not
-tell, which count as neither, and the time that robot and fits took.
+Reported are the share of hidden values within their 95 % intervals, median errors, how many values were not
+identifiable, which count as neither, and the time that robot and fits took.
 """
 
 from __future__ import annotations
@@ -142,17 +142,17 @@ def summary(draws: list[dict[str, Any]]) -> str:
         f"{'relative':>9}  worst"
     )
     for (experiment, name), rows in groups.items():
-        told = [row for row in rows if row["identifiable"]]
-        line = f"{name:<20} {experiment:<8} {len(rows):>4} {len(rows) - len(told):>8} "
-        if not told:
+        identifiable = [row for row in rows if row["identifiable"]]
+        line = f"{name:<20} {experiment:<8} {len(rows):>4} {len(rows) - len(identifiable):>8} "
+        if not identifiable:
             lines.append(line.rstrip())
             continue
-        errors = np.array([abs(row["found"] - row["true"]) for row in told])
+        errors = np.array([abs(row["found"] - row["true"]) for row in identifiable])
         if name == "saturation_curve":
             lines.append(line + f"{'':>7} {'':>14} {100 * np.median(errors):>8.2f}%  {100 * errors.max():.2f}%")
             continue
-        relative = errors / np.maximum(np.abs([row["true"] for row in told]), 1e-12)
-        hits = sum(row["low"] <= row["true"] <= row["high"] for row in told)
+        relative = errors / np.maximum(np.abs([row["true"] for row in identifiable]), 1e-12)
+        hits = sum(row["low"] <= row["true"] <= row["high"] for row in identifiable)
         lines.append(
             line + f"{hits:>7} {np.median(errors):>14.6f} {100 * np.median(relative):>8.2f}%  {errors.max():.6f}"
         )
@@ -170,11 +170,11 @@ def summary(draws: list[dict[str, Any]]) -> str:
 
 
 def _inside(rows: list[dict[str, Any]]) -> str:
-    """How many of the values that were told lie within their intervals, and how many were not identifiable."""
-    told = [row for row in rows if row["identifiable"]]
-    hits = sum(row["low"] <= row["true"] <= row["high"] for row in told)
-    share = f", {100 * hits / len(told):.1f} %" if told else ""
-    return f"{hits} of {len(told)}{share}; {len(rows) - len(told)} not identifiable"
+    """Return how many identifiable values lie within their intervals, and how many were not identifiable."""
+    identifiable = [row for row in rows if row["identifiable"]]
+    hits = sum(row["low"] <= row["true"] <= row["high"] for row in identifiable)
+    share = f", {100 * hits / len(identifiable):.1f} %" if identifiable else ""
+    return f"{hits} of {len(identifiable)}{share}; {len(rows) - len(identifiable)} not identifiable"
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from surefoot.identify.logs.errors import replay_log
 from surefoot.identify.logs.fit import fit_logs
-from surefoot.identify.logs.model import RULES, LogRun
+from surefoot.identify.logs.model import PRIORS, LogRun
 from surefoot.identify.logs.robot_log import read_log
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -37,23 +37,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=LEFT_OUT, help="one row of the table")
     parser.add_argument("--bullet", action="store_true", help="replay the log held out in Bullet too")
-    given = parser.parse_args()
+    options = parser.parse_args()
     robot = RobotDescription.load("pupper_v2")
     logs = {name: read_log(DATA / f"{name}.npz", robot) for name in PUBLISHED}
     runs = {name: LogRun(log, name in RACKED) for name, log in logs.items()}
-    for what in [given.only] if given.only else LEFT_OUT:
+    for what in [options.only] if options.only else LEFT_OUT:
         without, values = LEFT_OUT[what]
-        known = PhysicalParams.nominal(robot).with_values(robot, **values)
-        names = [name for name in RULES if name not in without]
-        told = []
+        nominal = PhysicalParams.nominal(robot).with_values(robot, **values)
+        names = [name for name in PRIORS if name not in without]
+        cells = []
         for held in runs:
-            found = fit_logs(robot, [run for name, run in runs.items() if name != held], [], names, known)
-            params = found.params(robot, known)
-            for world in ("mujoco", "bullet")[: 1 + given.bullet]:
+            found = fit_logs(robot, [run for name, run in runs.items() if name != held], [], names, nominal)
+            params = found.params(robot, nominal)
+            for world in ("mujoco", "bullet")[: 1 + options.bullet]:
                 replayer = Replayer(robot, 1, runs[held].rack, world, torques=False)
                 error = replay_log(logs[held], robot, params.rows(np.zeros(1, np.int64)), replayer).rms
-                told.append(f"{held} {world} {error:.4f} (1/{PUBLISHED[held] / error:.1f})")
-        print(f"{what:<36} {'   '.join(told)}", flush=True)
+                cells.append(f"{held} {world} {error:.4f} (1/{PUBLISHED[held] / error:.1f})")
+        print(f"{what:<36} {'   '.join(cells)}", flush=True)
 
 
 if __name__ == "__main__":

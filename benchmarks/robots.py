@@ -90,9 +90,10 @@ def main() -> int:
     for name in options.policies:
         row = figures(name, options.episodes, options.num_envs, options.turns, options.rounds)
         worst = max(worst, float(row["change"]))
-        told = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()}
+        formatted = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()}
         print(
-            json.dumps(row) if options.json else "  ".join(f"{key} {value}" for key, value in told.items()), flush=True
+            json.dumps(row) if options.json else "  ".join(f"{key} {value}" for key, value in formatted.items()),
+            flush=True,
         )
     return int(not worst <= WITHIN)
 

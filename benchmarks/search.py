@@ -5,7 +5,7 @@
     two   the same with 2 workers
 
 They take turns, so that a slow moment is slow for all. `warm` leaves out a worker's start: it counts from the end of
-its first training on. Ray's own start is told apart.
+its first training on. Ray's own start is reported separately.
 
     python benchmarks/search.py                      # gallops of 100,000 control steps, 4 a turn, 3 turns
 """

@@ -71,7 +71,7 @@ def main() -> int:
     for seed in options.seeds:
         trace = drive(options.policy, options.robot, options.world, options.forward, options.yaw_rate, seed)
         path, yaw = trace.base_position_world[:, :2], quat_yaw(trace.base_quat_world)
-        told = {
+        result = {
             "seed": seed,
             "seconds": round(trace.duration, 2),
             "fell": trace.fell,
@@ -79,7 +79,7 @@ def main() -> int:
             "closing_yaw_deg": round(float(np.degrees((yaw[-1] - yaw[0] + np.pi) % (2 * np.pi) - np.pi)), 1),
             "size_m": np.ptp(path, axis=0).round(2).tolist(),
         }
-        print(json.dumps(told))
+        print(json.dumps(result))
     return 0
 
 

@@ -329,10 +329,10 @@ def authors_rate() -> float | None:
     processes = [
         subprocess.Popen(script, stdout=pipe, stderr=subprocess.DEVNULL, text=True) for _ in range(os.cpu_count() or 1)
     ]
-    said = [process.communicate()[0].split() for process in processes]
+    outputs = [process.communicate()[0].split() for process in processes]
     if any(process.returncode for process in processes):
         return None
-    return sum(float(words[-1]) for words in said)
+    return sum(float(words[-1]) for words in outputs)
 
 
 def main() -> int:

@@ -2,8 +2,8 @@
 
 From the start of training (models built, compiled code loaded) until the deterministic policy averages 1.34 m/s over
 eight full episodes without a fall. The evaluations are inside the time; few are made, as early policies only move
-while they explore: one second of a few robots tells before eight whole episodes are run. Seconds on processors are told
-beside those on the wall, for machines that do other work too.
+while they explore: one second of a few robots decides before eight whole episodes are run. Seconds on processors are
+given beside those on the wall, for machines that do other work too.
 """
 
 from __future__ import annotations

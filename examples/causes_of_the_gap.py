@@ -81,11 +81,11 @@ class Command:
 def thick_feet(robot: RobotDescription, folder: Path) -> RobotDescription:
     """Return the robot with rounder feet, whose lowest point along the leg stays the same."""
     shutil.copytree(robot.folder, folder)
-    thin, end = robot.five_bar.foot_radius, robot.five_bar.foot
+    radius, end = robot.five_bar.foot_radius, robot.five_bar.foot
     sheet, urdf = folder / "robot.toml", folder / robot.urdf.path.name
     sheet.write_text(re.sub(r"foot_radius = \S+", f"foot_radius = {FOOT_RADIUS}", sheet.read_text()))
-    text = urdf.read_text().replace(f'<sphere radius="{thin}"/>', f'<sphere radius="{FOOT_RADIUS}"/>')
-    urdf.write_text(text.replace(f'xyz="0 0 {end - thin:.4f}"', f'xyz="0 0 {end - FOOT_RADIUS:.4f}"'))
+    text = urdf.read_text().replace(f'<sphere radius="{radius}"/>', f'<sphere radius="{FOOT_RADIUS}"/>')
+    urdf.write_text(text.replace(f'xyz="0 0 {end - radius:.4f}"', f'xyz="0 0 {end - FOOT_RADIUS:.4f}"'))
     return RobotDescription.load(folder)
 
 

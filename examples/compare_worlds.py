@@ -151,10 +151,11 @@ class Comparison:
             axis.set_ylabel(f"{self.robot.leg_names[leg]}\nmotor 1 [rad]", fontsize=7)
         self.save(figure)
         apart = runs["Bullet"]["angles"] - runs["MuJoCo"]["angles"]
-        asked = rms(runs["MuJoCo"]["angles"] - [path(t) for t in runs["MuJoCo"]["time"]])
+        command_error = rms(runs["MuJoCo"]["angles"] - [path(t) for t in runs["MuJoCo"]["time"]])
         print(
             f"{name:9} motor angles {rms(apart):.5f} rad RMS apart, {np.abs(apart).max():.5f} at most, "
-            f"each motor {np.sqrt(np.mean(apart**2, axis=0)).round(5).tolist()}; from what is asked {asked:.3f} rad RMS"
+            f"each motor {np.sqrt(np.mean(apart**2, axis=0)).round(5).tolist()}; from the command "
+            f"{command_error:.3f} rad"
         )
 
     def sines(self) -> None:

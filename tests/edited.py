@@ -16,13 +16,18 @@ from surefoot.policy.digest import add_digest
 from surefoot.robot import RobotDescription
 
 
-def edited_policy(path: Path, change: Callable[[dict[str, Any]], object], policy: str = "gallop") -> Path:
-    """Write a policy whose contract is changed, with a digest that matches."""
+def edited_policy(
+    path: Path,
+    change: Callable[[dict[str, Any]], object] = lambda contract: None,
+    policy: str | Path = "gallop",
+    graph: Callable[[Any], object] = lambda graph: None,
+) -> Path:
+    """Write a policy whose contract and graph are changed, with a digest that matches."""
     onnx = pytest.importorskip("onnx")
-    model = onnx.load(find_policy(policy))
-    (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
-    contract = json.loads(entry.value)
+    model = onnx.load(find_policy(str(policy)))
+    contract = json.loads(next(entry.value for entry in model.metadata_props if entry.key == METADATA_KEY))
     change(contract)
+    graph(model.graph)
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
     path.write_bytes(add_digest(model.SerializeToString()))
     return path

@@ -51,7 +51,7 @@ def test_bar_shows_a_percentage_on_a_terminal_and_nothing_in_a_log():
 
 def test_bar_with_a_period_prints_its_last_line():
     place, stream = console(terminal=False)
-    with ProgressBar("trot", place, total=10, line_period=60.0) as bar:
+    with ProgressBar("trot", place, count=10) as bar:
         bar.advance(5, "", "5 of 10")
         bar.advance(10, "", "10 of 10")
     assert stream.getvalue() == "10 of 10\n"

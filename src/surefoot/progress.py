@@ -12,6 +12,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressC
 
 _REDRAW_PERIOD = 0.1
 """Least time between two drawings [s]."""
+_LINE_PERIOD = 10.0
+"""Least time between two lines of a bar where there is no terminal [s]."""
 
 
 class ProgressDisplay:
@@ -67,32 +69,23 @@ class ProgressDisplay:
 class ProgressBar(ProgressDisplay):
     """A bar that shows how much of some work is done.
 
+    A percentage is removed at the end, and shown on a terminal only. A count stays, and has lines elsewhere.
+
     Args:
         title: name of the work.
         console: where to show it; standard error, if not given.
-        total: amount of work; 1 is shown as a percentage, all else as a count.
-        done: amount that was done before.
-        line_period: as for `ProgressDisplay`.
-        transient: as for `ProgressDisplay`.
+        count: amount of work to count; a percentage is shown, if None.
+        done: amount of a count that was done before.
     """
 
-    def __init__(
-        self,
-        title: str,
-        console: Console | None = None,
-        total: float = 1.0,
-        done: float = 0.0,
-        line_period: float | None = None,
-        transient: bool = True,
-    ) -> None:
-        console = console or Console(stderr=True)
-        bar = BarColumn(40 if total == 1.0 else None)
-        count = TaskProgressColumn() if total == 1.0 else MofNCompleteColumn()
-        columns = (TextColumn("{task.description}", markup=False), bar, count, TextColumn("{task.fields[text]}"))
-        self._bar = Progress(*columns, TimeRemainingColumn(), console=console, expand=total != 1.0)
-        self._task = self._bar.add_task(title, total=total, completed=int(done), text="")
-        self._total = total
-        super().__init__(console, lambda: self._bar, line_period, transient)
+    def __init__(self, title: str, console: Console | None = None, count: int | None = None, done: int = 0) -> None:
+        console, self._total = console or Console(stderr=True), count or 1.0
+        number = TaskProgressColumn() if count is None else MofNCompleteColumn()
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(None if count else 40), number)
+        text = (TextColumn("{task.fields[text]}"), TimeRemainingColumn())
+        self._bar = Progress(*columns, *text, console=console, expand=count is not None)
+        self._task = self._bar.add_task(title, total=self._total, completed=done, text="")
+        super().__init__(console, lambda: self._bar, _LINE_PERIOD if count else None, transient=count is None)
 
     def advance(self, done: float, text: str = "", line: str = "") -> None:
         """Show the amount of work that is done, with a text on a terminal and a line elsewhere."""

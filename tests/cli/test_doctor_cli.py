@@ -1,4 +1,4 @@
-"""`surefoot doctor` on emulated robots: faults are found, a sound robot passes."""
+"""`surefoot doctor` on emulated robots."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ def test_a_healthy_robot_passes_all_on_its_rack(port_of: Callable[..., str]):
     lines = done.stdout.splitlines()
     assert lines[0].startswith("policy 'trot' for minitaur, port /")
     assert not any("\x1b" in line or "FAIL" in line for line in lines)
-    told = {line[10:30].strip(): line for line in lines[1:-1]}
-    assert len(told) == len(lines) - 2
+    checks = {line[10:30].strip(): line for line in lines[1:-1]}
+    assert len(checks) == len(lines) - 2
     for name in ("motor signs", "battery", "encoders", "IMU", "motors, one by one", "control latency"):
-        assert told[name].startswith("pass      ")
-    assert told["IMU, nose down"].startswith("not done  ")
-    assert told["IMU, nose down"].endswith("put the robot on flat ground and run with --ground")
+        assert checks[name].startswith("pass      ")
+    assert checks["IMU, nose down"].startswith("not done  ")
+    assert checks["IMU, nose down"].endswith("put the robot on flat ground and run with --ground")
     assert lines[-1] == "16 passed, 0 failed, 8 not done"
 
 
@@ -79,12 +79,12 @@ def test_a_healthy_robot_passes_all_on_the_ground(port_of: Callable[..., str]):
 def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator], tmp_path: Path):
     emulator = emulate("--rack")
     _, checks = doctor("trot", emulator.port, "--rack", "--yes", "--steps", "300", run=run_surefoot)
-    why = {name: checks[name]["message"] for name in failed(checks)}
-    if why and set(why) <= {"inference", "control loop"}:
-        raise TooBusyError(f"this computer's own speed: {why}")
-    assert not why
+    failures = {name: checks[name]["message"] for name in failed(checks)}
+    if failures and set(failures) <= {"inference", "control loop"}:
+        raise TooBusyError(f"this computer's own speed: {failures}")
+    assert not failures
     if checks["control latency"]["passed"] is None:
-        raise TooBusyError(checks["control latency"]["message"])  # motors that answered too late to be told apart
+        raise TooBusyError(checks["control latency"]["message"])  # motors answered too late to be distinguished
     assert checks["link, round trip"]["value"] < 0.003
     assert checks["control latency"]["value"] == pytest.approx(0.02, abs=0.006)
     assert checks["inference"]["value"] < 0.001
@@ -128,7 +128,9 @@ def turn_rate(model: Any) -> None:
 
 
 @pytest.mark.parametrize(("command", "edit"), [("doctor", cut_normalizer), ("deploy", turn_rate)])
-def test_a_stale_policy_is_refused_before_the_port_is_opened(command: str, edit: Callable[[Any], None], tmp_path: Path):
+def test_a_changed_policy_is_refused_before_the_port_is_opened(
+    command: str, edit: Callable[[Any], None], tmp_path: Path
+):
     model = onnx.load(find_policy("trot"))
     edit(model)
     onnx.save(model, tmp_path / "stale.onnx")
@@ -136,7 +138,7 @@ def test_a_stale_policy_is_refused_before_the_port_is_opened(command: str, edit:
     refused(done, "stale.onnx: its digest does not match: the network or the contract was changed")
 
 
-# Robots that are not what they say.
+# Robots with faults.
 
 
 @pytest.mark.parametrize(
@@ -148,7 +150,7 @@ def test_a_stale_policy_is_refused_before_the_port_is_opened(command: str, edit:
         ("slow-servo", "servo period", "2 ms; the data sheet says 1 ms"),
     ],
 )
-def test_a_robot_that_does_not_fit_is_found_before_it_moves(
+def test_a_robot_that_the_policy_is_not_for_fails_before_it_moves(
     fault: str, check: str, why: str, port_of: Callable[..., str]
 ):
     _, checks = doctor("trot", port_of("--fault", fault), "--lockstep")
@@ -169,17 +171,15 @@ def test_a_robot_that_does_not_fit_is_found_before_it_moves(
         ("late-states=0.015", "control latency", "the policy was trained with 20 ms", "find what delays the readings"),
     ],
 )
-def test_what_is_wrong_with_motors_is_found_on_the_rack(
-    fault: str, check: str, why: str, todo: str, port_of: Callable[..., str]
-):
+def test_faults_of_motors_fail_on_the_rack(fault: str, check: str, why: str, todo: str, port_of: Callable[..., str]):
     _, checks = doctor("trot", port_of("--rack", "--fault", fault), "--lockstep", "--rack", "--yes")
     assert failed(checks) == [check]
     assert why in checks[check]["message"]
     assert todo in checks[check]["remedy"]
 
 
-def test_a_mirrored_encoder_is_found_at_rest_or_as_soon_as_motors_hold(port_of: Callable[..., str]):
-    """On the ground the legs are folded, and one that reads otherwise stands out; hanging ones may not."""
+def test_a_mirrored_encoder_fails_at_rest_or_as_soon_as_motors_hold(port_of: Callable[..., str]):
+    """On the ground the legs are folded, and another reading stands out; of hanging legs it may not."""
     _, checks = doctor("trot", port_of("--fault", "flip-encoder=3"), "--lockstep")
     assert failed(checks) == ["encoders"]
     assert checks["encoders"]["message"].startswith("back_left reads")
@@ -187,20 +187,20 @@ def test_a_mirrored_encoder_is_found_at_rest_or_as_soon_as_motors_hold(port_of: 
     assert failed(checks) in (["encoders"], ["motors, one by one"])
 
 
-def test_an_imu_that_is_mounted_otherwise_is_found_on_the_ground(port_of: Callable[..., str]):
+def test_an_imu_with_exchanged_axes_fails_on_the_ground(port_of: Callable[..., str]):
     _, checks = doctor("trot", port_of("--fault", "imu-flip=0"), "--lockstep", "--ground", "--yes")
     assert failed(checks) == ["IMU, nose down", "IMU, left side down"]
     assert all("the IMU's x and y are exchanged" in checks[check]["remedy"] for check in failed(checks))
 
 
-def test_a_line_that_damages_frames_is_found(port_of: Callable[..., str]):
+def test_a_line_that_damages_frames_fails(port_of: Callable[..., str]):
     _, checks = doctor("trot", port_of("--fault", "corrupt=0.05"), "--lockstep")
     assert checks["link, losses"]["passed"] is False
     assert "frames damaged" in checks["link, losses"]["message"]
 
 
 @pytest.mark.realtime
-def test_an_adapter_that_gathers_bytes_is_found_in_real_time(emulate: Callable[..., Emulator]):
+def test_an_adapter_that_gathers_bytes_fails_in_real_time(emulate: Callable[..., Emulator]):
     port = emulate("--fault", "batching").port
     code, checks = doctor("trot", port, "--pings", "200", "--steps", "10")
     assert code == 3
@@ -209,11 +209,11 @@ def test_an_adapter_that_gathers_bytes_is_found_in_real_time(emulate: Callable[.
     assert "latency_timer" in checks["link, bursts"]["remedy"]
 
 
-# Words.
+# Command line.
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["none.onnx", "--port", "/dev/none"], "policy 'none.onnx' does not exist"),
         (["trot", "--port", "/dev/none"], "port /dev/none: can't be opened: No such file or directory"),
@@ -224,23 +224,23 @@ def test_an_adapter_that_gathers_bytes_is_found_in_real_time(emulate: Callable[.
         (["trot"], "--port"),
     ],
 )
-def test_what_does_not_fit_is_told(words: list[str], said: str):
+def test_wrong_options_are_refused_in_one_line(words: list[str], message: str):
     done = surefoot("doctor", *words)
     assert done.returncode == 2
-    assert said in done.stderr
+    assert message in done.stderr
     assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(("option", "place"), [("--rack", "hang free"), ("--ground", "sit on flat ground")])
-def test_without_a_terminal_motors_move_only_with_leave(option: str, place: str):
+def test_without_a_terminal_motors_move_only_with_yes(option: str, place: str):
     with open(os.devnull) as nothing, mock.patch("sys.stdin", nothing):
         done = surefoot("doctor", "trot", "--port", "/dev/none", option)
     refused(done, f"motors will move and the robot must {place}")
     assert done.stderr.endswith("say so with --yes\n")
 
 
-@pytest.mark.parametrize(("answer", "said"), [(b"n\n", "not begun; nothing has moved"), (b"y\n", "can't be opened")])
-def test_on_a_terminal_it_asks(answer: bytes, said: str):
+@pytest.mark.parametrize(("answer", "message"), [(b"n\n", "not begun; nothing has moved"), (b"y\n", "can't be opened")])
+def test_on_a_terminal_the_doctor_asks_before_motors_move(answer: bytes, message: str):
     ours, theirs = pty.openpty()
     os.write(ours, answer)
     with os.fdopen(theirs) as terminal, mock.patch("sys.stdin", terminal):
@@ -248,4 +248,4 @@ def test_on_a_terminal_it_asks(answer: bytes, said: str):
     os.close(ours)
     assert done.returncode == 2
     assert "Motors will move. Does the robot hang free, its legs in the air? [y/N]" in done.stderr
-    assert said in done.stderr
+    assert message in done.stderr

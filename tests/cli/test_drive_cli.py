@@ -1,4 +1,4 @@
-"""The page of `surefoot drive` in a real browser, measured in the trace of the simulation; and what it refuses."""
+"""The drive page in a real browser, measured in the simulation behind it; and the messages that it refuses."""
 
 from __future__ import annotations
 
@@ -40,20 +40,24 @@ if TYPE_CHECKING:
 
 @dataclass
 class Running:
-    """A drive that runs in a thread."""
+    """A drive page that runs in a thread."""
 
     drive: DrivePage
     server: PageServer
 
-    def until(self, holds: Callable[[], object], seconds: float = 20.0) -> None:
+    @property
+    def last(self) -> DrivenStep:
+        return self.drive.robot.rows[-1]
+
+    def until(self, holds: Callable[[], object]) -> None:
         """Wait until something holds."""
-        end = time.monotonic() + seconds
+        end = time.monotonic() + 20.0
         while not holds():
-            assert time.monotonic() < end, "it did not happen"
+            assert time.monotonic() < end
             time.sleep(0.02)
 
-    def measured(self, seconds: float) -> list[DrivenStep]:
-        """Wait for some simulated time [s], and return its control steps."""
+    def measure(self, seconds: float) -> list[DrivenStep]:
+        """Return the control steps of some simulated time [s] from now on."""
         robot, begin = self.drive.robot, self.drive.robot.time
         self.until(lambda: robot.time >= begin + seconds)
         return [row for row in list(robot.rows) if row.time > begin]
@@ -72,24 +76,29 @@ def running() -> Iterator[Running]:
     view.stop()
 
 
-# These come first: while no browser's tab is open, they drive.
+# These come first: while no browser's tab is open, their web sockets drive.
 
 
-def talk(server: PageServer, origin: str | None = None) -> Any:
+def open_socket(server: PageServer) -> Any:
     host = f"localhost:{server.port}"
-    # Nobody reads what the page says, so that its answer to a closing line may never be seen.
-    return connect(f"ws://{host}/socket", origin=origin or f"http://{host}", close_timeout=0.2)  # type: ignore[arg-type]
+    return connect(f"ws://{host}/socket", origin=f"http://{host}", close_timeout=0.2)  # type: ignore[arg-type]
+
+
+def read_error(line: Any) -> str:
+    while "error" not in (message := json.loads(line.recv(timeout=10))):
+        pass
+    return message["error"]
 
 
 @pytest.mark.parametrize("path", ["socket", "viser"])
 @pytest.mark.parametrize("origin", ["http://example.org", "http://localhost:1", "null"])
-def test_a_foreign_origin_is_refused(running: Running, path: str, origin: str):
+def test_socket_refuses_a_foreign_origin(running: Running, path: str, origin: str):
     with pytest.raises(websockets.InvalidStatus) as caught:
         connect(f"ws://localhost:{running.server.port}/{path}", origin=origin)  # type: ignore[arg-type]
     assert caught.value.response.status_code == 403
 
 
-def test_a_name_of_another_site_that_leads_here_is_refused(running: Running):
+def test_server_refuses_another_sites_name_and_other_files(running: Running):
     url = f"http://127.0.0.1:{running.server.port}/"
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(urllib.request.Request(url, headers={"Host": "example.org"}))
@@ -105,60 +114,53 @@ BAD = [
 ]
 
 
-def test_what_is_no_good_is_refused_and_does_no_harm(running: Running):
-    with talk(running.server) as line:
+def test_invalid_messages_are_refused_and_change_nothing(running: Running):
+    with open_socket(running.server) as line:
         running.until(lambda: running.server.tabs > 0)
         for text in BAD:
             line.send(text)
-            while "error" not in (said := json.loads(line.recv(timeout=10))):
-                pass
-            assert len(said["error"]) < 400
-            assert "you watch" not in said["error"]
-        state = running.measured(0.2)
-    assert np.isfinite(state[-1].position).all()
+            error = read_error(line)
+            assert len(error) < 400
+            assert "you watch" not in error
+        assert np.isfinite(running.measure(0.2)[-1].position).all()
     assert running.drive.robot.env.world.divergences == 0
 
 
-def flood(line: Any) -> None:
-    for _ in range(100_000):
-        line.send('{"command": [0.1, 0, 0]}')
-    line.recv(timeout=10)
-
-
-def test_a_flood_of_messages_ends_the_connection_and_not_the_robot(running: Running):
-    with talk(running.server) as line, pytest.raises(websockets.ConnectionClosed):
-        flood(line)
+def test_flood_of_messages_ends_the_connection_and_not_the_robot(running: Running):
+    with open_socket(running.server) as line, pytest.raises(websockets.ConnectionClosed):  # noqa: PT012
+        for _ in range(100_000):
+            line.send('{"command": [0.1, 0, 0]}')
+        line.recv(timeout=10)
     running.until(lambda: running.server.tabs == 0)
-    with talk(running.server):
-        assert len(running.measured(0.2)) > 5
+    with open_socket(running.server):
+        assert len(running.measure(0.2)) > 5
 
 
-def test_a_command_that_is_not_repeated_ends(running: Running):
-    with talk(running.server) as line:
+def test_command_that_is_not_repeated_ends(running: Running):
+    with open_socket(running.server) as line:
         running.until(lambda: running.server.tabs > 0)
         line.send('{"command": [0.5, 0, 0]}')
-        rows = running.drive.robot.rows
-        running.until(lambda: rows and rows[-1].command[0] == 0.5)
+        running.until(lambda: running.drive.robot.rows and running.last.command[0] == 0.5)
         begin = time.monotonic()
-        running.until(lambda: rows[-1].command[0] == 0.0)
+        running.until(lambda: running.last.command[0] == 0.0)
         assert 2.0 < time.monotonic() - begin < 5.0
 
 
-def test_a_file_of_commands_drives_in_place_of_the_page(running: Running, tmp_path: Path):
+def test_file_of_commands_replaces_the_page(running: Running, tmp_path: Path):
     drive, file = running.drive, tmp_path / "commands.csv"
     file.write_text("time,forward,sideways,yaw_rate\n0,0.4,0,0\n")
     drive.source = FileCommands(file)
     try:
-        with talk(running.server) as line:
+        with open_socket(running.server) as line:
             line.send('{"command": [-0.5, 0, 0]}')
-            running.until(lambda: drive.robot.rows[-1].command[0] == 0.4)
-            assert all(row.command[0] >= 0.0 for row in running.measured(0.2))
+            running.until(lambda: running.last.command[0] == 0.4)
+            assert all(row.command[0] >= 0.0 for row in running.measure(0.2))
     finally:
         drive.source = None
         drive.robot.command([0.0, 0.0, 0.0])
 
 
-def test_play_in_the_browser_is_the_page_with_its_parameters(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_play_browser_serves_the_page_with_its_parameters(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     served: list[Any] = []
     monkeypatch.setattr("surefoot.cli.helpers.drive_page.serve", lambda *given: served.append(given))
     assert play.main(["go2-steer", "--browser", "--set", "base_mass_ratio=1.5", "--commands", "walk.csv"]) == 0
@@ -169,12 +171,12 @@ def test_play_in_the_browser_is_the_page_with_its_parameters(monkeypatch: pytest
         play.main(["go2-steer", "--browser", "--out", "x.mp4"])
 
 
-def test_a_policy_without_commands_takes_none_from_elsewhere():
+def test_policy_without_commands_refuses_a_source_of_them():
     with pytest.raises(SurefootError, match="'trot' has no commands to follow"):
         serve(DrivePage("trot", "mujoco"), None, 0, "5555")
 
 
-def test_for_other_machines_the_address_holds_a_token(running: Running):
+def test_address_for_other_machines_holds_a_token():
     server = PageServer("127.0.0.1", 0, 1)
     try:
         assert len(server.address.split("/")[3]) > 20
@@ -185,7 +187,7 @@ def test_for_other_machines_the_address_holds_a_token(running: Running):
         server.stop()
 
 
-def test_a_port_that_is_taken_is_told_in_a_line():
+def test_taken_port_is_one_line():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -204,7 +206,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def shared(running: Running, browser: Browser) -> Iterator[Page]:
-    """Give a tab that drives; its errors fail the tests."""
+    """Yield a tab that drives; its errors fail the tests."""
     # A small picture, as it is drawn in software here.
     page = browser.new_page(viewport={"width": 600, "height": 420})
     wrong = errors_of(page)
@@ -218,16 +220,12 @@ def shared(running: Running, browser: Browser) -> Iterator[Page]:
 
 @pytest.fixture
 def page(running: Running, shared: Page) -> Page:
-    """Give the tab that drives, with a robot that has just begun to stand, as its sheet says."""
+    """Return the tab that drives, with a robot that has just been restarted."""
     robot = running.drive.robot
     before = robot.restarts
     shared.locator("#restart").click()
     running.until(lambda: robot.restarts > before)
     return shared
-
-
-def speed(rows: list[DrivenStep]) -> float:
-    return float(np.mean([row.velocity[0] for row in rows]))
 
 
 def torque(rows: list[DrivenStep]) -> float:
@@ -242,46 +240,42 @@ def heat(rows: list[DrivenStep]) -> float:
     return float(np.mean([row.heat for row in rows]))
 
 
-@in_browser
-@pytest.mark.realtime
-def test_the_joystick_moves_the_robot_and_lets_it_stand(running: Running, page: Page):
-    hold_stick(page, 0.4, 0.0)
-    running.until(lambda: running.drive.robot.rows[-1].command[0] > 0.5)
-    running.until(lambda: running.drive.robot.rows[-1].velocity[0] > 0.5)
-    page.mouse.up()
-    running.until(lambda: running.drive.robot.rows[-1].command[0] == 0.0)
-    assert abs(speed(running.measured(1.0)[-20:])) < 0.3
-
-
 def shift(rows: list[DrivenStep]) -> float:
     return float(max(np.linalg.norm(row.position[:2] - rows[0].position[:2]) for row in rows))
 
 
 @in_browser
 @pytest.mark.realtime
-def test_sticks_of_a_gamepad_are_commands(running: Running, page: Page):
-    pad = "navigator.getGamepads = () => [{ connected: true, axes: [0.05, -0.5, 1, 0] }]"
-    page.evaluate(pad)
-    rows, limits = running.drive.robot.rows, running.drive.robot.limits
-    assert limits is not None
-    half = pytest.approx(0.5 * limits.forward[1])
-    # A stick that is almost in its middle is in it.
-    running.until(lambda: rows[-1].command[0] == half and rows[-1].velocity[2] < -0.4)
-    assert rows[-1].command[1] == 0.0
-    page.evaluate("navigator.getGamepads = () => []")
-    running.until(lambda: rows[-1].command[0] == 0.0)
+def test_joystick_moves_the_robot_until_it_is_released(running: Running, page: Page):
+    hold_stick(page, 0.4, 0.0)
+    running.until(lambda: running.last.command[0] > 0.5)
+    running.until(lambda: running.last.velocity[0] > 0.5)
+    page.mouse.up()
+    running.until(lambda: running.last.command[0] == 0.0)
+    assert abs(np.mean([row.velocity[0] for row in running.measure(1.0)[-20:]])) < 0.3
 
 
 @in_browser
 @pytest.mark.realtime
-def test_the_joystick_goes_sideways_if_it_is_told_to(running: Running, page: Page):
+def test_gamepad_gives_commands_with_a_dead_zone(running: Running, page: Page):
+    page.evaluate("navigator.getGamepads = () => [{ connected: true, axes: [0.05, -0.5, 1, 0] }]")
+    assert running.drive.robot.limits is not None
+    half = pytest.approx(0.5 * running.drive.robot.limits.forward[1])
+    running.until(lambda: running.last.command[0] == half and running.last.velocity[2] < -0.4)
+    assert running.last.command[1] == 0.0
+    page.evaluate("navigator.getGamepads = () => []")
+    running.until(lambda: running.last.command[0] == 0.0)
+
+
+@in_browser
+@pytest.mark.realtime
+def test_joystick_goes_sideways_with_its_box_checked(running: Running, page: Page):
     page.locator("#strafe").check()
     hold_stick(page, 0.0, 0.5)
-    rows = running.drive.robot.rows
-    running.until(lambda: rows[-1].command[1] == pytest.approx(0.5, abs=0.02) and rows[-1].velocity[1] > 0.2)
+    running.until(lambda: running.last.command[1] == pytest.approx(0.5, abs=0.02) and running.last.velocity[1] > 0.2)
     page.mouse.up()
     page.locator("#strafe").uncheck()
-    running.until(lambda: rows[-1].command[1] == 0.0)
+    running.until(lambda: running.last.command[1] == 0.0)
 
 
 @in_browser
@@ -295,53 +289,50 @@ def test_the_joystick_goes_sideways_if_it_is_told_to(running: Running, page: Pag
         ("contact_friction", 0.05, False, shift, 1.5, 1000.0),
     ],
 )
-def test_a_slider_changes_the_motion_of_the_same_robot(
-    running: Running,
-    page: Page,
-    name: str,
-    value: float,
-    walks: bool,
-    figure: Callable[[list[DrivenStep]], float],
-    low: float,
-    high: float,
+def test_slider_changes_the_motion_of_the_same_robot(
+    running: Running, page: Page, name: str, value: float, walks: bool, figure: Any, low: float, high: float
 ):
     robot, slider = running.drive.robot, page.locator(f"input[type=range][name={name}]")
     before = float(getattr(robot.env.world.params, name).mean())
+
+    def measure() -> float:
+        if figure is shift:
+            page.locator("#push").click()
+        return figure(running.measure(0.6))
+
+    def set_value(value: float) -> None:
+        slider.fill(str(value))
+        running.until(lambda: getattr(robot.env.world.params, name).mean() == pytest.approx(value, rel=1e-3))
+
+    page.locator("#force").fill("100")
     if walks:
         page.locator("#why").click()
         page.keyboard.down("w")
-        running.until(lambda: robot.rows[-1].command[0] > 0.5)
-    running.measured(1.0 if walks else 0.5)
-    if figure is shift:
-        page.locator("#force").fill("100")
-        page.locator("#push").click()
-    usual = figure(running.measured(0.6))
-    slider.fill(str(value))
-    running.until(lambda: getattr(robot.env.world.params, name).mean() == pytest.approx(value, rel=1e-3))
-    running.measured(0.5)
-    if figure is shift:
-        page.locator("#push").click()
-    changed = figure(running.measured(0.6))
+        running.until(lambda: running.last.command[0] > 0.5)
+    running.measure(1.0 if walks else 0.5)
+    nominal = measure()
+    set_value(value)
+    running.measure(0.5)
+    changed = measure()
     page.keyboard.up("w")
-    slider.fill(str(before))
-    running.until(lambda: getattr(robot.env.world.params, name).mean() == pytest.approx(before, rel=1e-3))
-    assert low < changed / usual < high
+    set_value(before)
+    assert low < changed / nominal < high
     assert running.drive.robot is robot
 
 
 @in_browser
 @pytest.mark.realtime
-def test_the_button_pushes_to_its_side(running: Running, page: Page):
+def test_button_pushes_to_the_chosen_side(running: Running, page: Page):
     page.locator("#force").fill("150")
     page.locator("#direction").select_option("90")
-    running.measured(0.3)
+    running.measure(0.3)
     page.locator("#push").click()
     running.until(lambda: max(row.velocity[1] for row in list(running.drive.robot.rows)[-40:]) > 0.3)
 
 
 @in_browser
 @pytest.mark.realtime
-def test_time_is_slowed_and_stopped(running: Running, page: Page):
+def test_page_slows_and_pauses_time(running: Running, page: Page):
     page.locator("#speed").select_option("0.25")
     running.until(lambda: running.drive.speed == 0.25)
     begin, simulated = time.monotonic(), running.drive.robot.time
@@ -358,18 +349,16 @@ def test_time_is_slowed_and_stopped(running: Running, page: Page):
 
 
 @in_browser
-def test_a_second_tab_watches_and_drives_once_the_first_has_gone(running: Running, page: Page, browser: Browser):
+def test_second_tab_watches_until_the_first_is_closed(running: Running, page: Page, browser: Browser):
     second = browser.new_page(viewport={"width": 300, "height": 300})
     second.goto(running.server.address)
     watches = "document.getElementById('role').textContent.includes('watching')"
     second.wait_for_function(watches)
     assert second.locator("#push").is_disabled()
     assert page.locator("#push").is_enabled()
-    with talk(running.server) as line:
+    with open_socket(running.server) as line:
         line.send('{"pause": true}')
-        while "error" not in (said := json.loads(line.recv(timeout=10))):
-            pass
-        assert "you watch" in said["error"]
+        assert "you watch" in read_error(line)
     assert not running.drive.paused
     page.goto("about:blank")
     second.wait_for_function(f"!{watches}")
@@ -386,18 +375,18 @@ def test_a_second_tab_watches_and_drives_once_the_first_has_gone(running: Runnin
 
 
 @in_browser
-def test_policies_and_worlds_change_while_it_runs(running: Running, page: Page):
+def test_page_changes_policy_and_world(running: Running, page: Page):
     page.locator("#policy").select_option("go2-trot")
     running.until(lambda: running.drive.policy == "go2-trot")
     page.wait_for_function("document.getElementById('why').textContent.includes('follows no commands')")
     assert "off" in (page.locator("#stick").get_attribute("class") or "")
-    assert running.measured(0.1)
+    assert running.measure(0.1)
     page.locator("#policy").select_option("go2-steer")
     running.until(lambda: running.drive.policy == "go2-steer")
     if "bullet" in running.drive.worlds:
         page.locator("#world").select_option("bullet")
         running.until(lambda: running.drive.world == "bullet")
-        assert running.measured(0.1)
+        assert running.measure(0.1)
         page.locator("#world").select_option("mujoco")
         running.until(lambda: running.drive.world == "mujoco")
 

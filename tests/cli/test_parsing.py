@@ -1,8 +1,7 @@
-"""Words of the command line that do not fit are told in one line, before anything is simulated."""
+"""Invalid words of a command line are refused in one line, before anything is simulated."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
@@ -10,29 +9,22 @@ from processes import refused, surefoot
 
 pytest.importorskip("mujoco")
 
-FAR = [
+INVALID = [
     ("train trot --seed 12345678901234567890123", "seed is 12345678901234567890123; it must be 4294967295 or less"),
     ("train trot --ppo.gamma nan", "ppo.gamma is nan; it must be a finite number"),
     ("train trot --ppo.gamma 2", "ppo.gamma is 2; it must be 1 or less"),
-    ("train trot --learning-threads -1", "learning_threads is -1; it must be 0 or more"),
     ("train trot --task.history 1000000000", "history is 1000000000; it must be 100 or less"),
     ("train trot --ppo.policy-hidden", "--ppo.policy-hidden has no value"),
     ("train trot --name ../../x", "name is '../../x'; a name has letters"),
-    ("train trot --task.name ../../x", "name is '../../x'; a name has letters"),
     ("train name.yaml", "name.yaml: name is '../../x'; a name has letters"),
     ("train digits.yaml", "digits.yaml: is not YAML"),
     ("train large.yaml", "fall_angle is 1000000"),
     ("train list.yaml", "list.yaml: train: it is [1]; it must be a table"),
     ("study name.yaml", "name is '../../x'; a name has letters"),
     ("evaluate trot --trace", "--trace has no value; it takes one or more"),
-    ("evaluate trot --seed -1", "seed is -1; it must be 0 or more"),
     ("evaluate trot --params /dev/zero", "/dev/zero: can't be read: not a regular file"),
-    ("evaluate trot --params pipe", "pipe: can't be read: not a regular file"),
     ("play trot --seconds 1e30", "seconds is 1e+30; it must be 3600 or less"),
     ("sensitivity trot --values 1000000000", "values is 1000000000; it must be 1000 or less"),
-    ("sensitivity trot --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
-    ("gap trot --to mujoco --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
-    ("deploy trot --port none --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
     ("emulate --duration 1e30", "duration is 1e+30; it must be 10000000 or less"),
     ("evaluate trot --actuator servo", "servo"),
     ("train trot --actuator --pushes", "--actuator"),
@@ -42,9 +34,6 @@ FAR = [
     ("evaluate trot --actuator constraint --thermal-protection --out o", "it requires actuator dc"),
     ("train trot --actuator constraint --task.thermal-protection", "thermal_protection is on; it requires actuator dc"),
     ("play trot --control-latency 1", "control_latency is 1; minitaur allows 0 to 0.1"),
-    ("sensitivity trot --control-latency 1", "control_latency is 1; minitaur allows 0 to 0.1"),
-    ("train trot --control-latency 1", "control_latency is 1; minitaur allows 0 to 0.1"),
-    ("gap trot --to mujoco --threads -1", "threads is -1; it must be 0 or more"),
     (
         "train trot --randomize.control_latency 0.03 0.01",
         "[0.03, 0.01]; the lower bound must come first",
@@ -54,19 +43,14 @@ FAR = [
     ("evaluate trot --randomize.base_mass_ratio 80 120", "minitaur allows base_mass_ratio from 0.2 to 5"),
     ("evaluate trot --randomize nowhere", "'nowhere' does not exist; choices: ensemble, none, table1, or the path"),
     ("train walk", "task 'walk' does not exist; choices: gallop, gallop-robust, scratch, steer, trot"),
-    ("train gallop --num-envs 0", "num_envs is 0; it must be 1 or more"),
     ("train gallop --num-envs few", "few"),
     ("train gallop --nun-envs 8", "nun-envs"),
-    ("train gallop --task.params control_latency -0.01", "control_latency is -0.01; minitaur allows 0 to 0.1"),
     ("train gallop --task.robot spot", "robot 'spot': no such robot"),
     ("train trot --task.feedback.swing -2 2", "swing can be -2.300 to 2.300 rad"),
     ("train gallop --task.observations roll smell", "observation 'smell' does not exist; choices: roll, pitch"),
     ("train --resume nowhere", "nowhere: is not a run folder"),
     ("train --resume run --params robot.toml", "Unrecognized options: --params"),
     ("sensitivity", "no policy is given"),
-    ("sensitivity trot nowhere", "policy 'nowhere' does not exist"),
-    ("sensitivity trot --episodes 0", "episodes is 0; it must be 1 or more"),
-    ("sensitivity trot --values 1", "values is 1; it must be 2 or more"),
     ("sensitivity trot --duration 0", "duration is 0; it must be over 0"),
     ("sensitivity trot --world moon", "world 'moon' does not exist; choices: mujoco"),
     ("sensitivity trot --ranges table9", "'table9' does not exist; choices: ensemble, none, table1"),
@@ -76,8 +60,10 @@ FAR = [
 
 
 @pytest.mark.timeout(60)
-@pytest.mark.parametrize(("line", "said"), FAR, ids=[line.encode(errors="replace").decode() for line, _ in FAR])
-def test_what_is_out_of_bounds_is_refused_at_once(line: str, said: str, tmp_path: Path):
+@pytest.mark.parametrize(
+    ("line", "message"), INVALID, ids=[line.encode(errors="replace").decode() for line, _ in INVALID]
+)
+def test_invalid_option_is_refused_in_one_line(line: str, message: str, tmp_path: Path):
     if line.startswith(("train", "study")):
         pytest.importorskip("torch")
     if line.startswith("sensitivity"):
@@ -87,16 +73,15 @@ def test_what_is_out_of_bounds_is_refused_at_once(line: str, said: str, tmp_path
     (tmp_path / "large.yaml").write_text(f"fall_angle: 1{'0' * 400}\n")
     (tmp_path / "list.yaml").write_text("train: [1]\n")
     (tmp_path / "ranges.yaml").write_text("randomize: {voltage: [16, 15]}\n")
-    os.mkfifo(tmp_path / "pipe")
     before = sorted(tmp_path.iterdir())
-    refused(surefoot(*line.split(" "), cwd=tmp_path), said)
+    refused(surefoot(*line.split(" "), cwd=tmp_path), message)
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_an_error_is_one_short_line_that_steers_no_terminal(tmp_path: Path):
+def test_error_is_one_short_line_without_control_characters(tmp_path: Path):
     path = tmp_path / "a.yaml"
     path.write_text(f'"\\e[2J{"x" * 100_000}": 1\n')
-    told = surefoot("evaluate", "trot", "--randomize", path)
-    refused(told)
-    assert len(told.stderr) < 2500
-    assert "\033" not in told.stderr
+    done = surefoot("evaluate", "trot", "--randomize", path)
+    refused(done)
+    assert len(done.stderr) < 2500
+    assert "\033" not in done.stderr

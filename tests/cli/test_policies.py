@@ -44,23 +44,23 @@ def edited(path: Path, changes: dict[str, Any]) -> Path:
             "column 1 is 'roll_rate' (policy), 'pitch' (data sheet)",
         ),
         ({"robot": "spot"}, "policy 'trot' must not run on minitaur: it is for robot 'spot'"),
-        ({"schema": 1}, "has schema 1; this surefoot reads schema 2: export the policy again"),
+        ({"schema": 1}, "has schema 1; this surefoot reads schema 2: use the version that wrote it"),
     ],
 )
-def test_a_simulation_refuses_a_contract_that_the_robot_does_not_fit(changes: dict[str, Any], why: str, tmp_path: Path):
+def test_load_policy_refuses_a_contract_of_another_robot(changes: dict[str, Any], why: str, tmp_path: Path):
     with pytest.raises(SurefootError) as error:
         load_policy(edited(tmp_path / "edited.onnx", changes), None)
     assert re.search(re.escape(why) if "(" in why else why, str(error.value))
     assert "\n" not in str(error.value)
 
 
-def test_policies_that_are_compared_are_checked_too(tmp_path: Path):
+def test_load_policies_checks_each_policy(tmp_path: Path):
     policy = edited(tmp_path / "edited.onnx", {"rest": [0.0, 3.0]})
     with pytest.raises(SurefootError, match="policy 'trot' must not run on minitaur: extension at rest is 3 rad"):
         load_policies([find_policy("gallop"), policy])
 
 
-def test_a_policy_keeps_its_control_step_and_gains_on_another_robot(tmp_path: Path):
+def test_policy_keeps_its_control_step_and_gains_on_another_robot(tmp_path: Path):
     folder = tmp_path / "robot"
     shutil.copytree(RobotDescription.load("minitaur").folder, folder)
     policy = edited(tmp_path / "edited.onnx", {"control_step": 0.008, "servo_kp": 2.0})
@@ -71,5 +71,5 @@ def test_a_policy_keeps_its_control_step_and_gains_on_another_robot(tmp_path: Pa
 
 
 @pytest.mark.parametrize("policy", shipped_policies())
-def test_every_policy_that_ships_fits_its_robot(policy: str):
+def test_shipped_policy_fits_its_robot(policy: str):
     open_policy(find_policy(policy))

@@ -1,4 +1,4 @@
-"""Recorded runs in a real browser: served, and as one file; and what is refused."""
+"""The page of recorded runs in a real browser, served and as one file; traces that it refuses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -58,17 +58,17 @@ def browser() -> Iterator[Browser]:
 
 
 def opened(browser: Browser, url: str) -> Page:
-    """Open a page at the start of its runs, which do not play; nothing may go wrong, and nothing else be asked for."""
+    """Open a page at time 0, paused; it must request nothing else and raise no errors."""
     # A small picture, as it is drawn in software here.
-    tab, asked = browser.new_page(viewport={"width": 480, "height": 400}), list[str]()
+    tab, requests = browser.new_page(viewport={"width": 480, "height": 400}), list[str]()
     wrong = errors_of(tab)
-    tab.on("request", lambda request: asked.append(request.url))
+    tab.on("request", lambda request: requests.append(request.url))
     tab.goto(url)
     tab.evaluate("setPlaying(false)")
     tab.wait_for_function("document.body.dataset.ready === 'yes'")
     tab.evaluate("setTime(0)")
     assert wrong == []
-    assert asked == [url]
+    assert requests == [url]
     return tab
 
 
@@ -112,14 +112,14 @@ def served(trace: Path, *words: str) -> Iterator[str]:
 
 
 def place(page: Page, node: str) -> list[float]:
-    """Return where a frame of the scene is, in the frame that holds it [m]."""
-    asked = "node => document.getElementById('view').contentWindow.__viserMutable.nodePoseData[node].position"
-    found: list[float] = page.evaluate(asked, node)
-    return found
+    """Return the position of a frame of the scene in its parent [m]."""
+    script = "node => document.getElementById('view').contentWindow.__viserMutable.nodePoseData[node].position"
+    position: list[float] = page.evaluate(script, node)
+    return position
 
 
 @in_browser
-def test_the_time_line_moves_both_robots_at_their_own_speed(page: Page):
+def test_time_line_moves_each_robot_at_its_speed(page: Page):
     assert place(page, "/world/r0/base")[0] == pytest.approx(0.005, abs=1e-3)
     page.locator("#time").fill("1.5")
     assert place(page, "/world/r0/base")[0] == pytest.approx(0.75, abs=1e-3)
@@ -130,7 +130,7 @@ def test_the_time_line_moves_both_robots_at_their_own_speed(page: Page):
 
 @in_browser
 @pytest.mark.parametrize("number", [0, 1])
-def test_links_are_where_the_kinematics_has_them(page: Page, number: int):
+def test_drawn_links_match_forward_kinematics(page: Page, number: int):
     """The places that the browser draws, of every frame below the base, against forward kinematics in Python."""
     page.locator("#time").fill("0.3")
     robot = RobotDescription.load(ROBOTS[number])
@@ -155,7 +155,7 @@ def test_links_are_where_the_kinematics_has_them(page: Page, number: int):
 
 
 @in_browser
-def test_robots_stand_side_by_side_or_over_each_other_or_one_is_hidden(page: Page):
+def test_layouts_place_and_hide_robots(page: Page):
     assert place(page, "/world/r0")[1] - place(page, "/world/r1")[1] > 0.5
     page.locator("#layout").select_option("over")
     assert place(page, "/world/r0")[1] == place(page, "/world/r1")[1] == 0.0
@@ -169,7 +169,7 @@ def test_robots_stand_side_by_side_or_over_each_other_or_one_is_hidden(page: Pag
 
 
 @in_browser
-def test_it_plays_and_a_click_into_a_plot_goes_there(page: Page):
+def test_page_plays_and_follows_a_click_into_a_plot(page: Page):
     page.locator("#speed").select_option("2")
     page.locator("#play").click()
     page.wait_for_function("+document.getElementById('time').value > 0.4")
@@ -185,7 +185,7 @@ def test_it_plays_and_a_click_into_a_plot_goes_there(page: Page):
 
 
 @in_browser
-def test_plots_show_what_the_runs_have_at_the_cursor(page: Page):
+def test_plots_show_values_at_the_cursor(page: Page):
     page.locator("#time").fill("1")
     figures = page.locator(".plot").filter(has_text="speed forward").locator("output span").all_inner_texts()
     assert figures == ["0.50", "1.00"]
@@ -199,7 +199,7 @@ def test_plots_show_what_the_runs_have_at_the_cursor(page: Page):
 
 
 @in_browser
-def test_it_is_served_to_this_machine(traces: list[Path], browser: Browser):
+def test_show_serves_the_page(traces: list[Path], browser: Browser):
     with served(traces[0]) as url:
         tab = opened(browser, url)
         tab.locator("#time").fill("1")
@@ -207,7 +207,7 @@ def test_it_is_served_to_this_machine(traces: list[Path], browser: Browser):
         tab.close()
 
 
-def test_for_other_machines_the_page_has_a_token(traces: list[Path]):
+def test_page_for_other_machines_has_a_token(traces: list[Path]):
     with served(traces[0], "--host", "127.0.0.1") as url:
         assert urllib.request.urlopen(url).status == 200
         for inside in (re.sub(r"/[^/]+/$", "/", url), url + "socket", url + "viser"):
@@ -215,77 +215,31 @@ def test_for_other_machines_the_page_has_a_token(traces: list[Path]):
                 urllib.request.urlopen(inside)
 
 
-def cut(path: Path, content: bytes) -> None:
-    path.write_bytes(content[: len(content) // 2])
-
-
-def with_infinity(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
-    with np.load(path) as file:
-        arrays = dict(file)
-    arrays["motor_angle"][3, 2] = np.inf
-    np.savez(path, **arrays)
-
-
-def without_rows(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
-    with np.load(path) as file:
-        arrays = dict(file)
-    whole = {"meta": arrays["meta"], "base_position_world": arrays["base_position_world"][:1]}
-    whole["base_quat_world"] = arrays["base_quat_world"][:1]
-    np.savez(path, **{name: array[:0] for name, array in arrays.items() if name not in whole}, **whole)
-
-
-def arrays_alone(path: Path, _: bytes) -> None:
-    np.savez(path, time=np.arange(3.0), command=np.zeros((3, 12)))
-
-
-@pytest.mark.parametrize(
-    ("write", "said"),
-    [
-        (cut, "cut off or damaged"),
-        (lambda path, _: path.write_bytes(b""), "cut off or damaged"),
-        (lambda path, _: path.write_text("time,angle\n1,2\n"), "not an episode trace"),
-        (with_infinity, "row 3 holds inf"),
-        (without_rows, "at least one control step"),
-        (arrays_alone, "not an episode trace"),
-    ],
-)
-def test_what_is_no_trace_is_told_in_a_line(
-    write: Callable[[Path, bytes], Any],
-    said: str,
-    traces: list[Path],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-):
-    path = tmp_path / "bad.npz"
-    write(path, traces[0].read_bytes())
-    assert main(["show", str(traces[0]), str(path), "--html", str(tmp_path / "x.html")]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
-    assert "bad.npz" in line
-    assert not (tmp_path / "x.html").exists()
-
-
-def test_other_bad_words_are_told_in_a_line(
+def test_show_refuses_what_is_no_trace_of_a_known_robot(
     make_run: MakeRun, traces: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     foreign = make_run(robot="nemo/../evil").save(tmp_path / "foreign.npz")
     renamed = make_run().save(tmp_path / "renamed.npz")
-    for words, said in (
+    cut, arrays = tmp_path / "cut.npz", tmp_path / "arrays.npz"
+    cut.write_bytes(traces[0].read_bytes()[:1000])
+    np.savez(arrays, time=np.arange(3.0), command=np.zeros((3, 12)))
+    for words, message in (
         ([], "no TRACE is given"),
-        ([str(foreign)], "which does not ship; give its folder with --robot"),
-        ([str(renamed)], "is of robot 'minitaur'"),
-        ([str(tmp_path / "none.npz")], "does not exist"),
-        ([str(traces[0]), "--html", "x.txt"], "must end in .html"),
-        ([str(traces[0])] * 17, "17 traces are given"),
+        ([foreign], "which does not ship; give its folder with --robot"),
+        ([renamed], "is of robot 'minitaur'"),
+        ([traces[0], cut], "cut.npz: cut off or damaged"),
+        ([arrays], "arrays.npz: not an episode trace"),
+        ([tmp_path / "none.npz"], "does not exist"),
+        ([traces[0], "--html", "x.txt"], "must end in .html"),
+        ([traces[0]] * 17, "17 traces are given"),
     ):
-        assert main(["show", *words]) == 2
+        assert main(["show", "--html", str(tmp_path / "x.html"), *map(str, words)]) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert said in line
+        assert message in line
+        assert not (tmp_path / "x.html").exists()
 
 
-def test_a_log_that_names_no_robot_is_shown_with_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_log_is_shown_with_the_robot_that_is_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     time = 0.01 * np.arange(50)
     np.savez(tmp_path / "log.npz", time=time, command=np.tile(np.sin(time)[:, None], (1, 12)), imu=np.zeros((50, 4)))
     assert main(["show", str(tmp_path / "log.npz"), "--robot", "go2", "--html", str(tmp_path / "log.html")]) == 0

@@ -38,14 +38,14 @@ TINY = (
 def page(tmp_path: Path) -> Iterator[Page]:
     with running_browser() as browser:
         page = browser.new_page(viewport={"width": 500, "height": 400})
-        page.set_default_timeout(60_000)  # the page gives way to the training
+        page.set_default_timeout(60_000)  # the page has low priority
         # Without the 3D view, which would take the time that the training needs.
         page.route("**/view?*", lambda route: route.fulfill(body="", content_type="text/html"))
         yield page
 
 
 @in_browser
-def test_the_page_shows_newer_policies_and_ends_with_the_training(page: Page, tmp_path: Path):
+def test_page_shows_newer_policies_and_ends_with_the_training(page: Page, tmp_path: Path):
     words = [*TINY, "--steps", "10000000"]
     train = subprocess.Popen(
         [*SUREFOOT, "train", *words, "--browser", "--page-port", "0"],
@@ -60,14 +60,14 @@ def test_the_page_shows_newer_policies_and_ends_with_the_training(page: Page, tm
         wrong = errors_of(page)
         page.goto(address)
         page.wait_for_function("document.getElementById('state').textContent.includes('m/s')")
-        # It walks at half of its top speed before anybody steers.
+        # It walks at half of its top speed until it is steered.
         page.wait_for_function("points.length > 5 && points[points.length - 1].command[0] > 0.5")
         first = newest.stat().st_mtime_ns
         deadline = time.monotonic() + 60
         while newest.stat().st_mtime_ns == first and time.monotonic() < deadline:
             time.sleep(0.1)
-        seen = page.evaluate("points[points.length - 1].time")
-        page.wait_for_function(f"points[points.length - 1].time > {seen} + 1.5")
+        shown = page.evaluate("points[points.length - 1].time")
+        page.wait_for_function(f"points[points.length - 1].time > {shown} + 1.5")
         assert newest.stat().st_mtime_ns > first
         assert wrong == []
     finally:
@@ -78,14 +78,14 @@ def test_the_page_shows_newer_policies_and_ends_with_the_training(page: Page, tm
 
 
 def content(checkpoint: Path) -> bytes:
-    """Return all that a checkpoint holds but how long it took."""
+    """Return the content of a checkpoint without its duration."""
     state, buffer = read_checkpoint(checkpoint), io.BytesIO()
     del state["seconds"]
     torch.save(state, buffer)
     return buffer.getvalue()
 
 
-def test_weights_are_those_of_a_training_without_a_page(tmp_path: Path):
+def test_page_does_not_change_the_weights(tmp_path: Path):
     options = {"with": ("--browser", "--page-port", "0"), "without": ()}
     runs = [
         subprocess.Popen(
@@ -95,8 +95,8 @@ def test_weights_are_those_of_a_training_without_a_page(tmp_path: Path):
         for name, words in options.items()
     ]  # fmt: skip
     for run in runs:
-        said, _ = run.communicate(timeout=200)
-        assert run.returncode == 0, said
+        output, _ = run.communicate(timeout=200)
+        assert run.returncode == 0, output
     first, second = (content(next(tmp_path.glob(f"{name}/*/*/checkpoints/latest.ckpt"))) for name in options)
     assert first == second
     assert not list(tmp_path.glob("with/*/*/newest.onnx"))

@@ -1,4 +1,4 @@
-"""Robots in MuJoCo's viewer, whose window is played by a few lines."""
+"""Robots in MuJoCo's viewer, with a fake window."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROBOT = RobotDescription.load("minitaur")
 
 
 class Window:
-    """A viewer that is closed after some pictures; keeps where the base was in each."""
+    """Viewer that is closed after some pictures, and keeps the base's place in each."""
 
     def __init__(self, pictures: int) -> None:
         self.left, self.seen = pictures, []
@@ -40,7 +40,7 @@ class Window:
         self.seen.append(self.data.xpos[self.model.body(ROBOT.base).id].copy())
 
 
-def test_a_run_is_shown_in_real_time_and_again_from_its_start(make_run, monkeypatch: pytest.MonkeyPatch):
+def test_replay_shows_a_run_in_real_time_and_repeats_it(make_run, monkeypatch: pytest.MonkeyPatch):
     trace = make_run(1.0, arrays={"motor_angle": np.tile(ROBOT.resting_angles, (100, 1))})
     viewer = pytest.importorskip("mujoco.viewer")
     from surefoot.cli.helpers.viewer import replay
@@ -56,7 +56,7 @@ def test_a_run_is_shown_in_real_time_and_again_from_its_start(make_run, monkeypa
     assert window.cam.trackbodyid == window.model.body(ROBOT.base).id
 
 
-def test_an_emulated_robot_is_shown_where_it_is(monkeypatch: pytest.MonkeyPatch):
+def test_emulate_viewer_shows_the_present_pose(monkeypatch: pytest.MonkeyPatch):
     viewer = pytest.importorskip("mujoco.viewer")
     from surefoot.cli.helpers import viewer as ours
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
-import json
 import os
 import signal
 import threading
@@ -25,16 +24,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from edited import edited_policy
 from processes import Emulator, EmulatorHere, TooBusyError, emulators
 
 from surefoot.deploy.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
 from surefoot.deploy.poses import sitting_pose
-from surefoot.policy.contract import METADATA_KEY
-from surefoot.policy.digest import DIGEST_KEY, add_digest
 from surefoot.robot import RobotDescription
 from surefoot.task.partial_trace import SUFFIX, recover
 
 pytest.importorskip("mujoco")
+pytest.importorskip("onnx")
 
 from fault_bench import (
     OTHER_SESSION,
@@ -54,7 +53,6 @@ from fault_bench import (
 )
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
-TROT = Path(__file__).resolve().parents[2] / "policies" / "trot.onnx"
 MINITAUR = RobotDescription.load("minitaur")
 DAMPED_WITHIN = 0.100
 """What the table allows between a host's last command and damped motors [s]."""
@@ -105,49 +103,26 @@ def client(operators: Callable[[], Client]) -> Iterator[Client]:
 @pytest.fixture(scope="module")
 def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Trots that break when the body pitches faster than .5 rad/s, and one for which a slight lean is a fall."""
-    onnx = pytest.importorskip("onnx")
     from onnx import helper, numpy_helper
 
     folder = tmp_path_factory.mktemp("policies")
-    numbers = {
-        "pitch_rate": [[0.0, 0.0, 0.0, -1.0]],
-        "limit": [0.5],
-        "zero": [0.0],
-        "tiny": [1e-30],
+    numbers = {"pitch_rate": [[0.0, 0.0, 0.0, -1.0]], "limit": [0.5], "zero": [0.0], "tiny": [1e-30]}
+    nodes: dict[str, list[tuple[str, str, str]]] = {
+        "nan": [("Div", "left_only left_only", "ratio"), ("Mul", "ratio zero", "extra")],
+        "infinite": [("Sigmoid", "left", "some"), ("Div", "some left_only", "large"), ("Mul", "large tiny", "extra")],
     }
-    left = [
-        ("Gemm", "observation pitch_rate limit", "left", {"transB": 1}),
-        ("Relu", "left", "left_only", {}),
-    ]
-    ways: dict[str, list[tuple[str, str, str, dict[str, Any]]]] = {
-        "nan": [("Div", "left_only left_only", "ratio", {}), ("Mul", "ratio zero", "extra", {})],
-        "infinite": [
-            ("Sigmoid", "left", "some", {}),
-            ("Div", "some left_only", "large", {}),
-            ("Mul", "large tiny", "extra", {}),
-        ],
-    }
+    for name, added in nodes.items():
 
-    def write(model: Any, name: str) -> None:
-        helper.set_model_props(model, {one.key: one.value for one in model.metadata_props if one.key != DIGEST_KEY})
-        (folder / f"{name}.onnx").write_bytes(add_digest(model.SerializeToString()))
+        def extend(graph: Any, added: list[tuple[str, str, str]] = added) -> None:
+            graph.node[-1].output[0] = "plain"
+            for key, value in numbers.items():
+                graph.initializer.append(numpy_helper.from_array(np.array(value, np.float32), key))
+            graph.node.append(helper.make_node("Gemm", ["observation", "pitch_rate", "limit"], ["left"], transB=1))
+            for kind, inputs, output in (("Relu", "left", "left_only"), *added, ("Add", "plain extra", "feedback")):
+                graph.node.append(helper.make_node(kind, inputs.split(), [output]))
 
-    for name, nodes in ways.items():
-        model = onnx.load(TROT)
-        graph = model.graph
-        graph.node[-1].output[0] = "plain"
-        graph.initializer.extend(
-            numpy_helper.from_array(np.array(value, np.float32), key) for key, value in numbers.items()
-        )
-        for kind, inputs, output, how in (*left, *nodes, ("Add", "plain extra", "feedback", {})):
-            graph.node.append(helper.make_node(kind, inputs.split(), [output], **how))
-        write(model, name)
-    model = onnx.load(TROT)
-    (contract,) = (one for one in model.metadata_props if one.key == METADATA_KEY)
-    data = json.loads(contract.value)
-    data["task"]["fall_angle"] = LEAN
-    contract.value = json.dumps(data)
-    write(model, "leaning")
+        edited_policy(folder / f"{name}.onnx", policy="trot", graph=extend)
+    edited_policy(folder / "leaning.onnx", lambda contract: contract["task"].update(fall_angle=LEAN), "trot")
     return folder
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from edited import edited_policy
 
 torch = pytest.importorskip("torch")
 onnx = pytest.importorskip("onnx")
@@ -16,8 +18,6 @@ pytest.importorskip("mujoco")
 from surefoot.errors import SurefootError  # noqa: E402
 from surefoot.learn.config import PPOConfig, load_train_config  # noqa: E402
 from surefoot.learn.ppo_learner import PpoLearner  # noqa: E402
-from surefoot.policy.contract import METADATA_KEY  # noqa: E402
-from surefoot.policy.digest import add_digest  # noqa: E402
 from surefoot.policy.export import export_policy  # noqa: E402
 from surefoot.policy.runtime import PolicyRuntime  # noqa: E402
 from surefoot.task.contract_mapping import make_contract  # noqa: E402
@@ -135,16 +135,6 @@ def test_another_kind_of_file_is_refused(tmp_path: Path):
     refused(path, "is damaged or not ONNX")
 
 
-def change(policy_file: Path, path: Path, edit: object) -> Path:
-    """Edit a policy file; its digest matches."""
-    model = onnx.load(policy_file)
-    (contract,) = (p for p in model.metadata_props if p.key == METADATA_KEY)
-    onnx.helper.set_model_props(model, {METADATA_KEY: contract.value})
-    edit(model)  # type: ignore[operator]
-    path.write_bytes(add_digest(model.SerializeToString()))
-    return path
-
-
 def test_onnx_without_a_contract_is_refused(policy_file: Path, tmp_path: Path):
     model = onnx.load(policy_file)
     model.ClearField("metadata_props")
@@ -152,22 +142,19 @@ def test_onnx_without_a_contract_is_refused(policy_file: Path, tmp_path: Path):
     refused(tmp_path / "p.onnx", "has no contract")
 
 
-def test_a_graph_that_contradicts_its_contract_is_refused(policy_file: Path, tmp_path: Path):
-    def edit(model: object) -> None:
-        (prop,) = (p for p in model.metadata_props if p.key == METADATA_KEY)  # type: ignore[attr-defined]
-        prop.value = prop.value.replace('"history": 1', '"history": 2')
-
-    refused(change(policy_file, tmp_path / "p.onnx", edit), r"input is observation .*its contract says .*8\]")
+def test_a_graph_of_another_width_than_its_contract_is_refused(policy_file: Path, tmp_path: Path):
+    path = edited_policy(tmp_path / "p.onnx", lambda contract: contract.update(history=2), policy_file)
+    refused(path, r"input is observation .*its contract says .*8\]")
 
 
 def test_feedback_that_is_not_finite_is_refused(policy_file: Path, tmp_path: Path):
-    def edit(model: object) -> None:
+    def enlarge(graph: Any) -> None:
         large = {"minus_one": 1.0, "half_width": 3e38, "middle": 3e38}
-        for tensor in model.graph.initializer:  # type: ignore[attr-defined]
+        for tensor in graph.initializer:
             if tensor.name in large:
                 tensor.raw_data = np.full(tuple(tensor.dims), large[tensor.name], np.float32).tobytes()
 
-    runtime = PolicyRuntime.load(change(policy_file, tmp_path / "p.onnx", edit))
+    runtime = PolicyRuntime.load(edited_policy(tmp_path / "p.onnx", policy=policy_file, graph=enlarge))
     with pytest.raises(SurefootError, match="not finite"):
         runtime.feedback(np.zeros((1, 4)))
 

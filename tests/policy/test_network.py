@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from edited import edited_policy
 
 from surefoot.cli.helpers.policies import find_policy
 from surefoot.errors import SurefootError
 from surefoot.policy import runtime
-from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.digest import add_digest, read_parts
 from surefoot.policy.network import MAX_BYTES, MAX_NODES
 from surefoot.policy.protobuf import encode_field
@@ -27,16 +27,6 @@ make_node = onnx.helper.make_node
 @pytest.fixture
 def never_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runtime.onnxruntime, "InferenceSession", lambda *_, **__: pytest.fail("it was run"))
-
-
-def hostile(path: Path, edit: Callable[[Any], object]) -> Path:
-    """The trot that ships after an edit, with a digest that matches."""
-    model = onnx.load(find_policy("trot"))
-    (contract,) = (prop for prop in model.metadata_props if prop.key == METADATA_KEY)
-    onnx.helper.set_model_props(model, {METADATA_KEY: contract.value})
-    edit(model.graph)
-    path.write_bytes(add_digest(model.SerializeToString()))
-    return path
 
 
 def add(*items: Any) -> Callable[[Any], None]:
@@ -125,7 +115,7 @@ COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
 @pytest.mark.usefixtures("never_run")
 def test_a_hostile_network_is_refused_before_it_is_run(edit: Callable[[Any], object], message: str, tmp_path: Path):
     with pytest.raises(SurefootError, match=message) as caught:
-        PolicyRuntime.load(hostile(tmp_path / "hostile.onnx", edit))
+        PolicyRuntime.load(edited_policy(tmp_path / "hostile.onnx", policy="trot", graph=edit))
     assert str(caught.value).startswith(f"policy file {tmp_path / 'hostile.onnx'}: ")
     assert "\n" not in str(caught.value)
 

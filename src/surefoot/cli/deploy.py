@@ -7,7 +7,6 @@ computer's, or the run's trace was lost.
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import sys
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import PAGE_PORT, Count, Json, PagePort, PolicyName, Port, check_folder
-from surefoot.cli.helpers.output import show_command
+from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError
@@ -193,7 +192,7 @@ def _report(command: DeployCommand, deployment: Deployment, results: list[dict[s
     }
     with contextlib.suppress(OSError):
         if command.json:
-            print(json.dumps(report), flush=True)
+            print_json(report)
             return code
         for result in results:
             _print_result(result)

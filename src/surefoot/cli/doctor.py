@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import Annotated
@@ -14,6 +13,7 @@ from rich.text import Text
 from surefoot.check_result import CheckResult
 from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import Json, PolicyName, Port, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.output import make_console, print_json
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.policies import find_policy, open_policy
 from surefoot.configuration import Within
@@ -61,9 +61,9 @@ def main(argv: list[str]) -> int:
         place = "hang free, its legs in the air" if command.rack else "sit on flat ground with a metre of room"
         check_terminal(place)
         ask_to_move(place)
-    console = Console(highlight=False, soft_wrap=True, emoji=False)
+    console = make_console()
     if not command.json:
-        console.print(f"policy '{policy.contract.name}' for {robot.name}, port {command.port}", markup=False)
+        console.print(f"policy '{policy.contract.name}' for {robot.name}, port {command.port}")
     link = command.open_link(command.port, robot.num_motors)
     results = []
     try:
@@ -83,9 +83,9 @@ def main(argv: list[str]) -> int:
             "passed": not counts[False],
             "checks": [asdict(result) for result in results],
         }
-        print(json.dumps(data))
+        print_json(data)
     else:
-        console.print(f"{counts[True]} passed, {counts[False]} failed, {counts[None]} not done", markup=False)
+        console.print(f"{counts[True]} passed, {counts[False]} failed, {counts[None]} not done")
     return FAILED if counts[False] else 0
 
 

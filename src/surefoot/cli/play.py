@@ -42,13 +42,13 @@ def main(argv: list[str]) -> int:
     find_world(command.world)
     if command.browser:
         return _serve_page(command)
-    policy, robot, task, known = load_gait(path, command.robot)
+    policy, robot, task, origin = load_gait(path, command.robot)
     task = with_duration(command.apply(task, robot), robot, command.seconds)
     window = command.out is None and has_display()
     # Imported before anything is simulated, so that a missing package is reported at once.
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):
         import_module(module)
-    (trace,) = run_policy(policy, task, 1, command.world, command.seed, name=known["name"])
+    (trace,) = run_policy(policy, task, 1, command.world, command.seed, name=origin["name"])
     if window:
         replay(robot, trace)
     else:

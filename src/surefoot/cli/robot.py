@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 from rich.prompt import Prompt
 
 from surefoot.cli.doctor import FAILED, print_result
 from surefoot.cli.helpers.options import Json, check_folder
-from surefoot.cli.helpers.output import table_lines
+from surefoot.cli.helpers.output import make_console, print_json, run_action
 from surefoot.cli.helpers.parsing import parse
-from surefoot.errors import SurefootError, check_name, choices
+from surefoot.errors import check_name
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import ImportedRobot, Knees
 from surefoot.robot.importing.writer import set_servo_step, write_robot
 
-ACTIONS = {
-    "new": "read a robot from a URDF or MJCF, and write its folder",
-    "check": "check a robot's description",
-}
 PICTURE = "robot.png"
 """File of a robot's folder: the robot in its resting pose, axes and legs named."""
 
@@ -65,18 +59,11 @@ class CheckCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; return its exit code."""
-    if not argv or argv[0] in ("-h", "--help"):
-        print(f"usage: surefoot robot ACTION ...\n\nactions:\n{table_lines(ACTIONS)}")
-        return 0 if argv else 2
-    if argv[0] not in ACTIONS:
-        raise SurefootError(f"'{argv[0]}' is not an action; choices: {choices(ACTIONS)}")
-    if argv[0] == "new":
-        return _new(parse(NewCommand, argv[1:], "surefoot robot new"))
-    command = parse(CheckCommand, argv[1:], "surefoot robot check")
-    return _check(RobotDescription.load(command.robot), command.json)
+    return run_action(argv, "robot", ACTIONS)
 
 
-def _new(command: NewCommand) -> int:
+def _new(argv: list[str]) -> int:
+    command = parse(NewCommand, argv, "surefoot robot new")
     from surefoot.report.drawing.robot_picture import save_robot_picture
     from surefoot.robot.importing.reader import read_robot
     from surefoot.world.description_checks import longest_servo_step
@@ -99,7 +86,7 @@ def _new(command: NewCommand) -> int:
         print(f"guessed  {line}")
     save_robot_picture(robot, folder / PICTURE)
     print(f"wrote {folder}: robot.toml, robot.urdf, {PICTURE}")
-    return _check(robot)
+    return _run_checks(robot)
 
 
 def _ask_knees(robot: ImportedRobot) -> Knees | None:
@@ -111,17 +98,28 @@ def _ask_knees(robot: ImportedRobot) -> Knees | None:
     return answer  # type: ignore[return-value]
 
 
-def _check(robot: RobotDescription, as_json: bool = False) -> int:
+def _check(argv: list[str]) -> int:
+    command = parse(CheckCommand, argv, "surefoot robot check")
+    return _run_checks(RobotDescription.load(command.robot), command.json)
+
+
+def _run_checks(robot: RobotDescription, as_json: bool = False) -> int:
     from surefoot.world.description_checks import run_description_checks
 
-    console, results = Console(highlight=False, soft_wrap=True, emoji=False), []
+    console, results = make_console(), []
     for result in run_description_checks(robot):
         results.append(result)
         if not as_json:
             print_result(console, result)
     failed = sum(result.passed is False for result in results)
     if as_json:
-        print(json.dumps({"robot": robot.name, "passed": not failed, "checks": [asdict(item) for item in results]}))
+        print_json({"robot": robot.name, "passed": not failed, "checks": [asdict(item) for item in results]})
     else:
         print(f"{len(results) - failed} passed, {failed} failed")
     return FAILED if failed else 0
+
+
+ACTIONS = {
+    "new": ("read a robot from a URDF or MJCF, and write its folder", _new),
+    "check": ("check a robot's description", _check),
+}

@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 
 from surefoot.cli.helpers.options import Ray, Seed, Workers, check_folder
+from surefoot.cli.helpers.output import make_console
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Within
@@ -65,7 +66,7 @@ def main(argv: list[str]) -> int:
     if going_on:
         check_holds_search(out)
     _check(config)
-    console = Console(highlight=False, soft_wrap=True)
+    console = make_console()
     out.mkdir(parents=True, exist_ok=True)
     with folder_lock(out):
         search = Search(config, out, going_on)

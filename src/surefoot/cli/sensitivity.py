@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +17,7 @@ from surefoot.cli.helpers.options import (
     World,
     make_figures_folder,
 )
+from surefoot.cli.helpers.output import print_json
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions, describe_simulator
 from surefoot.configuration import Duration, Within, to_mapping
@@ -123,7 +123,7 @@ def main(argv: list[str]) -> int:
             ],
             "files": [str(file) for file in files],
         }
-        print(json.dumps(whole, allow_nan=False))
+        print_json(whole)
     else:
         _print_tables(results, files)
     return 0

@@ -71,14 +71,14 @@ def _load_traces(command: ShowCommand) -> list[ShownTrace]:
     from surefoot.identify.logs.robot_log import read_arrays
     from surefoot.report.pages.recorded_runs import ShownTrace
 
-    named = None if command.robot is None else RobotDescription.load(command.robot)
+    robot = None if command.robot is None else RobotDescription.load(command.robot)
     traces = []
     for path in command.trace:
-        if named is not None and path.is_file() and path.suffix == ".npz" and "meta" not in read_arrays(path):
-            traces.append((path, import_log(path, named)))
+        if robot is not None and path.is_file() and path.suffix == ".npz" and "meta" not in read_arrays(path):
+            traces.append((path, import_log(path, robot)))
         else:
             traces += find_traces(path)
-    robots = {} if named is None else {named.name: named}
+    robots = {} if robot is None else {robot.name: robot}
     for path, trace in traces:
         name = str(trace.meta["robot"])
         if name not in robots:
@@ -91,5 +91,5 @@ def _load_traces(command: ShowCommand) -> list[ShownTrace]:
     if len(set(titles)) < len(titles):
         titles = [f"{title}, {str(trace.meta['world'])[:80]}" for title, (_, trace) in zip(titles, traces, strict=True)]
     titles = distinct_names(titles, [f"{path.parent.name}/{path.stem}" for path, _ in traces])
-    shown = zip(titles, traces, strict=True)
-    return [ShownTrace(title, robots[str(trace.meta["robot"])], trace) for title, (_, trace) in shown]
+    pairs = zip(titles, traces, strict=True)
+    return [ShownTrace(title, robots[str(trace.meta["robot"])], trace) for title, (_, trace) in pairs]

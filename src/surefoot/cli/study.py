@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 
 from surefoot.cli.helpers.options import Ray, Workers
+from surefoot.cli.helpers.output import make_console
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Seed
@@ -71,7 +72,7 @@ def main(argv: list[str]) -> int:
         run.check(extend=command.extend)
     for run in runs if command.extend else []:
         run.extend()
-    console = Console(highlight=False, soft_wrap=True)
+    console = make_console()
     failed: dict[str, str] = {}
     if not command.report_only:
         outcome = train(study, runs, command, console)

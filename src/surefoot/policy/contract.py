@@ -1,4 +1,4 @@
-"""The contract of a policy file: what is needed to run the policy, and to refuse a robot that it is not for."""
+"""The contract of a policy file: robot, observation, action, reference, rates and delays of the policy."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class ObservationPart:
 class Contract:
     """What a policy needs to run on a robot. Written as JSON at full precision. Each fact stands in one place.
 
-    Bounds of the numbers here hold for every robot; data sheets allow less.
+    Bounds of the numbers here hold for every robot; `deploy.checks.check_policy` compares it with a data sheet.
     """
 
     name: str
@@ -96,7 +96,7 @@ class Contract:
     """When it was written, ISO 8601; may be empty."""
 
     def __post_init__(self) -> None:
-        """Refuse what does not fit, and keep only what JSON can hold."""
+        """Refuse numbers out of bounds; keep only what JSON can hold."""
         for name in ("task", "figures", "reference"):
             object.__setattr__(self, name, plain(getattr(self, name)))
         check_bounds(self, "contract")
@@ -106,13 +106,6 @@ class Contract:
             numbers = getattr(self, name)
             if isinstance(numbers, tuple) and len(numbers) != length:
                 raise SurefootError(f"contract.{name} has {len(numbers)} numbers; it must have {length}")
-        legs = len(self.leg_names)
-        if not actions or actions not in (2 * legs, 3 * legs, motors):
-            raise SurefootError(f"contract.action_names has {actions} names for {legs} legs; a leg has two or three")
-        if not self.columns:
-            raise SurefootError("contract.columns is empty; a policy observes one number or more")
-        if any(abs(sign) != 1 for sign in self.motor_signs):
-            raise SurefootError(f"contract.motor_signs is {list(self.motor_signs)}; each must be 1 or -1")
         for name, low, high in zip(self.action_names, self.low, self.high, strict=True):
             if low > high:
                 raise SurefootError(
@@ -147,7 +140,8 @@ class Contract:
         schema = data.pop("schema", None)
         if schema != SCHEMA:
             raise SurefootError(
-                f"contract: has schema {schema!r:.40}; this surefoot reads schema {SCHEMA}: export the policy again"
+                f"contract: has schema {schema!r:.40}; this surefoot reads schema {SCHEMA}: use the version that wrote "
+                "it, or train the policy again"
             )
         return from_mapping(cls, data, "contract")
 

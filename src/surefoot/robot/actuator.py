@@ -12,7 +12,6 @@ from surefoot.arrays import Array
 from surefoot.configuration import NotNegative, Positive, Within, from_mapping
 from surefoot.errors import SurefootError, choices, quote
 
-_OF_JOINT_ACTUATORS = ("load_friction", "presliding", "rotor_inertia", "torque_limit")
 _Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
 """One number for all motors, one for each motor of a leg, or one for each motor."""
 
@@ -41,6 +40,8 @@ class DcMotorData:
     viscous_friction: _Each = 0.0
 
     kind: ClassVar[str] = "dc"
+    own_parameters: ClassVar[tuple[str, ...]] = ("torque_constant", "resistance", "voltage")
+    """Physical parameters that are called like their fields."""
 
     def __post_init__(self) -> None:
         """Refuse a torque-current curve that does not rise from 0."""
@@ -54,13 +55,6 @@ class DcMotorData:
             raise SurefootError(
                 f"actuator.torque_table_current is {list(current)}; it must start at 0 A and 0 N m, and rise"
             )
-
-    def nominal_params(self) -> dict[str, float | Array]:
-        """Return the nominal physical parameters of motors and servos."""
-        return {
-            **{name: getattr(self, name) for name in ("torque_constant", "resistance", "voltage")},
-            **_servo(self.kp, self.kd, self.friction, self.viscous_friction),
-        }
 
 
 @dataclass(frozen=True)
@@ -95,22 +89,25 @@ class JointActuatorData:
     overheat_time: NotNegative = 1.0
 
     kind: ClassVar[str] = "joint"
-
-    def nominal_params(self) -> dict[str, float | Array]:
-        """Return the nominal physical parameters of joint actuators."""
-        return {
-            **_servo(self.kp, self.kd, self.friction, self.viscous_friction),
-            "speed_filter": self.speed_filter,
-            **{name: np.asarray(getattr(self, name)) for name in _OF_JOINT_ACTUATORS},
-        }
+    own_parameters: ClassVar[tuple[str, ...]] = (
+        "speed_filter", "load_friction", "presliding", "rotor_inertia", "torque_limit"
+    )  # fmt: skip
+    """Physical parameters that are called like their fields."""
 
 
 ActuatorData = DcMotorData | JointActuatorData
 
 
-def _servo(kp: Any, kd: Any, friction: Any, viscous: Any) -> dict[str, Any]:
-    given = {"servo_kp": kp, "servo_kd": kd, "motor_friction": friction, "motor_viscous_friction": viscous}
-    return {name: np.asarray(value, float) for name, value in given.items()}
+def nominal_params(data: ActuatorData) -> dict[str, Array]:
+    """Return the nominal physical parameters of motors and servos by name: one number, or one for each motor."""
+    names = {
+        "servo_kp": "kp",
+        "servo_kd": "kd",
+        "motor_friction": "friction",
+        "motor_viscous_friction": "viscous_friction",
+    }
+    names |= {name: name for name in data.own_parameters}
+    return {name: np.asarray(getattr(data, key), float) for name, key in names.items()}
 
 
 def read_actuator(table: Mapping[str, Any], order: Sequence[str], legs: Sequence[Sequence[str]]) -> ActuatorData:

@@ -18,28 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_toml
 from surefoot.errors import SurefootError, check_name, choices, prefix_errors
-from surefoot.robot.actuator import ActuatorData, DcMotorData, read_actuator
+from surefoot.robot import sheet as tables
+from surefoot.robot.actuator import ActuatorData, DcMotorData, nominal_params, read_actuator
 from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.serial_leg import SerialLegs
-from surefoot.robot.sheet import (
-    GRAVITY,
-    Battery,
-    ContactData,
-    Leg,
-    Loop,
-    Poses,
-    Range,
-    Sheet,
-    Timing,
-    check_ranges,
-    complete_battery,
-    complete_contact,
-    complete_leg_space,
-    complete_poses,
-    read_legs,
-)
+from surefoot.robot.sheet import GRAVITY, Battery, ContactData, Leg, Loop, Poses, Range, Sheet, Timing, read_legs
 from surefoot.robot.urdf import Urdf
 from surefoot.robot.urdf_file import read_urdf
 
@@ -69,7 +54,7 @@ class RobotDescription:
     leg_geometry: Legs
     loops: tuple[Loop, ...]
     leg_space: dict[str, Range]
-    """Least and greatest value of each coordinate of leg space that a command may ask of a leg, in order."""
+    """Range of each coordinate of leg space that commands may use, in order."""
     rest: tuple[float, ...]
     """Pose in leg space of every leg in which the robot settles before an episode."""
     actuator: ActuatorData
@@ -100,9 +85,8 @@ class RobotDescription:
         folder = cls.find_folder(robot)
         sheet_path = folder / "robot.toml"
         if not sheet_path.is_file():
-            raise SurefootError(
-                f"robot '{robot}': no such robot and no folder with a robot.toml; robots: {choices(cls.available())}"
-            )
+            names = choices(cls.available())
+            raise SurefootError(f"robot '{robot}': no such robot and no folder with a robot.toml; robots: {names}")
         data, _ = read_toml(sheet_path)
         with prefix_errors(sheet_path):
             sheet = from_mapping(Sheet, data)
@@ -115,17 +99,15 @@ class RobotDescription:
     def _from_sheet(cls, sheet: Sheet, urdf: Urdf, folder: Path) -> RobotDescription:
         legs, order = read_legs(sheet, urdf), sheet.motors.order
         sign = np.array(sheet.motors.sign or [1] * len(order), float)
-        if len(sign) != len(order):
-            raise SurefootError(f"motors.sign has {len(sign)} numbers; it must have {len(order)}")
         bounds = {name: item.bounds for name, item in PARAMETERS.items()}
         if unknown := [name for name in sheet.allowed if name not in bounds]:
             raise SurefootError(f"allowed.{unknown[0]} is unknown; choices: {choices(bounds)}")
-        check_ranges("allowed", sheet.allowed)
+        tables.check_ranges("allowed", sheet.allowed)
         places, axes, feet = _place_joints(urdf, sheet.base, legs)
         mounts = _mounts(places, feet, bool(sheet.leg_geometry))
         signs = sign[[[order.index(name) for name in leg.motors] for leg in legs]]
         geometry = sheet.leg_geometry or SerialLegs.from_places(legs, mounts, places, axes, signs, feet)
-        space, rest = complete_leg_space(sheet.leg_space, geometry)
+        space, rest = tables.complete_leg_space(sheet.leg_space, geometry)
         actuator = read_actuator(sheet.actuator, order, [leg.motors for leg in legs])
         voltage = actuator.voltage if isinstance(actuator, DcMotorData) else _VOLTAGE
         contact = {"self_collision": not sheet.loops} | sheet.contact
@@ -145,9 +127,9 @@ class RobotDescription:
             rest=rest,
             actuator=actuator,
             timing=sheet.timing,
-            contact=complete_contact(contact, GRAVITY * urdf.total_mass / len(legs), geometry.length),
-            poses=complete_poses(sheet.poses, space),
-            battery=complete_battery(sheet.battery, voltage),
+            contact=tables.complete_contact(contact, GRAVITY * urdf.total_mass / len(legs), geometry.length),
+            poses=tables.complete_poses(sheet.poses, space),
+            battery=tables.complete_battery(sheet.battery, voltage),
             experiments=read_experiments(sheet.experiments, space["extension"], actuator),
             allowed={**bounds, **sheet.allowed},
         )
@@ -155,20 +137,20 @@ class RobotDescription:
         return description
 
     def _check_legs(self) -> None:
-        legs, (*sides, extensions) = self.leg_geometry, self.leg_space.values()
-        if not legs.closes(self._split_legs(self.resting_angles)).all():
+        legs, extensions = self.leg_geometry, self.leg_space["extension"]
+        if not legs.closes(legs.to_motors(np.tile(np.transpose([self.rest]), len(self.legs)))).all():
             pose = ", ".join(f"{name} {value:g}" for name, value in zip(self.leg_space, self.rest, strict=True))
             raise SurefootError(
                 f"leg_geometry: a leg can't have its resting pose ({pose}); "
                 "the lower links of a loop must reach each other, a serial leg must be long enough"
             )
-        middle = [0.0] * len(sides)
-        for extension in np.linspace(*extensions, 201):
-            if not legs.closes(self._split_legs(self.pose_angles(*middle, extension))).all():
-                raise SurefootError(
-                    f"leg_space.extension is {list(extensions)}, "
-                    "and a leg can't have every extension in it; narrow it or check leg_geometry"
-                )
+        poses = np.zeros((201, len(self.leg_space), len(self.legs)))
+        poses[:, -1] = np.linspace(*extensions, 201)[:, None]
+        if not legs.closes(legs.to_motors(poses)).all():
+            raise SurefootError(
+                f"leg_space.extension is {list(extensions)}, "
+                "and a leg can't have every extension in it; narrow it or check leg_geometry"
+            )
         for name, value in self.nominal_params().items():
             if PARAMETERS[name].belongs_to(self):
                 self.check_allowed(name, np.asarray(value), source="nominal ")
@@ -200,22 +182,14 @@ class RobotDescription:
 
     @property
     def dc_motor(self) -> DcMotorData:
-        """The data of DC motors.
-
-        Raises:
-            SurefootError: the robot has other motors.
-        """
+        """The data of DC motors; refuse a robot with others."""
         if not isinstance(self.actuator, DcMotorData):
             raise SurefootError(f"the motors of {self.name} are of kind {self.actuator.kind}; this takes DC motors")
         return self.actuator
 
     @property
     def five_bar(self) -> FiveBar:
-        """The geometry of five-bar legs.
-
-        Raises:
-            SurefootError: the robot has other legs.
-        """
+        """The geometry of five-bar legs; refuse a robot with others."""
         if not isinstance(self.leg_geometry, FiveBar):
             raise SurefootError(f"the legs of {self.name} are serial; this takes five-bar legs")
         return self.leg_geometry
@@ -243,14 +217,13 @@ class RobotDescription:
     def pose_angles(self, *coordinates: ArrayLike) -> Array:
         """Return the motor angles (..., M) [rad] for each coordinate's values (..., L), or one number for all legs."""
         if len(coordinates) != len(self.coordinates):
-            raise SurefootError(
-                f"a pose has {len(coordinates)} numbers; legs of {self.name} have {choices(self.coordinates)}"
-            )
+            rule = f"legs of {self.name} have {choices(self.coordinates)}"
+            raise SurefootError(f"a pose has {len(coordinates)} numbers; {rule}")
         *values, _ = np.broadcast_arrays(*coordinates, np.zeros(len(self.legs)))
         return self.to_motors(np.stack(values, axis=-2))
 
     def angle_extent(self, *ranges: Range) -> tuple[Array, Array]:
-        """Return the least and greatest motor angles (M,) [rad] over all poses in a range of each coordinate.
+        """Return the minimum and maximum motor angles (M,) [rad] over all poses in a range of each coordinate.
 
         Angles rise or fall with each coordinate but the extension, which is sampled.
         """
@@ -262,11 +235,6 @@ class RobotDescription:
     def resting_angles(self) -> Array:
         """Motor angles (motors,) [rad] of the resting pose."""
         return self.pose_angles(*self.rest)
-
-    @property
-    def resting_joint_angles(self) -> dict[str, float]:
-        """Angles [rad] of motor and knee joints in the resting pose, as the URDF has them, by name; loops closed."""
-        return {name: float(values) for name, values in self.joint_angles(self.resting_angles).items()}
 
     def joint_angles(self, angles: ArrayLike) -> dict[str, Array]:
         """Return the angles (...) [rad] of motor and knee joints by name, as the URDF has them, for motors (..., M).
@@ -291,31 +259,23 @@ class RobotDescription:
 
     def nominal_params(self) -> dict[str, Any]:
         """Return the nominal value of every physical parameter, by name: a number, or one for each motor."""
-        timing = self.timing
         return {
             **{name: item.nominal for name, item in PARAMETERS.items()},
-            **self.actuator.nominal_params(),
-            "servo_latency": timing.servo_latency,
-            "control_latency": timing.control_latency,
-            "control_step": timing.control_step,
-            "contact_friction": self.contact.friction,
-            "contact_stiffness": self.contact.stiffness,
-            "contact_spinning_friction": self.contact.spinning_friction,
+            **nominal_params(self.actuator),
+            **{name: getattr(self.timing, name) for name in ("servo_latency", "control_latency", "control_step")},
+            **{
+                f"contact_{name}": getattr(self.contact, name)
+                for name in ("friction", "stiffness", "spinning_friction")
+            },
         }
 
     def check_allowed(self, name: str, values: Array, source: str = "") -> None:
-        """Refuse values of a physical parameter outside what the sheet allows.
-
-        Raises:
-            SurefootError: with the value, the parameter and the bounds.
-        """
+        """Refuse values of a physical parameter outside what the sheet allows."""
         low, high = self.allowed[name]
         bad = np.asarray(values)[~((values >= low) & (values <= high))]
         if bad.size:
-            unit = PARAMETERS[name].unit
-            raise SurefootError(
-                f"{source}{name} is {bad.flat[0]:g}; {self.name} allows {low:g} to {high:g} (unit: {unit})"
-            )
+            allowed = f"{self.name} allows {low:g} to {high:g} (unit: {PARAMETERS[name].unit})"
+            raise SurefootError(f"{source}{name} is {bad.flat[0]:g}; {allowed}")
 
 
 def _place_joints(urdf: Urdf, base: str, legs: Sequence[Leg]) -> tuple[Array, Array, Array]:

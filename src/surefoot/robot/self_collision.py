@@ -60,12 +60,12 @@ def _core(shape: Shape) -> tuple[Array, float]:
 
 def _reach(robot: RobotDescription, shape: Shape) -> tuple[Array, Array]:
     """Return the bounds (3,) [m] of a shape in the root's frame over all angles of its joints."""
-    chain = robot.urdf.chain(shape.link)
-    hinges = [joint for joint in chain if joint.kind != "fixed"]
+    urdf = robot.urdf
+    hinges = [joint for joint in urdf.tree if joint.kind != "fixed" and shape.link in urdf.below(joint.name)]
     spans = np.clip([joint.limits or (-math.pi, math.pi) for joint in hinges], -math.pi, math.pi).tolist()
     grid = [np.linspace(low, high, _SAMPLES.get(len(hinges), 5)) for low, high in spans]
     angles = np.array(list(product(*grid)), float).T
-    frames = robot.urdf.frames(dict(zip([joint.name for joint in hinges], angles, strict=True)), chain)
+    frames = urdf.frames(dict(zip([joint.name for joint in hinges], angles, strict=True)))
     points, radius = _core(shape)
     places = _place(points, frames[shape.link]).reshape(-1, 3)
     room = radius + _MARGIN * robot.leg_geometry.length
@@ -85,8 +85,8 @@ def _gap(one: Shape, other: Shape, frames: dict[str, Array]) -> float:
     (points, radius), (other_points, other_radius) = _core(one), _core(other)
     points = _place(points, frames[one.link])
     if other.kind != "box":
-        between = points[:, None] - _place(other_points, frames[other.link])
-        return float(np.linalg.norm(between, axis=-1).min()) - radius - other_radius
+        apart = points[:, None] - _place(other_points, frames[other.link])
+        return float(np.linalg.norm(apart, axis=-1).min()) - radius - other_radius
     frame = frames[other.link] @ other.frame
     outside = np.maximum(np.abs((points - frame[:3, 3]) @ frame[:3, :3]) - other.size, 0.0)
     return float(np.linalg.norm(outside, axis=1).min()) - radius

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -74,7 +74,7 @@ class Joint:
     frame: Array
     """Frame (4, 4) of the child in the parent's at angle 0."""
     limits: tuple[float, float] | None = None
-    """Least and greatest angle [rad]; None: it turns without end."""
+    """Range of the angle [rad]; None: unlimited."""
 
     def child_frame(self, angle: ArrayLike) -> Array:
         """Return the frames (..., 4, 4) of the child in the parent's at angles (...) [rad]."""
@@ -116,29 +116,13 @@ class Urdf:
         """Mass of all links [kg]."""
         return sum(link.mass for link in self.links.values())
 
-    def frames(
-        self, angles: Mapping[str, ArrayLike] = _NO_ANGLES, joints: Sequence[Joint] | None = None
-    ) -> dict[str, Array]:
-        """Return the frames (..., 4, 4) of links in the root's: forward kinematics.
-
-        Args:
-            angles: angles (...) [rad] by joint; the other joints are at 0.
-            joints: a part of `tree` that starts at the root, such as a `chain`; all, if not given.
-        """
+    def frames(self, angles: Mapping[str, ArrayLike] = _NO_ANGLES) -> dict[str, Array]:
+        """Return the frames (..., 4, 4) of all links in the root's, at angles (...) [rad] by joint; others are at 0."""
         frames = {self.root: np.eye(4)}
-        for joint in self.tree if joints is None else joints:
+        for joint in self.tree:
             step = joint.child_frame(angles[joint.name]) if joint.name in angles else joint.frame
             frames[joint.child] = frames[joint.parent] @ step
         return frames
-
-    def chain(self, link: str) -> list[Joint]:
-        """Return the joints from the root to a link."""
-        parents = {joint.child: joint for joint in self.tree}
-        chain: list[Joint] = []
-        while link != self.root:
-            chain.insert(0, parents[link])
-            link = parents[link].parent
-        return chain
 
     @cached_property
     def places(self) -> dict[str, tuple[str, Array]]:
@@ -146,8 +130,7 @@ class Urdf:
         places = {self.root: (self.root, np.eye(4))}
         for joint in self.tree:
             top, frame = places[joint.parent]
-            fixed = joint.kind == "fixed"
-            places[joint.child] = (top, frame @ joint.frame) if fixed else (joint.child, np.eye(4))
+            places[joint.child] = (top, frame @ joint.frame) if joint.kind == "fixed" else (joint.child, np.eye(4))
         return places
 
     def fixed_to(self, link: str) -> set[str]:

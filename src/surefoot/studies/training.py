@@ -36,9 +36,7 @@ class Training:
     group: str
     """Name of its group in a study, or of the trial."""
     config: TrainConfig
-    """The training."""
     path: Path
-    """Its folder."""
     trial: bool = False
     """Whether it is a trial of a search: its last policy is exported, not its best, and its checkpoints are removed."""
 
@@ -57,9 +55,7 @@ class Training:
         """State of the run, from its files alone."""
         if self.policy.exists():
             return "finished"
-        checkpoints = self.path / "checkpoints"
-        saved = any((checkpoints / name).exists() for name in ("latest.ckpt", "fresh.ckpt"))
-        return "started" if saved else "new"
+        return "started" if (self.path / "checkpoints" / "latest.ckpt").exists() else "new"
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the figures of its updates; a last line that was cut off is left out."""

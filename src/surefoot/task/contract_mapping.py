@@ -97,7 +97,9 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
     """
     robot = robot or RobotDescription.load(contract.description)
     keys = {f"task.{key}" for key in contract.task}
-    keys |= {f"task.{table}.{key}" for table in ("commands", "params") for key in contract.task.get(table) or {}}
+    for table in ("commands", "params"):
+        if isinstance(values := contract.task.get(table), Mapping):
+            keys |= {f"task.{table}.{key}" for key in values}
     if stated := keys & _STATED_KEYS:
         raise SurefootError(f"{min(stated)} is not a key; the contract states it outside the task")
     task = from_mapping(TaskConfig, contract.task, "task")
@@ -118,7 +120,7 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
 
 def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, FeedbackConfig]:
     """Return what the feedback is added to, and its bounds on each coordinate."""
-    kind: ActionKind = "joint" if contract.action_names[0].startswith("joint.") else "leg"
+    kind: ActionKind = "joint" if contract.action_names[:1] == (f"joint.{robot.motor_names[0]}",) else "leg"
     names = action_names(robot, kind)
     if list(contract.action_names) != names:
         raise SurefootError(

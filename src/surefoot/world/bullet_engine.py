@@ -74,7 +74,7 @@ class BulletEngine:
         """Return the resting pose, loops closed by the knees, lowest foot on the ground unless on a rack."""
         model = self.models[0]
         row = np.zeros(self._rows.shape[1])
-        for name, angle in self.robot.resting_joint_angles.items():
+        for name, angle in self.robot.joint_angles(self.robot.resting_angles).items():
             row[JOINTS + self._joints.index(model.joints[name])] = angle
         row[:3] = [*model.base_centre[:2], RACK_HEIGHT + model.base_centre[2]]
         row[3:7] = model.base_quat[[1, 2, 3, 0]]

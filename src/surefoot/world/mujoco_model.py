@@ -100,7 +100,7 @@ def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int
 def resting_qpos(robot: RobotDescription, model: mujoco.MjModel, ground: Ground = FLAT) -> Array:
     """Return generalized coordinates of the resting pose, loops closed, lowest foot on the ground (no rack)."""
     qpos = model.qpos0.copy()
-    for name, angle in robot.resting_joint_angles.items():
+    for name, angle in robot.joint_angles(robot.resting_angles).items():
         qpos[model.joint(name).qposadr[0]] = angle
     if not model.body(robot.base).jntnum[0]:
         return qpos

@@ -42,13 +42,7 @@ _MEAN_SPEED_TIME = 0.25
 
 
 def serve(drive: DrivePage, host: str | None, port: int, commands: str | None = None) -> None:
-    """Serve the page, and run the simulation behind it until Ctrl-C.
-
-    Args:
-        drive: the simulation.
-        host: address to listen at; this machine only, if None.
-        port: TCP port; 0 for a free one.
-        commands: source of commands in place of the page, as `open_commands` takes it.
+    """Serve the page, and run the simulation behind it until Ctrl-C; `commands` name a source in place of the page.
 
     Raises:
         SurefootError: a port that is taken, or a source that can't be opened.
@@ -225,12 +219,12 @@ class DrivePage:
             self.robot.push([force * np.cos(direction), force * np.sin(direction), 0.0], _PUSH_DURATION)
         elif name == "pause":
             self.paused = bool(value)
+        elif name == "restart":
+            self.robot.restart()
         elif name == "speed":
             if value not in SPEEDS:
                 raise SurefootError(f"speed must be {choices(map(str, SPEEDS))}")
             self.speed = float(value)
-        elif name == "restart":
-            self.robot.restart()
         elif name in ("policy", "world"):
             names = self.policies if name == "policy" else self.worlds
             if value not in names:

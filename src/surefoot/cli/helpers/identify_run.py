@@ -1,4 +1,4 @@
-"""An experiment on a robot: greet it, say what is going to happen, ask, run it, keep what was recorded."""
+"""An experiment on a robot: handshake, plan, confirmation, run, recording."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rich.text import Text
 from surefoot.check_result import first_failure
 from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import Json, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.output import make_console
 from surefoot.deploy.checks import check_handshake
 from surefoot.deploy.display import PlainLines, open_display
 from surefoot.deploy.loop import RunMonitor, Snapshot
@@ -33,11 +34,11 @@ PLACES = {True: "hang free, its legs in the air", False: "sit on flat ground wit
 
 @dataclass(frozen=True)
 class ExperimentCommand(LinkOptions):
-    """Run an experiment on a robot, or take a recording of one, and find the physical parameters that it tells.
+    """Run an experiment on a robot, or take a recording of one, and identify physical parameters.
 
-    What is going to happen is shown, and asked for, before a motor moves. The recording is kept however the experiment
-    ends; --record-only leaves the fit to another computer, such as one with MuJoCo. Exit codes: 0 done, 2 refused
-    before anything moved or data that tell nothing, 3 stopped.
+    The plan is shown, and must be confirmed, before a motor moves. The recording is kept however the experiment ends;
+    --record-only leaves the fit to another computer, such as one with MuJoCo. Exit codes: 0 done, 2 refused before
+    anything moved or data that identify nothing, 3 stopped.
     """
 
     port: str | None = None
@@ -45,7 +46,7 @@ class ExperimentCommand(LinkOptions):
     recording: Path | None = None
     """Take this recording instead of a robot: the folder of an experiment, or its file."""
     params: Path | None = None
-    """File of what is known of the robot (.toml); what is found is written to it. robot.toml in --out, if not given."""
+    """File of the robot's parameters (.toml), to which the estimates are written. robot.toml in --out, if not given."""
     out: Path | None = None
     """Folder for recording and report; runs/identify/EXPERIMENT-TIME or the recording's, if not given."""
     record_only: bool = False
@@ -64,8 +65,8 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
     """
     if not command.yes:
         check_terminal(PLACES[plan.rack])
-    with _greeted(command, robot) as (link, said):
-        _show_plan(plan, said, Console(stderr=command.json, highlight=False, soft_wrap=True, emoji=False))
+    with _greeted(command, robot) as (link, handshake):
+        _show_plan(plan, handshake, make_console(stderr=command.json))
         if command.yes:
             return _run(command, link, plan, robot, path)
     # A robot does not wait for slow answers: it is greeted anew.
@@ -94,7 +95,7 @@ def refuse_another_robot(handshake: Handshake, robot: RobotDescription) -> None:
 
 
 def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
-    """Say what is going to happen."""
+    """Print the plan."""
     limits, name = plan.limits, handshake.robot
     # What a robot does not take is not sent to it.
     low, high = np.maximum(plan.angle_low, handshake.angle_low), np.minimum(plan.angle_high, handshake.angle_high)
@@ -113,13 +114,12 @@ def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
         table.add_row(Text(counted), Text(f"{sum(times):.1f} s"), Text(what))
     console.print(table)
     pwm = f"; duty without servo at most {plan.largest_duty:g}" if plan.largest_duty else ""
-    console.print(f"motor angles from {low.min():.2f} to {high.max():.2f} rad{pwm}", markup=False)
+    console.print(f"motor angles from {low.min():.2f} to {high.max():.2f} rad{pwm}")
     console.print(
         f"ends with damped motors when a motor leaves {plan.angle_low.min() - limits.angle_room:.2f} to "
         f"{plan.angle_high.max() + limits.angle_room:.2f} rad, gives more than "
         f"{limits.torque:g} N m for {limits.torque_time:g} s or is hotter than {limits.temperature:g} degC, after "
         f"{limits.duration:g} s, or with Ctrl-C",
-        markup=False,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -20,8 +21,18 @@ def make_console(stderr: bool = False) -> Console:
 
 
 def print_json(result: Mapping[str, object]) -> None:
-    """Print a result as one JSON object. Numbers that are not finite must be None."""
-    print(json.dumps(result, allow_nan=False, default=str), flush=True)
+    """Print a result as one JSON object; numbers that are not finite are null."""
+    print(json.dumps(_plain(result)), flush=True)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {str(name): _plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
 
 
 def next_command(purpose: str, *words: object) -> str:

@@ -15,6 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from surefoot.cli.helpers.options import Ray, Workers
+from surefoot.cli.helpers.output import make_console
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import atomic_write
 
@@ -38,10 +39,9 @@ class PaperRuns:
     folder: Path
     """Folder for all results."""
     quick: bool
-    """Small versions."""
     workers: Workers = 0
     ray: Ray = None
-    console: Console = field(default_factory=lambda: Console(stderr=True, highlight=False, soft_wrap=True))
+    console: Console = field(default_factory=lambda: make_console(stderr=True))
 
     def workers_options(self) -> list[str]:
         """Return the options of commands that run many trainings."""
@@ -65,7 +65,6 @@ class Stage:
     makes: str
     """File that is there when it is done, from the folder of the runs."""
     make: Callable[[PaperRuns], None]
-    """Make it."""
 
 
 def command(runs: PaperRuns, *words: object) -> None:

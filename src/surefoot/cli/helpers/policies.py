@@ -107,8 +107,8 @@ def load_policies(policies: Sequence[str]) -> tuple[list[Candidate], RobotDescri
                 f"policy '{name}' is for robot '{other.name}' and '{names[0]}' for '{robot.name}'; "
                 "policies that are compared must be for the same robot"
             )
-    named = zip(names, paths, loaded, strict=True)
-    return [Candidate(name, path, policy, task) for name, path, (policy, _, task) in named], robot
+    parts = zip(names, paths, loaded, strict=True)
+    return [Candidate(name, path, policy, task) for name, path, (policy, _, task) in parts], robot
 
 
 def distinct_names(names: Sequence[str], stems: Sequence[str]) -> list[str]:

@@ -22,7 +22,8 @@ from surefoot.robot.randomization import (
 _RANGES_HELP = """--randomize TABLE           ranges that an episode draws its parameters from: {names}, or a YAML file
 --randomize.NAME LOW HIGH   another range for one parameter; scale LOW HIGH: factors of its nominal value;
                             add LOW HIGH: added to it; none: it is not drawn. Names and ranges of table1:"""
-_RELATIVE = ("scale", "add")
+_WORDS = {"none": 1, "scale": 3, "add": 3}
+"""Number of words of a range, by its first word; 2 for all others."""
 
 
 def ranges_help() -> str:
@@ -70,7 +71,7 @@ def take_ranges(words: list[str]) -> tuple[list[str], RangeOptions]:
             parameter = name.removeprefix("--randomize.").replace("-", "_")
             check_ranges({parameter: (0.0, 0.0)})
             values = [value] if equals else []
-            while queue and not queue[0].startswith("--") and len(values) < _count(values):
+            while queue and not queue[0].startswith("--") and len(values) < _WORDS.get("".join(values[:1]).lower(), 2):
                 values.append(queue.pop(0))
             ranges[parameter] = _read_range(name, values)
         else:
@@ -78,18 +79,12 @@ def take_ranges(words: list[str]) -> tuple[list[str], RangeOptions]:
     return rest, RangeOptions(table, ranges)
 
 
-def _count(values: list[str]) -> int:
-    """Return how many words a range has that begins with some words."""
-    first = values[0].lower() if values else ""
-    return {"none": 1, "scale": 3, "add": 3}.get(first, 2)
-
-
 def _read_range(option: str, words: list[str]) -> ParamRange | None:
-    kind = words[0].lower() if words else ""
+    kind = "".join(words[:1]).lower()
     if kind == "none":
         return None
     try:
-        low, high = (float(word) for word in words[kind in _RELATIVE :])
+        low, high = (float(word) for word in words[kind in _WORDS :])
     except ValueError:
         message = " ".join(words) or "nothing"
         raise SurefootError(

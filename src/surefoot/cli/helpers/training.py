@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import Evaluation, TrainingLoop
 
-_LINE_PERIOD = 10.0
-"""Least time between two lines of progress where there is no terminal [s]."""
 _EPISODES = 20
 _RANDOMIZED_EPISODES = 100
 """Episodes with randomized parameters: falls are rare there, and robots differ."""
@@ -50,7 +48,7 @@ class TrainingProgress(ProgressBar):
 
     def __init__(self, config: TrainConfig, console: Console, done: int = 0) -> None:
         self._steps, self._done = config.updates * config.samples_per_update, done
-        super().__init__(config.task.name, console, self._steps, done, _LINE_PERIOD, transient=False)
+        super().__init__(config.task.name, console, self._steps, done)
         self._start = time.monotonic()
         self._return = self._speed = math.nan
 

@@ -106,7 +106,7 @@ def examine(
         yield CheckResult("link", False, f"{error}; all further checks are left out", remedy)
 
 
-def time_inference(policy: PolicyRuntime, count: int = STEPS) -> Array:
+def time_inference(policy: PolicyRuntime, count: int) -> Array:
     """Return the times [s] of inferences from random observations, after a warm-up."""
     width = policy.contract.width
     observations = np.random.default_rng(0).normal(scale=0.3, size=(64, 1, width)).astype(np.float32)
@@ -119,7 +119,7 @@ def time_inference(policy: PolicyRuntime, count: int = STEPS) -> Array:
     return times[_WARM_UP:]
 
 
-def time_loop(policy: PolicyRuntime, link: RobotLink, steps: int = STEPS) -> tuple[Array, int]:
+def time_loop(policy: PolicyRuntime, link: RobotLink, steps: int) -> tuple[Array, int]:
     """Return the lateness [s] of the steps of a control loop in real time, and the number of missed steps.
 
     As a deployment does, the loop reads the port, runs the policy at its control step and sends a packet, here a ping.

@@ -61,7 +61,7 @@ def receive_until(link: RobotLink, end: float) -> None:
         link.update()
 
 
-def measure_link(link: RobotLink, pings: int = PINGS) -> LinkFigures:
+def measure_link(link: RobotLink, pings: int) -> LinkFigures:
     """Send pings, one every `PING_PERIOD`, and receive the answers.
 
     Raises:

@@ -40,8 +40,8 @@ class TimedState:
     state: State
 
 
-def record_states(link: RobotLink, duration: float = DURATION) -> list[TimedState]:
-    """Return the states of a duration [s], with pings that keep the session.
+def record_states(link: RobotLink) -> list[TimedState]:
+    """Return the states of `DURATION`, with pings that keep the session.
 
     Raises:
         LinkLostError: the port is gone.
@@ -49,7 +49,7 @@ def record_states(link: RobotLink, duration: float = DURATION) -> list[TimedStat
     states: list[TimedState] = []
     link.update()
     link.on_state = lambda state, sent, _: states.append(TimedState(sent, state))
-    end = link.clock.now() + duration
+    end = link.clock.now() + DURATION
     try:
         while (now := link.clock.now()) < end:
             link.ping()

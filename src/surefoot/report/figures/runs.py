@@ -208,11 +208,11 @@ def motor_figure(
         errors: by actuator, root mean square error [rad].
         title: title of the figure.
     """
-    known = np.isfinite(np.asarray(measured, float)).any()
-    reference = np.asarray(measured if known else target, float)
+    is_measured = np.isfinite(np.asarray(measured, float)).any()
+    reference = np.asarray(measured if is_measured else target, float)
     with new_figure(path, (8.0, 5.8), rows=2, sharex=True, height_ratios=(2.2, 1)) as (figure, (above, below)):
         above.step(time, target, where="post", color=QUIET, alpha=0.6, label="target")
-        if known:
+        if is_measured:
             above.plot(time, reference, color=BLUE, linewidth=2.4, label="measured")
         for name, angle in simulated.items():
             color, label = STYLES[name]
@@ -220,7 +220,7 @@ def motor_figure(
             below.plot(time, 1000 * (np.asarray(angle) - reference), color=color)
         above.set_title("Motor angle (rad)")
         below.axhline(0, color=QUIET, linewidth=0.8)
-        below.set_title(f"Less {'measured' if known else 'target'} (mrad)")
+        below.set_title(f"Less {'measured' if is_measured else 'target'} (mrad)")
         below.set_xlabel("time (s)")
         figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2)
         heading(figure, title)

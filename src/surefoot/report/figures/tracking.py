@@ -46,13 +46,13 @@ def tracking_figure(traces: Sequence[EpisodeTrace], path: str | Path) -> Path:
     return Path(path)
 
 
-def _panel(ax: Axes, commands: Array, errors: Array, fell: Array, most: float) -> Any:
-    """Draw errors (N,) over two commands (N, 2); return what a colour bar needs."""
+def _panel(ax: Axes, commands: Array, errors: Array, fell: Array, max_error: float) -> Any:
+    """Draw errors (N,) over two commands (N, 2); return the image for a colour bar."""
     x, y = (np.unique(commands[:, k]) for k in range(2))
     table = np.full((len(y), len(x)), np.nan)
     places = np.searchsorted(y, commands[:, 1]), np.searchsorted(x, commands[:, 0])
     table[places] = errors
     ax.grid(visible=False)
-    image = ax.pcolormesh(x, y, table, shading="nearest", cmap="viridis_r", vmin=0.0, vmax=most)
+    image = ax.pcolormesh(x, y, table, shading="nearest", cmap="viridis_r", vmin=0.0, vmax=max_error)
     ax.plot(commands[fell, 0], commands[fell, 1], "x", color="#a8324a")
     return image

@@ -137,10 +137,8 @@ class PageServer:
 
     async def _handle(self, connection: ServerConnection) -> None:
         assert connection.request is not None
-        if connection.request.path.partition("?")[0].endswith("/viser"):
-            await self._forward_view(connection)
-        else:
-            await self._handle_tab(connection)
+        is_view = connection.request.path.partition("?")[0].endswith("/viser")
+        await (self._forward_view(connection) if is_view else self._handle_tab(connection))
 
     async def _forward_view(self, connection: ServerConnection) -> None:
         """Forward the view to a browser; messages of the browser to it are dropped."""

@@ -1,4 +1,4 @@
-"""What the page of recorded runs is given: positions, angles and forces at an even rate; what it refuses."""
+"""Data of the page of recorded runs: positions, angles and forces at an even rate; traces that it refuses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MakeRun = Callable[..., EpisodeTrace]
 GO2 = RobotDescription.load("go2")
 
 
-def test_rows_are_those_of_the_trace_at_an_even_rate(make_run: MakeRun):
+def test_rows_are_the_trace_at_an_even_rate(make_run: MakeRun):
     one = swinging(make_run, speed=0.5, seconds=2.0)
     (run,) = data_of(recording_page([one]))["runs"]
     columns, time = run["columns"], np.arange(101) / 50
@@ -41,7 +41,7 @@ def test_rows_are_those_of_the_trace_at_an_even_rate(make_run: MakeRun):
     assert len(run["joints"]) == len(turning)
 
 
-def test_runs_begin_at_the_origin_and_ahead(make_run: MakeRun):
+def test_runs_begin_at_the_origin_and_head_along_x(make_run: MakeRun):
     turn, tilt = np.array(rpy_quat(0.0, 0.0, 2.0)), np.array(rpy_quat(0.1, -0.2, 2.0))
     whole = swinging(make_run, speed=0.5)
     moved = whole.trace.base_position_world @ quat_matrix(turn).T + [3.0, -4.0, 0.0]
@@ -51,7 +51,7 @@ def test_runs_begin_at_the_origin_and_ahead(make_run: MakeRun):
     assert np.allclose(np.abs(run["columns"]["pose"][-1, 3:] @ rpy_quat(0.1, -0.2, 0.0)), 1.0, atol=1e-6)
 
 
-def test_a_base_that_was_never_measured_is_held_and_said_to_be(make_run: MakeRun):
+def test_unmeasured_base_is_held_at_standing_height(make_run: MakeRun):
     nothing = {"base_position_world": np.full((201, 3), np.nan), "base_quat_world": np.full((201, 4), np.nan)}
     rolled = {"roll_pitch_yaw": np.tile([0.1, -0.2, 3.0], (200, 1)), "foot_contact": np.full((200, 4), np.nan)}
     (run,) = data_of(recording_page([swinging(make_run, arrays=nothing | rolled)]))["runs"]
@@ -62,7 +62,7 @@ def test_a_base_that_was_never_measured_is_held_and_said_to_be(make_run: MakeRun
     assert any("held at standing height" in note for note in run["notes"])
 
 
-def test_a_base_that_was_lost_for_a_while_is_interpolated(make_run: MakeRun):
+def test_base_is_interpolated_where_it_was_lost(make_run: MakeRun):
     one = swinging(make_run, speed=0.5)
     position = one.trace.base_position_world.copy()
     position[50:150] = np.nan
@@ -73,7 +73,7 @@ def test_a_base_that_was_lost_for_a_while_is_interpolated(make_run: MakeRun):
     assert np.allclose(run["columns"]["speed"][-5:], [0.5, 0.0, 0.0], atol=1e-3)
 
 
-def test_a_log_without_readings_shows_its_commands(make_run: MakeRun):
+def test_log_without_readings_shows_its_commands(make_run: MakeRun):
     missing = {name: np.full((200, 12), np.nan) for name in ("motor_angle", "motor_velocity", "motor_torque")}
     time = {"time": 1.6e9 + np.repeat(0.02 * np.arange(100), 2), "energy": np.full(200, np.nan)}
     (run,) = data_of(recording_page([swinging(make_run, arrays=missing | time, world=LOG)]))["runs"]
@@ -85,7 +85,7 @@ def test_a_log_without_readings_shows_its_commands(make_run: MakeRun):
     assert not {"torque", "force", "power"} & set(run["columns"])
 
 
-def test_forces_are_of_feet_on_the_ground_and_pushes_turn_with_the_run(make_run: MakeRun):
+def test_forces_are_those_of_feet_on_the_ground(make_run: MakeRun):
     one = swinging(make_run)
     hold = -np.einsum(
         "lij,lj->li",
@@ -105,7 +105,7 @@ def test_forces_are_of_feet_on_the_ground_and_pushes_turn_with_the_run(make_run:
     assert np.allclose(run["columns"]["push"][[10, 90]], [[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]], atol=1e-2)
 
 
-def test_robots_of_any_kind_are_shown_together(make_run: MakeRun):
+def test_page_shows_all_kinds_of_robots(make_run: MakeRun):
     names = RobotDescription.available()
     page = recording_page([swinging(make_run, name, seconds=0.2) for name in names], "over")
     data = data_of(page)
@@ -115,14 +115,14 @@ def test_robots_of_any_kind_are_shown_together(make_run: MakeRun):
     assert len(page) < 2e6
 
 
-def test_a_long_run_has_fewer_rows(make_run: MakeRun):
+def test_long_run_has_fewer_rows(make_run: MakeRun):
     one = swinging(make_run, seconds=2.0)
     slow = replace(one.trace, time=one.trace.time * 900.0)
     data = data_of(recording_page([replace(one, trace=slow)]))
     assert 19_900 < data["runs"][0]["rows"] <= 20_001
 
 
-def test_what_traces_say_ends_no_script(make_run: MakeRun):
+def test_texts_of_traces_can_not_end_the_script(make_run: MakeRun):
     evil = "</script><script>alert(1)</script><!--"
     one = replace(swinging(make_run, world=evil, policy=evil), name=evil)
     page = recording_page([one])
@@ -131,24 +131,22 @@ def test_what_traces_say_ends_no_script(make_run: MakeRun):
 
 
 @pytest.mark.parametrize(
-    ("arrays", "said"),
+    ("name", "arrays", "message"),
     [
-        ({"time": 1e300 * np.arange(1, 201)}, "3600 s are shown"),
-        ({"motor_angle": np.full((200, 12), 1e9)}, "nothing over"),
-        ({"base_position_world": np.linspace(0, 1e200, 603).reshape(201, 3)}, "nothing over"),
+        ("go2", {"time": 1e300 * np.arange(1, 201)}, "3600 s are shown"),
+        ("go2", {"motor_angle": np.full((200, 12), 1e9)}, "nothing over"),
+        ("go2", {"base_position_world": np.linspace(0, 1e200, 603).reshape(201, 3)}, "nothing over"),
+        ("minitaur", {"motor_angle": np.zeros((200, 8))}, "can't close its loop"),
     ],
 )
-def test_values_that_can_not_be_shown_are_refused(make_run: MakeRun, arrays: dict[str, np.ndarray], said: str):
-    with pytest.raises(SurefootError, match=said):
-        recording_page([swinging(make_run, arrays=arrays)])
+def test_page_refuses_values_that_can_not_be_shown(
+    make_run: MakeRun, name: str, arrays: dict[str, np.ndarray], message: str
+):
+    with pytest.raises(SurefootError, match=message):
+        recording_page([swinging(make_run, name, arrays=arrays)])
 
 
-def test_legs_that_close_nowhere_are_refused(make_run: MakeRun):
-    with pytest.raises(SurefootError, match="can't close its loop"):
-        recording_page([swinging(make_run, "minitaur", arrays={"motor_angle": np.zeros((200, 8))})])
-
-
-def test_a_trace_of_another_robot_and_too_many_are_refused(make_run: MakeRun):
+def test_page_refuses_another_robot_and_too_many_traces(make_run: MakeRun):
     one = swinging(make_run)
     with pytest.raises(SurefootError, match="is of robot 'go2'"):
         ShownTrace("x", RobotDescription.load("solo8"), one.trace)
