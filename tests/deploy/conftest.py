@@ -1,4 +1,4 @@
-"""A robot for tests of the host's side: the true protocol, and a body whose motors go where they are sent at once."""
+"""A robot for tests of the host's side: the real protocol, and motors that reach their targets at once."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class ToyRobot:
 
     Attributes:
         sensors: called with the robot's time [s] and its readings, may return others.
-        heard: messages that came, oldest first.
+        heard: received messages, oldest first.
         cut: the cable has been pulled.
-        silent: what the robot says is lost.
+        silent: what the robot sends is lost.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -58,7 +58,7 @@ class ToyRobot:
         return self.sensors(now / 1e6, plain)
 
     def run_to(self, now: int) -> None:
-        """Let time go on, a millisecond at a time; states go out at their moments."""
+        """Run to a time in steps of a millisecond, and send states that are due."""
         firmware = self.firmware
         while self._ticked + 1000 <= now:
             self._ticked += 1000
@@ -107,19 +107,19 @@ class ToyRobot:
         pass
 
     def kinds(self) -> list[str]:
-        """Names of the messages that came, runs of the same one once."""
+        """Return the names of the received messages, each once in a row, without pings."""
         names = [type(message).__name__ for _, message in self.heard if type(message).__name__ != "Ping"]
         return [name for k, name in enumerate(names) if k == 0 or names[k - 1] != name]
 
 
 @dataclass
 class MonitorLog(RunMonitor):
-    """Somebody who monitors, and remembers."""
+    """A monitor that keeps what it takes."""
 
     phases: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     snapshots: list[Snapshot] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
+    recordings: list[str] = field(default_factory=list)
 
     def phase(self, name: str, duration: float) -> None:
         self.phases.append(name)
@@ -128,7 +128,7 @@ class MonitorLog(RunMonitor):
         self.warnings.append(text)
 
     def recording(self, text: str) -> None:
-        self.said.append(text)
+        self.recordings.append(text)
 
     def tick(self, snapshot: Snapshot) -> None:
         self.snapshots.append(snapshot)

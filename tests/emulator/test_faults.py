@@ -1,6 +1,6 @@
 """Faults by name: how they are requested, and what some do to a running robot.
 
-What the others do is seen where they are found: `tests/deploy/test_fault_table.py`, `tests/cli/test_doctor_cli.py`.
+`tests/deploy/test_fault_table.py` and `tests/cli/test_doctor_cli.py` test the others.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def rig(robot, wire_bytes):
     return make
 
 
-def test_words_become_faults():
+def test_faults_are_parsed_from_words():
     found = parse_faults(["drop=0.2", "unplug=1.5", "battery-low=13@3.5", "other-robot", "hang", "corrupt@2"])
     assert list(found) == ["drop", "unplug", "battery-low", "other-robot", "hang", "corrupt"]
     assert (found["drop"].value, found["drop"].start) == (0.2, 0.0)
@@ -120,7 +120,7 @@ def test_words_become_faults():
         ("flip-sign=0.5", "fault flip-sign is 0.5; it must be a whole number"),
     ],
 )
-def test_what_is_no_fault_is_told(word, said):
+def test_a_fault_that_does_not_exist_or_a_number_out_of_range_is_refused(word, said):
     with pytest.raises(SurefootError, match=said):
         parse_faults([word])
 
@@ -158,7 +158,7 @@ def test_states_come_in_batches_as_some_adapters_deliver_them(rig):
 
 
 @pytest.mark.parametrize(("way", "signs"), [("0", None), ("1", (-1, 1)), ("2", (1, -1)), ("3", (-1, -1))])
-def test_an_imu_that_is_mounted_otherwise(rig, way, signs):
+def test_a_flipped_imu_exchanges_or_negates_roll_and_pitch(rig, way, signs):
     bench = rig(f"imu-flip={way}")
     bench.board.plant.params.imu_bias[0] = [0.1, 0.2]
     bench.arm()
@@ -168,7 +168,7 @@ def test_an_imu_that_is_mounted_otherwise(rig, way, signs):
     np.testing.assert_allclose([roll, pitch], expected, rtol=1e-6)
 
 
-def test_a_microcontroller_that_starts_anew(rig):
+def test_a_reboot_forgets_the_operator(rig):
     bench = rig("reboot=0.1")
     bench.arm()
     bench.walk(16)
@@ -184,7 +184,7 @@ def test_a_microcontroller_that_starts_anew(rig):
     assert isinstance(bench.frames[-1].message, Handshake)
 
 
-def test_a_microcontroller_that_stands_still(rig):
+def test_a_hang_makes_commands_stale(rig):
     bench = rig("hang=0.2@0.1")
     bench.arm()
     bench.walk(16)

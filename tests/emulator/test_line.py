@@ -1,4 +1,4 @@
-"""The serial line: how long bytes take, and what can happen to frames."""
+"""The serial line: transmission time, and harm to frames."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_bytes_take_their_time():
     assert arrivals(line()) == []
 
 
-def test_without_a_baud_rate_they_take_none():
+def test_without_a_baud_rate_bytes_take_no_time():
     quick = line()
     quick.send(7, b"\0aa\0\0bb")
     assert arrivals(quick) == [(7, b"\0aa\0")]

@@ -1,4 +1,4 @@
-"""The emulator on a real pseudo-terminal: as a process, in real time, in lockstep."""
+"""The emulator on a real pseudo-terminal: as a process, in real time and in lockstep."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import itertools
 import os
 import signal
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,12 +14,8 @@ pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
 from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
-from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import MAX_FRAME
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
-from surefoot.emulator.real_time import Summary
-from surefoot.emulator.serial.lockstep import Lockstep
 from surefoot.emulator.signals import MotorOrder
 from surefoot.world.actuation import set_actuation_params
 from surefoot.world.interface import WorldConfig
@@ -90,7 +85,7 @@ def test_hosts_come_and_go_and_the_robot_never_blocks(emulate_here):
 
 
 @pytest.mark.parametrize(("number", "words"), [(signal.SIGINT, ["--lockstep"]), (signal.SIGHUP, ["--rack"])])
-def test_it_ends_cleanly_when_asked_to(emulate, tmp_path, number, words):
+def test_a_signal_ends_it_and_removes_its_link(emulate, tmp_path, number, words):
     link, seen = tmp_path / "robot", tmp_path / "seen.csv"
     # Whoever runs the tests without a terminal may ignore hangups, and children inherit that.
     before = signal.signal(number, signal.SIG_DFL)
@@ -113,14 +108,14 @@ def test_it_ends_cleanly_when_asked_to(emulate, tmp_path, number, words):
 
 
 @pytest.mark.realtime
-def test_it_tells_when_it_cannot_keep_real_time(capsys):
+def test_it_reports_when_it_cannot_keep_real_time(capsys):
     assert main(["emulate", "--fault", "overload=2", "--duration", "0.5"]) == 0
     lines = capsys.readouterr().err.splitlines()
     assert "behind real time (it used " in lines[0]
     assert "slipped 0 times" not in lines[-1]
 
 
-def test_in_lockstep_time_is_the_frames(emulate_here):
+def test_in_lockstep_time_is_that_of_the_frames(emulate_here):
     host = emulate_here("--lockstep").host()
     # Robot time begins with the first frame.
     host.send(Hello(ME, 0.010), 5.0)
@@ -175,18 +170,6 @@ def test_in_lockstep_a_second_host_may_have_another_clock(emulate_here):
     assert any(isinstance(frame.message, Handshake) for frame in second.frames), said
     times = [frame.time for frame in second.run_to(2.1, State)]
     np.testing.assert_allclose(np.diff(times), 0.010, atol=1e-9)
-
-
-def test_in_lockstep_bytes_without_a_zero_are_not_kept():
-    taken: list[bytes] = []
-    inbound = SimpleNamespace(send=lambda _, piece: taken.append(piece))
-    link = SimpleNamespace(codec=Codec(8), inbound=inbound, flush=lambda _: None)
-    loop = Lockstep(SimpleNamespace(now=0, run_to=lambda _: None), link, SimpleNamespace(), Summary())
-    for _ in range(10):
-        loop._receive(b"x" * 700)
-    assert len(loop._open) <= MAX_FRAME
-    loop._receive(b"\0")
-    assert b"".join(taken) == b"x" * 7000 + b"\0"
 
 
 def armed_in_lockstep(process):

@@ -69,7 +69,6 @@ class DeployPage(PlainLines, LiveDisplay):
             self.close()
             raise SurefootError(str(answer.get("error", "the page's process has ended")))
         self.address = str(answer["address"])
-        """Where a browser finds the page."""
 
     def _first_line(self) -> dict[str, Any]:
         stdout, lines = self._process.stdout, queue.Queue[str]()
