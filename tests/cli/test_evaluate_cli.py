@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edited import maxitaur
 from processes import SUREFOOT, refused, run_surefoot, surefoot
 
 pytest.importorskip("torch")
@@ -138,13 +137,6 @@ def test_evaluate_and_play_refuse_options_that_do_not_fit(policy: Path, line: st
 def test_a_damaged_policy_is_refused(tmp_path: Path, policy: Path):
     (tmp_path / "cut.onnx").write_bytes(policy.read_bytes()[:500])
     refused(surefoot("evaluate", tmp_path / "cut.onnx"), "is damaged or not ONNX")
-
-
-def test_a_policy_for_another_robot_is_refused(policy: Path, tmp_path: Path):
-    refused(
-        surefoot("evaluate", policy, "--robot", maxitaur(tmp_path / "maxitaur")),
-        "policy 'untrained' must not run on maxitaur: it is for robot 'minitaur'",
-    )
 
 
 def test_play_writes_a_video_where_there_is_no_display(policy: Path, tmp_path: Path):

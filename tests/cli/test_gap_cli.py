@@ -17,7 +17,7 @@ from processes import refused, surefoot
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
 
-from surefoot.cli.gap import Side, make_labels
+from surefoot.cli.gap import make_labels, parse_side
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -208,15 +208,12 @@ def test_policies_for_different_robots_are_refused(here: Path):
 
 
 def test_sides_have_distinct_labels():
-    worlds, folder = [Side("mujoco"), Side("mujoco")], Side(folder=Path("a/robot"))
-    assert make_labels(["mujoco", "mujoco"], worlds) == ["mujoco", "mujoco-away"]
-    assert make_labels(["mujoco", "mujoco", "lab"], [*worlds, folder]) == ["mujoco", "mujoco-away", "lab"]
-    assert make_labels(["lab", "lab", "lab"], [folder, folder, Side(folder=Path("b/robot"))]) == [
-        *("lab", "lab-robot", "lab-robot-2")
-    ]
-    assert Side.from_words("--to", ("trace", "x y")) == Side(folder=Path("x y"))
+    folder = Path("a/robot")
+    assert make_labels(["mujoco", "mujoco", "lab"], ["mujoco", "mujoco", folder]) == ["mujoco", "mujoco-away", "lab"]
+    assert make_labels(["lab"] * 3, [folder, folder, Path("b/robot")]) == ["lab", "lab-robot", "lab-robot-2"]
+    assert parse_side("--to", ("trace", "x y")) == Path("x y")
     with pytest.raises(SurefootError, match="--to is 'nothing'"):
-        Side.from_words("--to", ())
+        parse_side("--to", ())
 
 
 @pytest.mark.parametrize("name", ["a/b c", "..", "../../x"])

@@ -63,7 +63,7 @@ def test_json_states_kind_and_schema(contract: Contract):
     ("change", "message"),
     [
         ({"kind": "recipe"}, "its kind must be 'surefoot-policy'"),
-        ({"schema": 1}, "has schema 1; this surefoot reads schema 2: export the policy again"),
+        ({"schema": 1}, "has schema 1; this surefoot reads schema 2: use the version that wrote it"),
         ({"history": "two"}, "contract.history is 'two'; it must be a whole number"),
         ({"history": 0}, "contract.history is 0; it must be 1 or more"),
         ({"low": [0.0]}, "contract.low has 1 numbers; it must have 8"),

@@ -27,16 +27,15 @@ PUNCTUAL, TRIES = 200, 10
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """How a run ended."""
+    """How a run ended: in the word of traces (time, fall, fault or stopped), with a short reason, and as a sentence.
+
+    `safe`: whether the robot's or the computer's safety ended it.
+    """
 
     ended: str
-    """How the policy's part ended, as in traces: time, fall, fault or stopped."""
     reason: str
-    """In one or two words."""
     text: str
-    """As a sentence, with what happened afterwards."""
     safe: bool
-    """Whether the robot's or the computer's safety ended the run."""
 
 
 class Deployment:
@@ -99,11 +98,7 @@ class Deployment:
     def _check_timing(self) -> None:
         """Run control steps as if the robot were armed, until the computer does them in time.
 
-        First runs take longer: pages are read, caches filled. A computer that is too busy, and a robot that should not
-        be armed, are found here, while nothing moves.
-
-        Raises:
-            SurefootError: what would end a run holds from the start, or occurs again and again.
+        First runs take longer. A busy computer, or a robot that should not be armed, is refused while nothing moves.
         """
         step, verdict = self.contract.control_step, GO
         for _ in range(TRIES):
