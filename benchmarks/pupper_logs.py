@@ -13,7 +13,7 @@ import numpy as np
 
 from surefoot.identify.logs.errors import replay_log
 from surefoot.identify.logs.fit import fit_logs
-from surefoot.identify.logs.model import RULES, LogRun
+from surefoot.identify.logs.model import PRIORS, LogRun
 from surefoot.identify.logs.robot_log import read_log
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -44,7 +44,7 @@ def main() -> None:
     for what in [options.only] if options.only else LEFT_OUT:
         without, values = LEFT_OUT[what]
         nominal = PhysicalParams.nominal(robot).with_values(robot, **values)
-        names = [name for name in RULES if name not in without]
+        names = [name for name in PRIORS if name not in without]
         cells = []
         for held in runs:
             found = fit_logs(robot, [run for name, run in runs.items() if name != held], [], names, nominal)

@@ -179,11 +179,12 @@ def gap_comparison() -> Callable[..., Comparison]:
     pytest.importorskip("gymnasium")
     import pandas as pd
 
-    from surefoot.studies.comparison import Comparison, GroupResult, SeedResult
+    from surefoot.studies.comparison import Comparison, policy_row
     from surefoot.studies.study_config import GroupConfig, PublishedFinding, StudyConfig
 
     steady, at = (True, True, True), np.arange(1, 11) * 1e5
-    curve = pd.DataFrame({"steps": at, "return": at * 1e-6, "speed": at * 1e-7, "falls": 0.0, "episodes": 1})
+    means = {"speed_mean": 0.5, "falls": 0, "episodes": 1, "seconds": 120.0}
+    log = [{"steps": int(steps), "return_mean": steps * 1e-6, **means} for steps in at]
 
     def runs(world: str, level: float, spread: float, balanced: tuple[bool, ...]) -> pd.DataFrame:
         """Three runs whose distance is their return and half a metre; those that fall do so after 250 steps."""
@@ -195,7 +196,7 @@ def gap_comparison() -> Callable[..., Comparison]:
 
     def policy(
         seed: int, level: float, gap: float, away: tuple[bool, ...] = steady, home: tuple[bool, ...] = steady
-    ) -> SeedResult:
+    ) -> dict[str, Any]:
         nominal = {"run": list(range(20)), "return": [level] * 20, "speed": [level / 6] * 20, "fell": [False] * 20}
         worlds = [
             runs("mujoco", level, 0.1, home),
@@ -203,15 +204,18 @@ def gap_comparison() -> Callable[..., Comparison]:
             runs("mujoco-described", level - gap / 2, 0.2, away),
         ]
         results = {"nominal": {"runs": nominal}, "gap": {"runs": pd.concat(worlds).to_dict("list")}}
-        return SeedResult(seed, 1_000_000, 120.0, curve, results)
+        return policy_row("", seed, log, results)
 
     def make(seeds: int = 5) -> Comparison:
-        a = tuple(policy(s, 2.0 + 0.2 * s, 1.0 + 0.1 * s, (True, s > 2, False)) for s in range(seeds))
-        b = tuple(policy(s, 3.0 + 0.1 * s, 0.0) for s in range(seeds))
-        c = tuple(policy(s, 0.1, 0.0, home=(False, False, True)) for s in range(seeds))
-        groups = GroupResult("a", "first", a), GroupResult("b", "second", b), GroupResult("c", "third", c)
+        groups = {
+            "a": [policy(s, 2.0 + 0.2 * s, 1.0 + 0.1 * s, (True, s > 2, False)) for s in range(seeds)],
+            "b": [policy(s, 3.0 + 0.1 * s, 0.0) for s in range(seeds)],
+            "c": [policy(s, 0.1, 0.0, home=(False, False, True)) for s in range(seeds)],
+        }
+        rows = [row | {"group": group} for group, policies in groups.items() for row in policies]
+        labels = {"a": "first", "b": "second", "c": "third", "absent": ""}
         study = StudyConfig(
-            groups={name: GroupConfig() for name in (*"abc", "absent")},
+            groups={name: GroupConfig(label) for name, label in labels.items()},
             name="gaps",
             evaluate=("gap",),
             compare=(("a", "b"), ("a", "c")),
@@ -221,6 +225,6 @@ def gap_comparison() -> Callable[..., Comparison]:
                 PublishedFinding(("a", "b", "absent"), "all was well."),
             ),
         )
-        return Comparison(study, groups)
+        return Comparison(study, pd.DataFrame(rows))
 
     return make

@@ -1,4 +1,4 @@
-"""What an install brings along: the bare one fits the robot's computer, and every version is pinned."""
+"""Dependencies of the install: the bare one fits the robot's computer, and every version is pinned."""
 
 from __future__ import annotations
 
@@ -54,12 +54,6 @@ def needed(roots: Iterable[Requirement]) -> dict[str, bool]:
             if marker is None or any(marker.evaluate({"extra": extra}) for extra in ("", *extras)):
                 todo.append(further)
     return found
-
-
-def test_the_walk_finds_what_is_required_indirectly():
-    assert "torch" in needed([Requirement("stable-baselines3")])
-    assert "mujoco-core" in needed([Requirement("mujoco")])
-    assert needed([Requirement("no-such-distribution")]) == {"no-such-distribution": False}
 
 
 def test_the_bare_install_brings_neither_simulation_nor_learning():

@@ -40,7 +40,7 @@ def policy(robot: RobotDescription, tmp_path_factory: pytest.TempPathFactory) ->
     return PpoLearner(config, SimWorld).export(tmp_path_factory.mktemp(robot.name) / "untrained.onnx")
 
 
-def test_it_stands_alike_in_both_engines(robot: RobotDescription) -> None:
+def test_a_robot_stands_alike_in_both_engines(robot: RobotDescription) -> None:
     pytest.importorskip("pybullet")
     stood = []
     for world in (SimWorld(robot, 1, engine=engine) for engine in ("mujoco", "bullet")):
@@ -91,5 +91,5 @@ def test_a_policy_is_evaluated_played_and_deployed(robot, policy, emulate, tmp_p
 
 def test_identification_runs_or_refuses_in_one_line(robot: RobotDescription, tmp_path: Path) -> None:
     result = surefoot("identify", "motor", "--robot", robot.name, "--port", "none", cwd=tmp_path)
-    said = "say so with --yes" if robot.name == "minitaur" else robot.name
-    refused(result, said)
+    message = "say so with --yes" if robot.name == "minitaur" else robot.name
+    refused(result, message)

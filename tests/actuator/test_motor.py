@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.actuator import joint_limit, joint_torque, motor_current, motor_friction, motor_torque, servo_duty
-from surefoot.actuator.motor import overheat_kernel
+from surefoot.actuator import joint_torque, motor_current, motor_friction, motor_torque, servo_duty
+from surefoot.actuator.motor import joint_limit_kernel, overheat_kernel
 
 VOLTAGE, KT, RESISTANCE, CLIP = 16.0, 0.0954, 0.186, 50.0
 CURRENTS = np.array([0.0, 10, 20, 30, 40, 50, 60])
@@ -210,13 +210,13 @@ def test_the_torque_of_a_joint_actuators_controller(target: float, angle: float,
     ],
 )
 def test_the_torque_limit_of_a_joint_actuator_at_a_speed(torque: float, speed: float, expected: float):
-    assert joint_limit(torque, speed, 20.0, 10.0, 30.0) == pytest.approx(expected, abs=1e-12)
+    assert joint_limit_kernel(torque, speed, 20.0, 10.0, 30.0) == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_joint_actuator_with_equal_speeds_has_no_torque_above_them():
-    assert joint_limit(25.0, 10.0, 20.0, 10.0, 10.0) == 20.0
-    assert joint_limit(25.0, 10.001, 20.0, 10.0, 10.0) == 0.0
-    assert joint_limit(-25.0, 10.001, 20.0, 10.0, 10.0) == -20.0
+    assert joint_limit_kernel(25.0, 10.0, 20.0, 10.0, 10.0) == 20.0
+    assert joint_limit_kernel(25.0, 10.001, 20.0, 10.0, 10.0) == 0.0
+    assert joint_limit_kernel(-25.0, 10.001, 20.0, 10.0, 10.0) == -20.0
 
 
 def test_nan_gives_neither_duty_nor_torque():
@@ -226,17 +226,13 @@ def test_nan_gives_neither_duty_nor_torque():
         assert np.isnan(servo_duty(*arguments, 1.0, 0.015))
         assert np.isnan(joint_torque(*arguments, 30.0, 0.5))
     for speed in (0.0, 15.0, -15.0, 45.0):
-        assert np.isnan(joint_limit(np.nan, speed, 20.0, 10.0, 30.0))
+        assert np.isnan(joint_limit_kernel(np.nan, speed, 20.0, 10.0, 30.0))
 
 
 def test_servo_and_joint_actuator_broadcast_over_robots_and_motors(rng: np.random.Generator):
     target, angle, speed = rng.normal(size=(3, 5, 12))
     kp, kd = rng.uniform(10, 100, (5, 12)), rng.uniform(0, 2, 12)
-    limit, full, none = rng.uniform(10, 40, 12), rng.uniform(0.1, 0.5, 12), rng.uniform(1, 2, 12)
     torques = joint_torque(target, angle, speed, kp, kd)
     expected = kp * (target - angle) - kd * speed
     np.testing.assert_allclose(torques, expected, rtol=1e-13, atol=1e-12)
     np.testing.assert_allclose(servo_duty(target, angle, speed, kp, kd), np.clip(expected, -1, 1), rtol=1e-13)
-    share = np.where(torques * speed > 0, np.clip((none - np.abs(speed)) / (none - full), 0, 1), 1)
-    expected = np.clip(torques, -share * limit, share * limit)
-    np.testing.assert_allclose(joint_limit(torques, speed, limit, full, none), expected, rtol=1e-13, atol=1e-12)

@@ -335,7 +335,7 @@ def test_runs_that_were_recorded_tell_too(tmp_path: Path):
     assert np.mean(found["params"]["motor_strength"]) == pytest.approx(0.9, abs=0.03)
     assert found["identified"]["traces"]["file"] == str(traces)
     done = identify("--from-trace", traces, "--fit", "contact_friction")
-    refused(done, "traces do not tell 'contact_friction'; choices: motor_strength")
+    refused(done, "traces can't identify 'contact_friction'; choices: motor_strength")
 
 
 def test_logs_of_a_robot_with_joint_actuators_tell_and_one_is_held_out(tmp_path: Path):

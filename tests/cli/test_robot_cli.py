@@ -1,4 +1,4 @@
-"""`surefoot robot new` and `surefoot robot check`: a robot from a file, what is found of it, and bad input."""
+"""`surefoot robot new` and `surefoot robot check`: a robot from a file, the checks of it, and bad input."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_from_a_file_to_a_robot_that_trains(tmp_path: Path) -> None:
     assert summary["falls"] <= 2
 
 
-def test_check_finds_what_is_wrong(tmp_path: Path) -> None:
+def test_check_reports_a_placeholder_torque_and_unequal_legs(tmp_path: Path) -> None:
     folder = tmp_path / "odd"
     folder.mkdir()
     sheet, urdf = (SOLO.folder / "robot.toml").read_text(), SOLO.urdf.path.read_text()
@@ -51,9 +51,9 @@ def test_check_finds_what_is_wrong(tmp_path: Path) -> None:
     (folder / "solo8.urdf").write_text(urdf[:place] + '<mass value="0.5" ' + urdf[end:])
     result = surefoot("robot", "check", str(folder), "--json", cwd=tmp_path)
     assert result.returncode == 3, result.stderr
-    found = json.loads(result.stdout)
-    assert found["passed"] is False
-    wrong = {item["name"]: item for item in found["checks"] if item["passed"] is False}
+    report = json.loads(result.stdout)
+    assert report["passed"] is False
+    wrong = {item["name"]: item for item in report["checks"] if item["passed"] is False}
     assert set(wrong) == {"torque limits", "left and right"}
     assert "placeholder" in wrong["torque limits"]["message"]
     assert "front_left, front_right" in wrong["left and right"]["message"]
@@ -67,7 +67,7 @@ def test_robots_that_ship_pass(name: str, tmp_path: Path) -> None:
     assert len(json.loads(result.stdout)["checks"]) >= 7
 
 
-def test_a_step_that_light_rotors_do_not_bear_is_shortened(tmp_path: Path) -> None:
+def test_a_step_too_long_for_light_rotors_is_shortened(tmp_path: Path) -> None:
     # Without the file's armature the guess is .005 m l^2; with a hundredth of it the damping asks for a shorter step.
     legs = "".join(
         f"""<body name="{n}" pos="{x} {y} 0"><joint name="{n}_hip" axis="0 1 0" armature="1e-5"/>

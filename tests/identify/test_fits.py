@@ -12,11 +12,11 @@ pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Plan
-from surefoot.identify.rack.model import fit_on_rack, motor_unknowns, moving_legs, rack_estimates
+from surefoot.identify.rack.model import fit_on_rack, moving_legs, rack_estimates, rack_unknowns
 from surefoot.identify.recording import Recording
-from surefoot.identify.registry import EXPERIMENTS, ignore_progress
+from surefoot.identify.registry import EXPERIMENTS
 from surefoot.identify.replay import segment_from_recording
-from surefoot.identify.result import Identification
+from surefoot.identify.result import Identification, ignore_progress
 from surefoot.robot import PhysicalParams, RobotDescription
 
 pytestmark = pytest.mark.slow
@@ -138,9 +138,9 @@ def test_a_motor_that_never_moves_is_not_told_and_neither_is_its_leg(
     recording = replace(rack[0], motor_angle=angle, motor_velocity=velocity)
     assert recording.still_motors == {3}
     known = nominal.with_values(robot, **RACK)
-    assert not [u for u in motor_unknowns(robot, known, 0.0173, moving_legs(robot, recording)) if u.index in (2, 3)]
+    assert not [u for u in rack_unknowns(robot, known, 0.0173, moving_legs(robot, recording)) if u.index in (2, 3)]
     # It is a motor of the back left leg, with motor 2.
-    fit, _ = fit_on_rack(robot, recording, segment_from_recording(recording, 1, 2), known, ignore_progress)
+    fit = fit_on_rack(robot, recording, segment_from_recording(recording, 1, 2), known, ignore_progress)
     estimates = rack_estimates(robot, fit, known)
     untold = [item for item in estimates if not item.identifiable and item.index is not None]
     names = ("motor_strength", "motor_friction", "motor_viscous_friction")
@@ -174,7 +174,7 @@ def test_latencies_are_found_twice(
         assert found.estimate(name).value == pytest.approx(RACK["control_latency"], abs=1e-3)
     assert set(found.identified_names()) == {"control_latency", "servo_latency", "voltage"}
     assert said[0].startswith("starting from a control latency of")
-    assert any("spikes answered clearly" in note for note in found.notes)
+    assert any("responses are clear" in note for note in found.notes)
 
 
 def test_a_robot_that_answers_no_spikes_is_refused(
@@ -183,7 +183,7 @@ def test_a_robot_that_answers_no_spikes_is_refused(
     weak = replace(rack[1], meta={**rack[1].meta, "phases": [dict(phase) for phase in rack[1].meta["phases"]]})
     for phase in weak.meta["phases"]:
         phase["name"] = phase["name"].replace("spikes", "silence")
-    with pytest.raises(SurefootError, match="only 0 of 0 answers to spikes are clear; at least 8"):
+    with pytest.raises(SurefootError, match="only 0 of 0 responses to spikes are clear; at least 8"):
         EXPERIMENTS["latency"].fit(robot, weak, nominal)
 
 
@@ -227,7 +227,7 @@ def test_feet_are_found(robot: RobotDescription, grounded: Recording, nominal: P
 def test_friction_of_feet_that_do_not_slide_is_not_told_and_stays_as_it_was(
     robot: RobotDescription, grounded: Recording, nominal: PhysicalParams, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("surefoot.identify.ground.fits.SLIDING", 10.0)
+    monkeypatch.setattr("surefoot.identify.ground.fits.SLIDING_SPEED", 10.0)
     found = EXPERIMENTS["contact"].fit(robot, grounded, weighed(robot, nominal))
     friction = found.estimate("contact_friction")
     assert not friction.identifiable

@@ -13,11 +13,8 @@ from surefoot.errors import SurefootError
 
 pytest.importorskip("mujoco")
 
-from surefoot.identify.fitting import (
-    Unknown,
-    fit_least_squares,
-    forward_jacobian,
-)
+from surefoot.identify.fitting import fit_least_squares, forward_jacobian
+from surefoot.identify.model import Unknown
 from surefoot.identify.result import NORMAL_95
 
 
@@ -37,7 +34,7 @@ class Linear:
         self.candidates += len(values)
         return values @ self.matrix.T - self.data
 
-    def touched(self, k: int) -> NDArray[np.bool_] | None:
+    def affected(self, k: int) -> NDArray[np.bool_] | None:
         return self.matrix[:, k] != 0
 
 
@@ -53,7 +50,7 @@ class Decay:
     def residuals(self, values: Array) -> Array:
         return values[:, :1] * np.exp(-values[:, 1:] * self.time) - self.data
 
-    def touched(self, k: int) -> None:
+    def affected(self, k: int) -> None:
         return None
 
 

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.identify.fitting import Unknown, forward_jacobian
+from surefoot.identify.fitting import forward_jacobian
+from surefoot.identify.model import ReplayModel, Unknown
 from surefoot.identify.result import Identification
 from surefoot.identify.traces.data import MotorMotion, TraceSegment, torque_timings, usable_rows
 from surefoot.identify.traces.fit import fit_traces
-from surefoot.identify.traces.model import NAMES, USUAL, VOLTAGE_CHANGE, TorqueModel
+from surefoot.identify.traces.model import DEFAULT_NAMES, NAMES, VOLTAGE_CHANGE, trace_observations
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import WorldConfig
@@ -34,7 +35,7 @@ HIDDEN = NOMINAL.with_values(
     control_latency=0.0124,
     motor_friction=0.02,
 )
-BATTERY_KNOWN = tuple(name for name in USUAL if name != "voltage")
+BATTERY_KNOWN = tuple(name for name in DEFAULT_NAMES if name != "voltage")
 AT_15_V = NOMINAL.with_values(ROBOT, voltage=15.0)
 
 
@@ -251,8 +252,8 @@ def test_gaps_are_left_out_and_told() -> None:
 @pytest.mark.parametrize(
     ("change", "names", "said"),
     [
-        ({}, ("motor_strength", "imu_bias"), "traces do not tell .imu_bias.; choices: motor_strength"),
-        ({}, (), "nothing is to be found; choices: "),
+        ({}, ("motor_strength", "imu_bias"), "traces can't identify .imu_bias.; choices: motor_strength"),
+        ({}, (), "no parameter is to be identified; choices: "),
         ({"robot": "other"}, None, "trace 1 of 1: is of robot 'other', not of 'minitaur'"),
         ({"dry_run": True}, None, "trace 1 of 1: is of a dry run"),
         ({"actuator": "constraint"}, None, "motors of kind 'constraint'; only DC motors"),
@@ -331,17 +332,21 @@ def test_a_robot_in_real_time_may_tell_torques_earlier() -> None:
     assert max(map(abs, errors_of(found).values())) < 0.01
 
 
-def test_unknowns_of_one_colour_touch_what_belongs_to_them() -> None:
+def test_coloured_unknowns_affect_their_motor_or_trace_alone() -> None:
     traces = [clean(), record(seconds=1.0)]
     segments = [
         TraceSegment(trace, MotorMotion(ROBOT, trace), np.arange(20, 60), number, torque_timings(ROBOT, trace)[0])
         for number, trace in enumerate(traces)
     ]
-    unknowns = [Unknown("motor_strength", 1.0, 0.0, 2.0, 1e-6, motor, colour=0) for motor in range(8)]
-    unknowns.append(Unknown(VOLTAGE_CHANGE, 0.0, -3.0, 3.0, 1e-5, 1, colour=1))
+    unknowns = [
+        Unknown("motor_strength", 1.0, 0.0, 2.0, 1e-6, motor, colour=0, affects=("motor", motor)) for motor in range(8)
+    ]
+    unknowns.append(Unknown(VOLTAGE_CHANGE, 0.0, -3.0, 3.0, 1e-5, 1, colour=1, affects=("trace", 1)))
     values = np.array([u.start for u in unknowns])
-    together = TorqueModel(ROBOT, segments, unknowns, AT_15_V, np.ones(8, np.bool_))
-    apart = TorqueModel(ROBOT, segments, [replace(u, colour=None) for u in unknowns], AT_15_V, np.ones(8, np.bool_))
+    observations = [trace_observations(ROBOT, segment, np.ones(8, np.bool_)) for segment in segments]
+    together, apart = (
+        ReplayModel(group, AT_15_V, observations) for group in (unknowns, [replace(u, colour=None) for u in unknowns])
+    )
     residuals = together.residuals(values[None])[0]
     assert np.array_equal(forward_jacobian(together, values, residuals), forward_jacobian(apart, values, residuals))
     assert len(residuals) == len(together.blocks) == 2 * 40 * 8

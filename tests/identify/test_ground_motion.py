@@ -13,9 +13,9 @@ from surefoot.identify.ground.motion import (
     LEVELLING,
     STEP,
     GroundMotion,
-    _levelled,
-    _since_command,
+    _filter_tilt,
     _smooth,
+    _torque_excess,
     block_deviation,
     regress,
 )
@@ -55,7 +55,7 @@ def test_fast_turns_follow_the_gyro_and_slow_ones_the_imu():
     tilt = slow + fast + rng.normal(0.0, 0.05, len(time))
     # The gyro: what changes, exactly, from one value to the next.
     rate = np.diff(fast, prepend=fast[0]) / STEP
-    found = _levelled(np.stack([tilt, np.zeros_like(tilt)], axis=1), np.stack([rate, np.zeros_like(rate)], axis=1))
+    found = _filter_tilt(np.stack([tilt, np.zeros_like(tilt)], axis=1), np.stack([rate, np.zeros_like(rate)], axis=1))
     error = found[:, 0] - slow - fast
     # The start is a mean of noise and of the motion; then noise of 50 mrad is averaged over some 1000 values.
     assert abs(error[0]) < 0.06
@@ -67,7 +67,7 @@ def test_fast_turns_follow_the_gyro_and_slow_ones_the_imu():
 def test_a_gyros_constant_error_leaves_nothing_in_the_mean():
     # Drawn back with a time constant T, an error of the rate b leaves an angle of b T (1 - exp(-t / T)), less its mean.
     time, bias = np.arange(0.0, 6.0, STEP), 0.01
-    found = _levelled(np.zeros((len(time), 2)), np.full((len(time), 2), bias))
+    found = _filter_tilt(np.zeros((len(time), 2)), np.full((len(time), 2), bias))
     expected = bias * LEVELLING * (1 - np.exp(-(time + STEP) / LEVELLING))
     np.testing.assert_allclose(found[:, 0], expected - expected.mean(), atol=1e-4)
     assert abs(found[:, 0].mean()) < 1e-12
@@ -103,8 +103,8 @@ def test_the_last_servo_step_has_the_least_of_a_command(robot: RobotDescription)
     # Of two steps the second has 1 mrad less to go: .001 of 16 V, at .186 Ohm and, up to 10 A, .1 N m/A. On average
     # they have half of that more than the second.
     expected = 0.001 * 16 / 0.186 * 0.1 / 2
-    found = _since_command(robot, recording, nominal, 0.0)
+    found = _torque_excess(robot, recording, nominal, 0.0)
     np.testing.assert_allclose(found[20:], expected, rtol=1e-6)
     # A motor that stands has equal torques in both.
     still = SimpleNamespace(**vars(recording) | {"motor_angle": turning * 0, "motor_velocity": turning * 0})
-    np.testing.assert_allclose(_since_command(robot, still, nominal, 0.0)[20:], 0.0, atol=1e-12)
+    np.testing.assert_allclose(_torque_excess(robot, still, nominal, 0.0)[20:], 0.0, atol=1e-12)

@@ -10,9 +10,9 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
-from surefoot.identify.logs.errors import imu_of
-from surefoot.identify.logs.fit import _mounted, _searched, fit_logs
-from surefoot.identify.logs.model import LogModel, LogRun, params_of_logs, unknowns_of
+from surefoot.identify.logs.errors import imu_channels
+from surefoot.identify.logs.fit import find_imu_yaw, fit_logs, search_start
+from surefoot.identify.logs.model import LogRun, log_model, log_params, log_unknowns
 from surefoot.identify.logs.robot_log import RobotLog
 from surefoot.identify.replay import Replayer, segment_from_log
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -54,12 +54,12 @@ def test_a_robot_on_its_rack_is_found(pupper: RobotDescription, hanging: RobotLo
 
 def test_what_motors_have_of_their_own_is_around_what_they_share(pupper: RobotDescription):
     known = PhysicalParams.nominal(pupper)
-    unknowns = unknowns_of(pupper, known, ["motor_friction", "friction_ratio", "damping_ratio", "motor_offset"])
+    unknowns = log_unknowns(pupper, known, ["motor_friction", "friction_ratio", "damping_ratio", "motor_offset"])
     values = np.array([u.start for u in unknowns])
     at = {(u.name, u.index): k for k, u in enumerate(unknowns)}
     values[at["motor_friction", None]], values[at["friction_ratio", 4]] = 0.1, 1.5
     values[at["damping_ratio", None]], values[at["motor_offset", 2]] = 0.08, 0.05
-    params = params_of_logs(known, unknowns, values[None])
+    params = log_params(known, unknowns, values[None])
     np.testing.assert_allclose(params.motor_friction[0], [0.1] * 4 + [0.15] + [0.1] * 7)
     np.testing.assert_allclose(params.servo_kd, 0.08 * known.servo_kp)
     assert params.motor_offset[0].tolist() == [0, 0, 0.05, *[0] * 9]
@@ -67,7 +67,7 @@ def test_what_motors_have_of_their_own_is_around_what_they_share(pupper: RobotDe
 
 def test_what_can_t_be_fitted_is_refused(pupper: RobotDescription, hanging: RobotLog):
     known = PhysicalParams.nominal(pupper)
-    with pytest.raises(SurefootError, match="logs do not tell 'voltage'; choices: servo_kp"):
+    with pytest.raises(SurefootError, match="logs can't identify 'voltage'; choices: servo_kp"):
         fit_logs(pupper, [LogRun(hanging, True)], [], ["voltage"], known)
     with pytest.raises(SurefootError, match="there are no logs to fit"):
         fit_logs(pupper, [], [LogRun(hanging, True)], None, known)
@@ -78,11 +78,11 @@ def test_what_can_t_be_fitted_is_refused(pupper: RobotDescription, hanging: Robo
 
 def test_a_search_begins_nearer_and_counts_its_generations(pupper: RobotDescription, hanging: RobotLog):
     known, told = PhysicalParams.nominal(pupper), []
-    model = LogModel(
-        pupper, [LogRun(hanging.until(0.5), True)], unknowns_of(pupper, known, ["servo_kp", "motor_offset"]), known
+    model = log_model(
+        pupper, [LogRun(hanging.until(0.5), True)], log_unknowns(pupper, known, ["servo_kp", "motor_offset"]), known
     )
     start = np.array([unknown.start for unknown in model.unknowns])
-    found = _searched(model, 2, 1, lambda step, cost: told.append((step, cost)))
+    found = search_start(model, 2, 1, lambda step, cost: told.append((step, cost)))
     before, after = (float(np.sum(model.residuals(one[None]) ** 2)) for one in (start, found))
     assert after < before
     # What motors have of their own is left to the fit.
@@ -90,12 +90,12 @@ def test_a_search_begins_nearer_and_counts_its_generations(pupper: RobotDescript
     assert np.array_equal(found[1:], start[1:])
     assert [step for step, _ in told] == ["search, generation 1", "search, generation 2"]
     assert told[1][1] <= told[0][1]
-    assert np.array_equal(found, _searched(model, 2, 1, lambda *_: None))
-    with pytest.raises(SurefootError, match="a search looks for what all motors share"):
+    assert np.array_equal(found, search_start(model, 2, 1, lambda *_: None))
+    with pytest.raises(SurefootError, match="a search is over numbers that all motors share"):
         fit_logs(pupper, [LogRun(hanging, True)], [], ["motor_offset"], known, search=2)
 
 
-def test_an_imu_that_is_mounted_the_other_way_is_found(pupper: RobotDescription, hanging: RobotLog):
+def test_an_imu_that_isfind_imu_yaw_the_other_way_is_found(pupper: RobotDescription, hanging: RobotLog):
     nominal = PhysicalParams.nominal(pupper)
     truth, first = nominal.rows(np.zeros(1, np.int64)), hanging.until(0.5)
     truth.imu_mount[0, 2] = np.pi
@@ -104,7 +104,7 @@ def test_an_imu_that_is_mounted_the_other_way_is_found(pupper: RobotDescription,
     command[:, 2::6] -= 0.4 * np.linspace(0, 1, len(command))[:, None]
     blank = replace(first, command=command)
     told = Replayer(pupper, 1, rack=False, torques=False).run(segment_from_log(blank, pupper), truth)
-    log = replace(blank, motor_angle=told.motor_angle[0], imu=imu_of(told)[0])
+    log = replace(blank, motor_angle=told.motor_angle[0], imu=imu_channels(told)[0])
     assert np.ptp(log.imu[:, :2], axis=0).min() > 0.01
-    assert _mounted(pupper, [LogRun(log, False)], nominal) == np.pi
-    assert _mounted(pupper, [LogRun(hanging, True)], nominal) is None
+    assert find_imu_yaw(pupper, [LogRun(log, False)], nominal) == np.pi
+    assert find_imu_yaw(pupper, [LogRun(hanging, True)], nominal) is None

@@ -12,7 +12,7 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.identify.logs import table as log_table
 from surefoot.identify.logs.importing import import_log, missing_columns
-from surefoot.identify.logs.robot_log import log_of_trace
+from surefoot.identify.logs.robot_log import log_from_trace
 from surefoot.identify.logs.table import read_table
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -50,7 +50,7 @@ def test_a_table_in_degrees_and_milliseconds(tmp_path: Path, pupper: RobotDescri
     # It is a trace like others: it can be kept, and replayed.
     again = EpisodeTrace.load(trace.save(tmp_path / "trace.npz"))
     np.testing.assert_array_equal(again.target, trace.target)
-    assert log_of_trace("log", again).timing()["repeated_times"] == pytest.approx(1 / 3)
+    assert log_from_trace("log", again).timing()["repeated_times"] == pytest.approx(1 / 3)
 
 
 def test_a_pickle_of_rows_and_one_of_arrays(tmp_path: Path, pupper: RobotDescription):
@@ -71,7 +71,7 @@ class Hostile:
 
 def test_a_pickle_that_runs_something_is_refused(tmp_path: Path, pupper: RobotDescription):
     (tmp_path / "log.pkl").write_bytes(pickle.dumps(Hostile()))
-    with pytest.raises(SurefootError, match=r"is no pickle of numbers: it asks for (posix|nt)\.system"):
+    with pytest.raises(SurefootError, match=r"is no pickle of numbers: it names (posix|nt)\.system"):
         import_log(tmp_path / "log.pkl", pupper)
 
 
@@ -181,7 +181,7 @@ def test_arrays_that_are_no_table_are_refused(tmp_path: Path, what: str):
 def test_pickles_that_are_no_table_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str):
     data, said = PICKLES[what]
     (tmp_path / "log.pkl").write_bytes(data if isinstance(data, bytes) else pickle.dumps(data))
-    monkeypatch.setattr(log_table, "MOST_ITEMS", 1000)
+    monkeypatch.setattr(log_table, "MAX_ITEMS", 1000)
     with pytest.raises(SurefootError, match=said):
         read_table(tmp_path / "log.pkl")
 

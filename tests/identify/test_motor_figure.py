@@ -70,21 +70,21 @@ def test_a_log_is_written_and_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
-        ("", "takes time, target, angle"),
+        ("", "has 0 columns and 0 rows"),
         ("time,angle\n0,1\n", "takes time, target, angle"),
-        ("time,target,angle\n0,1,1\n0.1,x,1\n", "line 3: target 'x' is no number"),
-        ("time,target,angle\n0,1\n0.1,1,1\n", "line 2: angle 'None' is no number"),
+        ("time,target,angle\n0,1,1\n0.1,x,1\n", "must be finite"),
+        ("time,target,angle\n0,1\n0.1,1,1\n", "line 2 has 2 values; the first line names 3"),
         ("time,target,angle\n0,1,1\n", "has 1 rows"),
         ("time,target,angle\n0,1,1\n0,1,1\n", "times must rise"),
         ("time,target,angle\n0,nan,1\n1,1,1\n", "must be finite"),
     ],
 )
-def test_what_is_no_log_is_refused(tmp_path: Path, text: str, told: str) -> None:
+def test_a_table_that_is_no_motor_log_is_refused(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "log.csv"
     path.write_text(text)
-    with pytest.raises(SurefootError, match=told):
+    with pytest.raises(SurefootError, match=message):
         MotorLog.read(path)
 
 

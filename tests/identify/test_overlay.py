@@ -10,7 +10,7 @@ import pytest
 
 from surefoot import __version__
 from surefoot.errors import SurefootError
-from surefoot.identify.overlay import overlay, read_known, write_known
+from surefoot.identify.overlay import missing_experiments, overlay, read_prior, write_overlay
 from surefoot.identify.result import NORMAL_95, Identification, ParameterEstimate
 from surefoot.robot import RobotDescription
 
@@ -44,33 +44,33 @@ def motor(strength: float = 0.9, missing: int = 3) -> Identification:
 
 def test_without_a_file_the_description_is_known(robot: RobotDescription, tmp_path: Path):
     for path in (None, tmp_path / "none.toml"):
-        known = read_known(path, robot)
-        assert (known.given, known.tables, known.sensors) == ((), {}, {})
+        known = read_prior(path, robot)
+        assert (known.names, known.tables) == ((), {})
         assert known.params.voltage[0] == robot.dc_motor.voltage
-        assert known.lacks(("motor", "mass")) == ("motor", "mass")
+        assert missing_experiments(known, ("motor", "mass")) == ("motor", "mass")
 
 
 def test_what_was_found_is_written_and_read_to_the_last_bit(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "folder" / "robot.toml"
-    after = overlay(read_known(path, robot), motor(), robot, "recording.npz")
-    write_known(path, robot, after)
-    again = read_known(path, robot)
+    after = overlay(read_prior(path, robot), motor(), robot, "recording.npz")
+    write_overlay(path, robot, after)
+    again = read_prior(path, robot)
     # Parameters stand in the order of `PhysicalParams`; what was not identifiable is not there.
-    assert again.given == ("motor_friction", "motor_strength", "voltage")
+    assert again.names == ("motor_friction", "motor_strength", "voltage")
     assert again.tables == {"robot": "minitaur", **after.tables}
     np.testing.assert_array_equal(again.params.motor_strength, after.params.motor_strength)
     expected = 0.9 + 0.01 * np.arange(8)
     expected[3] = 1.0
     np.testing.assert_array_equal(again.params.motor_strength[0], expected)
     assert again.params.resistance[0] == robot.dc_motor.resistance
-    assert again.sensors == {"torque_gain": [0.01, -0.02], "torque_accuracy": 0.004}
+    assert again.tables["sensors"] == {"torque_gain": [0.01, -0.02], "torque_accuracy": 0.004}
     told = again.tables["identified"]["motor"]
     assert told == {"date": "2026-11-21", "data": "ab12", "file": "recording.npz", "surefoot": __version__}
-    assert again.lacks(("motor", "mass")) == ("mass",)
+    assert missing_experiments(again, ("motor", "mass")) == ("mass",)
 
 
 def test_intervals_of_numbers_and_of_motors(robot: RobotDescription):
-    tables = overlay(read_known(None, robot), motor(), robot).tables
+    tables = overlay(read_prior(None, robot), motor(), robot).tables
     reach = NORMAL_95 * 0.1
     assert tables["intervals"]["voltage"] == pytest.approx([15.4 - reach, 15.4 + reach])
     strength = tables["intervals"]["motor_strength"]
@@ -91,29 +91,29 @@ def test_intervals_of_numbers_and_of_motors(robot: RobotDescription):
 def test_everything_else_in_the_file_stays(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "robot.toml"
     path.write_text(TEXT)
-    write_known(path, robot, overlay(read_known(path, robot), motor(), robot, "a.npz"))
+    write_overlay(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
     contact = ParameterEstimate("contact_friction", 0.7, 0.02, "1")
     found = Identification("contact", "minitaur", (contact, ParameterEstimate("voltage", 15.2, 0.05, "V")), digest="cd")
-    write_known(path, robot, overlay(read_known(path, robot), found, robot, "b.npz"))
-    known = read_known(path, robot)
+    write_overlay(path, robot, overlay(read_prior(path, robot), found, robot, "b.npz"))
+    known = read_prior(path, robot)
     assert known.tables["owner"] == "lab 3"
     assert known.tables["note"] == {"by": "hand", "more": {"deep": [[1, 2], [3]]}}
-    assert known.given == ("motor_friction", "motor_strength", "voltage", "contact_friction")
+    assert known.names == ("motor_friction", "motor_strength", "voltage", "contact_friction")
     # The motor that was not identifiable keeps what the file said of it.
     assert known.params.motor_strength[0, 3] == 0.97
     assert (known.params.voltage[0], known.params.contact_friction[0]) == (15.2, 0.7)
     assert known.tables["identified_by"]["voltage"] == "contact"
     assert known.tables["identified_by"]["motor_strength"] == "motor"
     assert set(known.tables["identified"]) == {"motor", "contact"}
-    assert known.sensors["torque_accuracy"] == 0.004
-    assert known.lacks(("motor", "contact")) == ()
+    assert known.tables["sensors"]["torque_accuracy"] == 0.004
+    assert missing_experiments(known, ("motor", "contact")) == ()
 
 
 def test_an_experiment_done_again_replaces_what_it_said(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "robot.toml"
-    write_known(path, robot, overlay(read_known(path, robot), motor(), robot, "a.npz"))
-    write_known(path, robot, overlay(read_known(path, robot), motor(0.8, missing=5), robot, "b.npz"))
-    known = read_known(path, robot)
+    write_overlay(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
+    write_overlay(path, robot, overlay(read_prior(path, robot), motor(0.8, missing=5), robot, "b.npz"))
+    known = read_prior(path, robot)
     assert known.params.motor_strength[0, 3] == pytest.approx(0.83)
     # Of the motor that is not identifiable this time the former interval is still the best there is.
     assert known.params.motor_strength[0, 5] == pytest.approx(0.95)
@@ -133,7 +133,7 @@ def test_a_file_that_does_not_fit(robot: RobotDescription, tmp_path: Path, text:
     path = tmp_path / "robot.toml"
     path.write_text(text)
     with pytest.raises(SurefootError, match=said):
-        read_known(path, robot)
+        read_prior(path, robot)
 
 
 def test_training_takes_it(robot: RobotDescription, tmp_path: Path):
@@ -142,7 +142,7 @@ def test_training_takes_it(robot: RobotDescription, tmp_path: Path):
     from surefoot.task.config import TaskConfig
 
     path = tmp_path / "robot.toml"
-    write_known(path, robot, overlay(read_known(None, robot), motor(), robot))
+    write_overlay(path, robot, overlay(read_prior(None, robot), motor(), robot))
     task = Simulator(params=path).apply(TaskConfig())
     assert set(task.params) == {"motor_strength", "motor_friction", "voltage"}
     assert task.nominal(robot).motor_strength[0, 0] == 0.9

@@ -11,7 +11,7 @@ from surefoot.deploy.poses import sitting_pose
 from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.identify.ground.plans import DRAG, ends, rocking, sides, standing_up
 from surefoot.identify.plan import FADE, Phase, Plan, chirps, go_to, hold, steps, sweep
-from surefoot.identify.rack.plans import PULSE, SPIKE_EVERY, latency_plan, motor_plan
+from surefoot.identify.rack.plans import PULSE, SPIKE_PERIOD, latency_plan, motor_plan
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import RobotDescription
 
@@ -109,7 +109,7 @@ def test_a_spike_is_one_command(robot: RobotDescription):
     phase = next(p for p in latency_plan(robot).phases if p.name == "spikes")
     duties = asked(phase, np.zeros(robot.num_motors))
     driven = np.flatnonzero(np.abs(duties).max(axis=1))
-    np.testing.assert_array_equal(driven, [0, round(SPIKE_EVERY / PERIOD)])
+    np.testing.assert_array_equal(driven, [0, round(SPIKE_PERIOD / PERIOD)])
     np.testing.assert_allclose(np.abs(duties[driven]), robot.experiments.spike)
     np.testing.assert_array_equal(duties[driven[0]], -duties[driven[1]])
 

@@ -1,4 +1,4 @@
-"""Residuals of a robot on its rack, and a small fit of them."""
+"""Residuals of a robot on its rack."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
-from surefoot.identify.fitting import TORQUE_GAIN, Unknown, params_of
-from surefoot.identify.rack.model import NOISE, RackModel, moving_legs
+from surefoot.identify.model import TORQUE_GAIN, ReplayModel, Unknown, candidate_params
+from surefoot.identify.rack.model import NOISE, moving_legs, rack_observations, rank_latencies
 from surefoot.identify.recording import Recording
-from surefoot.identify.replay import Replayer, segment_from_recording
+from surefoot.identify.replay import Replayer, Segment, segment_from_recording
 from surefoot.robot import PhysicalParams, RobotDescription
 
 UNKNOWNS = [
     Unknown("resistance", 0.186, 0.02, 5.0, 1e-6),
-    Unknown("motor_strength", 1.0, 0.0, 2.0, 1e-6, 0, colour=0),
-    Unknown("motor_friction", 0.0, 0.0, 0.5, 1e-6, 7, colour=0),
-    Unknown(TORQUE_GAIN, 0.0, -0.5, 0.5, 1e-4, 2, 0.01, colour=1),
+    Unknown("motor_strength", 1.0, 0.0, 2.0, 1e-6, 0, colour=0, affects=("leg", 0)),
+    Unknown("motor_friction", 0.0, 0.0, 0.5, 1e-6, 7, colour=0, affects=("leg", 3)),
+    Unknown(TORQUE_GAIN, 0.0, -0.5, 0.5, 1e-4, 2, 0.01, colour=1, affects=("leg", 1)),
 ]
+START = np.array([[u.start for u in UNKNOWNS]])
 
 
 @pytest.fixture(scope="module")
@@ -35,47 +36,52 @@ def replayer(robot: RobotDescription) -> Replayer:
 
 
 @pytest.fixture(scope="module")
-def model(robot: RobotDescription, recorded: Recording, nominal: PhysicalParams, replayer: Replayer) -> RackModel:
-    """Of the nominal robot, whose sensors are as bad as a robot's: a sweep, steps, the way back, and duties."""
+def segment(recorded: Recording) -> Segment:
+    """Return a sweep, steps, the transition back, and duties, without the start at which the robot still moved."""
     whole = segment_from_recording(recorded, 1, 4)
-    # Before the sweep it had not quite come to rest.
     kept = whole.state_time > 0.4
-    segment = replace(whole, state_time=whole.state_time[kept], states=whole.states[kept])
-    return RackModel(robot, recorded, segment, UNKNOWNS, nominal, replayer)
+    return replace(whole, state_time=whole.state_time[kept], states=whole.states[kept])
 
 
-def test_values_go_to_their_places(nominal: PhysicalParams):
+@pytest.fixture(scope="module")
+def model(
+    robot: RobotDescription, recorded: Recording, nominal: PhysicalParams, replayer: Replayer, segment: Segment
+) -> ReplayModel:
+    """Return the model of the nominal robot, whose sensors have noise."""
+    return ReplayModel(UNKNOWNS, nominal, [rack_observations(robot, recorded, segment, replayer)], replayer.num_envs)
+
+
+def test_candidates_have_their_values_in_one_row_each(nominal: PhysicalParams):
     values = np.array([[0.2, 0.8, 0.01, 0.3], [0.3, 0.9, 0.02, 0.3]])
-    params = params_of(nominal, UNKNOWNS, values)
+    params = candidate_params(nominal, UNKNOWNS, values)
     np.testing.assert_array_equal(params.resistance, [0.2, 0.3])
     np.testing.assert_array_equal(params.motor_strength[:, 0], [0.8, 0.9])
     np.testing.assert_array_equal(params.motor_strength[:, 1:], 1.0)
     np.testing.assert_array_equal(params.motor_friction[:, 7], [0.01, 0.02])
     np.testing.assert_array_equal(params.motor_friction[:, :7], 0.0)
     # One for all motors.
-    every = params_of(nominal, [Unknown("motor_friction", 0.0, 0.0, 0.5, 1e-6)], np.array([[0.04]]))
+    every = candidate_params(nominal, [Unknown("motor_friction", 0.0, 0.0, 0.5, 1e-6)], np.array([[0.04]]))
     np.testing.assert_array_equal(every.motor_friction, np.full((1, 8), 0.04))
     np.testing.assert_array_equal(nominal.motor_friction, 0.0)
 
 
-def test_residuals_of_the_true_robot_are_noise(model: RackModel):
-    start = np.array([[u.start for u in UNKNOWNS]])
-    angle, velocity, torque = np.sqrt(np.mean(model.residuals(start).reshape(3, -1) ** 2, axis=1))
+def test_residuals_of_the_true_robot_are_noise(model: ReplayModel):
+    angle, velocity, torque = np.sqrt(np.mean(model.residuals(START).reshape(3, -1) ** 2, axis=1))
     # Angles are read in steps of 2 pi / 2^14, which is a deviation of 1.1e-4 rad.
     assert angle == pytest.approx(1.1e-4 / NOISE[0], rel=0.2)
     assert velocity == pytest.approx(1.0, rel=0.15)
     assert torque == pytest.approx(1.0, rel=0.5)
-    assert model.blocks.shape == model.residuals(start)[0].shape
+    assert model.blocks.shape == model.residuals(START)[0].shape
 
 
-def test_only_its_own_leg_feels_a_motor(model: RackModel, robot: RobotDescription):
-    values = np.tile([u.start for u in UNKNOWNS], (4, 1))
+def test_a_motor_affects_the_residuals_of_its_leg_alone(model: ReplayModel, robot: RobotDescription):
+    values = np.tile(START, (4, 1))
     values[1, 1], values[2, 2], values[3, 3] = 0.9, 0.02, 0.1
     still, *moved = model.residuals(values)
     for k, residuals in zip((1, 2, 3), moved, strict=True):
         # The engine solves for all loops at once: other legs feel rounding, 1e-5 of a reading's noise.
-        touched, changed = model.touched(k), np.abs(residuals - still) > 1e-5
-        np.testing.assert_array_equal(changed & ~touched, False)
+        affected, changed = model.affected(k), np.abs(residuals - still) > 1e-5
+        np.testing.assert_array_equal(changed & ~affected, False)
         by_motor = changed.reshape(3, -1, 8).any(axis=1)
         pair = next(p for p in robot.leg_motor_index.tolist() if UNKNOWNS[k].index in p)
         if UNKNOWNS[k].name == TORQUE_GAIN:
@@ -83,37 +89,40 @@ def test_only_its_own_leg_feels_a_motor(model: RackModel, robot: RobotDescriptio
             assert np.argwhere(by_motor).tolist() == [[2, 2]]
         else:
             assert by_motor[:, pair].all()
-            assert touched.reshape(3, -1, 8)[0, 0].nonzero()[0].tolist() == sorted(pair)
-    assert model.touched(0) is None
+            assert affected.reshape(3, -1, 8)[0, 0].nonzero()[0].tolist() == sorted(pair)
+    assert model.affected(0) is None
 
 
-def test_a_leg_whose_motor_never_moves_is_left_out(model: RackModel, robot: RobotDescription, replayer: Replayer):
+def test_a_leg_whose_motor_never_moves_is_left_out(
+    model: ReplayModel, robot: RobotDescription, replayer: Replayer, recorded: Recording, segment: Segment
+):
     def stuck(*motors: int) -> Recording:
-        angle = model.recording.motor_angle.copy()
+        angle = recorded.motor_angle.copy()
         angle[:, motors] = 1.7
-        return replace(model.recording, motor_angle=angle)
+        return replace(recorded, motor_angle=angle)
 
     # Motor 3 is of the back left leg, as is motor 2.
-    assert moving_legs(robot, model.recording).tolist() == list(range(8))
+    assert moving_legs(robot, recorded).tolist() == list(range(8))
     assert moving_legs(robot, stuck(3)).tolist() == [0, 1, 4, 5, 6, 7]
-    less = RackModel(robot, stuck(3), model.segment, UNKNOWNS, model.base, replayer)
-    start = np.array([[u.start for u in UNKNOWNS]])
-    whole = model.residuals(start).reshape(3, -1, 8)
-    np.testing.assert_array_equal(less.residuals(start).reshape(3, -1, 6), whole[:, :, [0, 1, 4, 5, 6, 7]])
+    less = ReplayModel(UNKNOWNS, model.prior, [rack_observations(robot, stuck(3), segment, replayer)])
+    whole = model.residuals(START).reshape(3, -1, 8)
+    np.testing.assert_array_equal(less.residuals(START).reshape(3, -1, 6), whole[:, :, [0, 1, 4, 5, 6, 7]])
     np.testing.assert_array_equal(less.blocks.reshape(3, -1, 6)[0, :, 0], model.blocks.reshape(3, -1, 8)[0, :, 0])
-    assert not less.touched(3).any()
-    assert less.touched(1).reshape(3, -1, 6).any(axis=(0, 1)).tolist() == [True, True, False, False, False, False]
+    assert not less.affected(3).any()
+    assert less.affected(1).reshape(3, -1, 6).any(axis=(0, 1)).tolist() == [True, True, False, False, False, False]
     with pytest.raises(SurefootError, match="every leg has a motor that never moves"):
         moving_legs(robot, stuck(0, 2, 4, 6))
 
 
-def test_more_candidates_than_robots(model: RackModel):
-    values = np.tile([u.start for u in UNKNOWNS], (3, 1))
+def test_candidates_of_several_batches_are_independent(model: ReplayModel):
+    values = np.tile(START, (3, 1))
     values[:, 0] = [0.186, 0.2, 0.25]
     together = model.residuals(values)
     for row in range(3):
         np.testing.assert_array_equal(model.residuals(values[row : row + 1])[0], together[row])
 
 
-def test_the_nearest_latency(model: RackModel):
-    assert model.latency_valleys(np.arange(0.0, 0.041, 0.002))[0] == pytest.approx(0.020)
+def test_the_true_latency_is_ranked_first(
+    robot: RobotDescription, recorded: Recording, segment: Segment, nominal: PhysicalParams
+):
+    assert rank_latencies(robot, recorded, segment, nominal, 3)[0] == pytest.approx(0.020)

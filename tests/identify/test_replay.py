@@ -92,7 +92,7 @@ def test_another_control_latency_is_the_same_motion_shifted(
     # Torques are of now, whatever the readings' age.
     np.testing.assert_array_equal(shifted.motor_torque, told.motor_torque)
     ages = np.array([TRUTH["control_latency"], TRUTH["control_latency"] + 0.004, 0.0])
-    together = one.read_late(segment, truth, ages)
+    together = one.angles_with_latencies(segment, truth, ages)
     np.testing.assert_array_equal(together[0], told.motor_angle[0])
     np.testing.assert_array_equal(together[1], shifted.motor_angle[0])
     # What is read at once is what the next servo step finds.
@@ -107,7 +107,7 @@ def test_a_lead_takes_from_the_age(
     np.testing.assert_allclose(ahead.motor_angle, told.motor_angle, atol=1e-9)
     # No reading is of a time to come.
     soon = one.run(replace(segment, lead=1.0), truth)
-    np.testing.assert_array_equal(soon.motor_angle[0], one.read_late(segment, truth, np.zeros(1))[0])
+    np.testing.assert_array_equal(soon.motor_angle[0], one.angles_with_latencies(segment, truth, np.zeros(1))[0])
 
 
 def test_rows_of_a_batch_do_not_feel_each_other(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.identify.logs.robot_log import log_of, read_log
+from surefoot.identify.logs.robot_log import log_from_rows, read_log
 from surefoot.robot import RobotDescription
 
 DATA = Path(__file__).parents[2] / "data" / "pupper_v2"
@@ -36,7 +36,7 @@ def write(path: Path, **changes: np.ndarray) -> Path:
 def test_a_repeated_reading_is_of_the_row_where_it_was_new():
     time = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 6.0])
     angle = np.array([[0.0], [5.0], [5.0], [5.0], [7.0], [9.0]])
-    log = log_of("log", time, np.arange(6.0)[:, None], angle, np.full((6, 4), np.nan))
+    log = log_from_rows("log", time, np.arange(6.0)[:, None], angle, np.full((6, 4), np.nan))
     # New in rows 0, 1, 4 and 5, and so 1, 3 and 2 s apart: half of the row's step before it, of 2 s at most.
     np.testing.assert_allclose(log.read_time, [0.0, 0.5, 0.5, 0.5, 3.5, 5.0])
     assert log.fresh.tolist() == [True, True, False, False, True, True]
@@ -46,7 +46,7 @@ def test_a_repeated_reading_is_of_the_row_where_it_was_new():
 
 
 def test_times_may_repeat_and_are_counted():
-    log = log_of("log", np.array([0.0, 0.0, 1.0]), np.arange(3.0)[:, None], np.zeros((3, 1)), np.zeros((3, 4)))
+    log = log_from_rows("log", np.array([0.0, 0.0, 1.0]), np.arange(3.0)[:, None], np.zeros((3, 1)), np.zeros((3, 4)))
     assert log.timing()["repeated_times"] == 0.5
 
 

@@ -227,7 +227,7 @@ def test_a_full_disk_leaves_the_old_checkpoint_whole(tmp_path: Path, monkeypatch
 def test_a_full_disk_under_the_log_is_one_line_of_error(whole: TrainingLoop) -> None:
     folder = RunFolder(whole.folder.path)
     folder.figures_log = Path("/dev/full")
-    with pytest.raises(SurefootError, match="No space left on device; checkpoints are untouched"):
+    with pytest.raises(SurefootError, match="No space left on device; what was saved before is untouched"):
         folder.log({"steps": 1})
 
 

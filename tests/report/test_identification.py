@@ -125,7 +125,7 @@ def test_what_the_page_says(robot: RobotDescription, known: PhysicalParams):
     assert rows["SHA-256"] == ["ab" * 32]
     assert rows["surefoot"] == [__version__]
     assert "back_right_2_motor never moves &amp; tells &lt;nothing&gt;" in text
-    assert "24 of 27 numbers are told by the data." in text
+    assert "24 of 27 numbers are identifiable from the data." in text
 
 
 def test_what_there_is_not_has_no_section(robot: RobotDescription, known: PhysicalParams, tmp_path: Path):

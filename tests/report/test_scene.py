@@ -37,21 +37,21 @@ def test_every_visual_becomes_a_shape_of_its_color():
 def test_feet_are_where_the_leg_geometry_has_them():
     """A foot's centre lies a radius short of the foot's end, on the line from the knee."""
     theta = ROBOT.pose_angles([[0.2, -0.3, 0.0, 0.4]], [[1.8, 2.1, 1.5, 1.2]])
-    found = poses(ROBOT, [[0.0, 0.0, 0.0]], [LEVEL], theta)
+    placed = poses(ROBOT, [[0.0, 0.0, 0.0]], [LEVEL], theta)
     bars = ROBOT.five_bar
     for leg, index in zip(ROBOT.legs, ROBOT.leg_motor_index, strict=True):
         angles = theta[0, index]
         end, knee = bars.foot_in_plane(angles), bars.knees(angles)[1]
         centre = knee + (end - knee) * (bars.foot - bars.foot_radius) / bars.foot
-        hip = found[leg.motors[0].replace("motor", "rotor")][0, :3, 3]
-        assert np.allclose((found[leg.foot][0] @ FOOT)[[0, 2]], hip[[0, 2]] + centre, atol=1e-9)
+        hip = placed[leg.motors[0].replace("motor", "rotor")][0, :3, 3]
+        assert np.allclose((placed[leg.foot][0] @ FOOT)[[0, 2]], hip[[0, 2]] + centre, atol=1e-9)
 
 
 def test_loops_are_closed():
     theta = ROBOT.pose_angles([[0.2, -0.3, 0.0, 0.4]], [[1.8, 2.1, 1.5, 1.2]])
-    found = poses(ROBOT, [[0.1, 0.2, 0.3]], [[0.5, 0.5, 0.5, 0.5]], theta)
+    placed = poses(ROBOT, [[0.1, 0.2, 0.3]], [[0.5, 0.5, 0.5, 0.5]], theta)
     for loop in ROBOT.loops:
-        ends = [found[link][0] @ [*point, 1] for link, point in zip(loop.links, loop.points, strict=True)]
+        ends = [placed[link][0] @ [*point, 1] for link, point in zip(loop.links, loop.points, strict=True)]
         assert np.allclose(*ends, atol=1e-9)
 
 
@@ -65,9 +65,9 @@ def test_all_bodies_are_where_mujoco_has_them():
     quat = np.array([0.9, 0.1, -0.2, 0.3]) / np.linalg.norm([0.9, 0.1, -0.2, 0.3])
     data.qpos[:7] = [0.3, -0.2, 0.5, *quat]
     mujoco.mj_kinematics(model, data)
-    found = poses(ROBOT, data.qpos[None, :3], data.qpos[None, 3:7], ROBOT.resting_angles[None])
+    placed = poses(ROBOT, data.qpos[None, :3], data.qpos[None, 3:7], ROBOT.resting_angles[None])
     for body in range(1, model.nbody):
-        pose = found[model.body(body).name][0]
+        pose = placed[model.body(body).name][0]
         assert np.allclose(pose[:3, 3], data.xpos[body], atol=1e-9)
         assert np.allclose(pose[:3, :3], data.xmat[body].reshape(3, 3), atol=1e-9)
 
@@ -107,17 +107,17 @@ def trace() -> EpisodeTrace:
 
 
 def test_poses_of_a_trace_have_the_feet_where_the_simulation_had_them(trace: EpisodeTrace):
-    found = trace_poses(ROBOT, trace)
+    placed = trace_poses(ROBOT, trace)
     for k, leg in enumerate(ROBOT.legs):
-        apart = (found[leg.foot] @ FOOT)[:, :3] - trace.foot_position_world[:, k]
+        apart = (placed[leg.foot] @ FOOT)[:, :3] - trace.foot_position_world[:, k]
         # The engine's own positions of geoms are those before its last millisecond.
         assert np.abs(apart).max() < 0.01
         assert np.abs(apart).mean() < 0.002
 
 
 def test_the_lowest_foot_touches_the_ground(trace: EpisodeTrace):
-    found = trace_poses(ROBOT, trace)
-    heights = np.stack([(found[leg.foot] @ FOOT)[:, 2] for leg in ROBOT.legs], -1) - 0.0085
+    placed = trace_poses(ROBOT, trace)
+    heights = np.stack([(placed[leg.foot] @ FOOT)[:, 2] for leg in ROBOT.legs], -1) - 0.0085
     lowest = heights.min(axis=1)[30:]
     assert lowest.min() > -0.03
     assert abs(np.median(lowest)) < 0.015
@@ -136,15 +136,15 @@ def test_the_viewer_places_every_link_by_its_pose(trace: EpisodeTrace):
     mujoco = pytest.importorskip("mujoco")
     from surefoot.cli.helpers.viewer import build_stage, set_stage
 
-    shapes, found = scene(ROBOT), trace_poses(ROBOT, trace)
+    shapes, placed = scene(ROBOT), trace_poses(ROBOT, trace)
     model = build_stage(shapes)
     assert model.ngeom == len(shapes) + 1
     data = mujoco.MjData(model)
-    set_stage(model, data, found, 99)
+    set_stage(model, data, placed, 99)
     for shape_body in {shape.link for shape in shapes}:
         body = model.body(shape_body).id
-        assert np.allclose(data.xpos[body], found[shape_body][99, :3, 3])
-        assert np.allclose(data.xmat[body].reshape(3, 3), found[shape_body][99, :3, :3], atol=1e-6)
+        assert np.allclose(data.xpos[body], placed[shape_body][99, :3, 3])
+        assert np.allclose(data.xmat[body].reshape(3, 3), placed[shape_body][99, :3, :3], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())

@@ -92,12 +92,12 @@ def test_legs_move_with_what_they_are_mounted_on(folder: Path):
 
 def test_motor_angles_over_a_range_of_poses(robot: RobotDescription):
     # theta_1 = e + s and theta_2 = e - s; both from 1 - .3 to 2 + .3 for a range of swing that is even.
-    least, greatest = robot.angle_extent((-0.3, 0.3), (1.0, 2.0))
-    np.testing.assert_allclose((least, greatest), [[0.7] * 8, [2.3] * 8])
+    low, high = robot.angle_extent((-0.3, 0.3), (1.0, 2.0))
+    np.testing.assert_allclose((low, high), [[0.7] * 8, [2.3] * 8])
     # From 0 to .3: theta_1 from 1 to 2.3, theta_2 from .7 to 2. Legs on the left have motor 2 first, right ones 1.
-    least, greatest = robot.angle_extent((0.0, 0.3), (1.0, 2.0))
-    np.testing.assert_allclose(least, [0.7, 1.0, 0.7, 1.0, 1.0, 0.7, 1.0, 0.7])
-    np.testing.assert_allclose(greatest, [2.0, 2.3, 2.0, 2.3, 2.3, 2.0, 2.3, 2.0])
+    low, high = robot.angle_extent((0.0, 0.3), (1.0, 2.0))
+    np.testing.assert_allclose(low, [0.7, 1.0, 0.7, 1.0, 1.0, 0.7, 1.0, 0.7])
+    np.testing.assert_allclose(high, [2.0, 2.3, 2.0, 2.3, 2.3, 2.0, 2.3, 2.0])
 
 
 def test_joint_angles_are_the_urdfs_and_close_the_loops(robot: RobotDescription):

@@ -1,8 +1,10 @@
-"""Robots that surefoot never saw: URDF and MJCF in, a folder that loads out; and what is refused."""
+"""Import of URDF and MJCF: the robot that is read, the folder that is written, and files that are refused."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -33,13 +35,14 @@ def leg(name: str, x: float, y: float, axes: tuple[str, str, str] = ("1 0 0", "0
           {foot}</body></body></body>"""
 
 
-def mjcf(legs: str, extra: str = "") -> str:
+def legs(names: Sequence[str] = tuple(CORNERS), **options: Any) -> str:
+    return "".join(leg(name, 0.2 * CORNERS[name][0], 0.08 * CORNERS[name][1], **options) for name in names)
+
+
+def mjcf(body: str = "", extra: str = "") -> str:
+    """A quadruped, or another body on the trunk."""
     return f"""<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="trunk"><freejoint/>{BODY}
-      {legs}</body></worldbody>{extra}</mujoco>"""
-
-
-def quadruped(**other: str) -> str:
-    return mjcf("".join(leg(name, 0.2 * x, 0.08 * y) for name, (x, y) in CORNERS.items()), **other)
+      {body or legs()}</body></worldbody>{extra}</mujoco>"""
 
 
 def write(tmp_path: Path, text: str, name: str = "dog.xml") -> Path:
@@ -48,45 +51,42 @@ def write(tmp_path: Path, text: str, name: str = "dog.xml") -> Path:
     return path
 
 
-def test_a_tree_has_what_the_file_says(tmp_path: Path) -> None:
-    tree = read_robot(write(tmp_path, quadruped()))
-    assert tree.name == "dog"
-    assert tree.mass == pytest.approx(6 + 4 * 1.3)
-    assert tree.length == pytest.approx(0.4)
-    assert tree.forward == "+x"
-    np.testing.assert_allclose(tree.feet[0], [0.2, 0.14, -0.4], atol=1e-12)
-    assert tree.foot_radius.tolist() == [0.02] * 4
-    assert tree.joints[0] == ("FL_abduction", "FL_hip", "FL_knee")
-    np.testing.assert_array_equal(tree.limits[0], [(-1.0, 1.0), (np.nan, np.nan), (-2.6, -0.5)])
-    np.testing.assert_allclose(tree.base_box, ([0, 0, 0], [0.2, 0.1, 0.05]), atol=1e-12)
-    assert tree.knee_signs(None) == ([-1] * 4, True)
-    assert "feet: the last link's sphere, radius 0.02 m" in tree.notes
+def test_the_reader_returns_what_the_file_has(tmp_path: Path) -> None:
+    imported = read_robot(write(tmp_path, mjcf()))
+    assert imported.name == "dog"
+    assert imported.mass == pytest.approx(6 + 4 * 1.3)
+    assert imported.length == pytest.approx(0.4)
+    assert imported.forward == "+x"
+    np.testing.assert_allclose(imported.feet[0], [0.2, 0.14, -0.4], atol=1e-12)
+    assert imported.foot_radius.tolist() == [0.02] * 4
+    assert imported.joints[0] == ("FL_abduction", "FL_hip", "FL_knee")
+    np.testing.assert_array_equal(imported.limits[0], [(-1.0, 1.0), (np.nan, np.nan), (-2.6, -0.5)])
+    np.testing.assert_allclose(imported.base_box, ([0, 0, 0], [0.2, 0.1, 0.05]), atol=1e-12)
+    assert imported.knee_signs(None) == ([-1] * 4, True)
+    assert "feet: the last link's sphere, radius 0.02 m" in imported.notes
     toe = '<body name="FL_toe" pos="0 0 -.2"/>'
-    text = quadruped().replace('<geom type="sphere" size=".02" pos="0 0 -.2"/>', toe, 1)
+    text = mjcf().replace('<geom type="sphere" size=".02" pos="0 0 -.2"/>', toe, 1)
     notes = read_robot(write(tmp_path, text)).notes
     assert any(note.startswith("feet of FL_knee: a link named so") for note in notes)
 
 
-def test_what_is_written_loads_and_keeps_masses_and_kinematics(tmp_path: Path) -> None:
-    tree = read_robot(write(tmp_path, quadruped()))
-    guesses = write_robot(tree, tmp_path / "dog", "dog")
+def test_a_written_folder_loads_and_keeps_masses_and_kinematics(tmp_path: Path) -> None:
+    imported = read_robot(write(tmp_path, mjcf()))
+    guesses = write_robot(imported, tmp_path / "dog", "dog")
     robot = RobotDescription.load(tmp_path / "dog")
-    assert robot.urdf.total_mass == pytest.approx(tree.mass, abs=1e-4)
+    assert robot.urdf.total_mass == pytest.approx(imported.mass, abs=1e-4)
     assert robot.coordinates == ("abduction", "swing", "extension")
     assert any(line.startswith("kp = ") for line in guesses)
     assert all("guessed" in line for line in (tmp_path / "dog/robot.toml").read_text().splitlines() if "kp =" in line)
     np.testing.assert_allclose(
         robot.leg_mounts + robot.leg_geometry.foot_position(np.zeros((4, 3))),
-        tree.feet,
+        imported.feet,
         atol=1e-9,
     )
     # Inertias about the whole robot's centre of mass are those of the file.
-    given = mujoco.MjModel.from_xml_string(quadruped())
-    made = build_model(robot)
-    for model in (given, made):
-        assert model.body_subtreemass[0] == pytest.approx(tree.mass, abs=1e-4)
     whole = []
-    for model in (given, made):
+    for model in (mujoco.MjModel.from_xml_string(mjcf()), build_model(robot)):
+        assert model.body_subtreemass[0] == pytest.approx(imported.mass, abs=1e-4)
         data = mujoco.MjData(model)
         data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
         mujoco.mj_forward(model, data)
@@ -95,7 +95,7 @@ def test_what_is_written_loads_and_keeps_masses_and_kinematics(tmp_path: Path) -
         whole.append(inertia[:6, :6])
     np.testing.assert_allclose(*whole, atol=2e-5)
     with pytest.raises(SurefootError, match="holds a robot"):
-        write_robot(tree, tmp_path / "dog", "dog")
+        write_robot(imported, tmp_path / "dog", "dog")
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -115,32 +115,27 @@ def test_closed_forms_agree_with_mujoco_over_the_whole_range(name: str) -> None:
         np.testing.assert_allclose(data.geom_xpos[feet], expected[k], atol=1e-9)
 
 
-def turned(text: str) -> str:
-    """The robot of an MJCF as it faces -y of its file."""
-    return text.replace('<body name="trunk">', '<body name="trunk" euler="0 0 -1.5707963267948966">')
-
-
 def test_a_robot_that_faces_elsewhere_is_turned(tmp_path: Path) -> None:
     # A free base is put at the origin: the turn is in the places and axes of the legs.
-    legs = "".join(
+    body = "".join(
         leg(name, 0.08 * y, -0.2 * x, axes=("0 1 0", "1 0 0", "1 0 0")).replace(
             f"0 {0.06 * np.sign(-x)} 0", f"{0.06 * y} 0 0"
         )
         for name, (x, y) in CORNERS.items()
     )
-    tree = read_robot(write(tmp_path, mjcf(legs)))
-    assert tree.forward == "-y"
-    np.testing.assert_allclose(tree.feet[0], [0.2, 0.14, -0.4], atol=1e-9)
+    imported = read_robot(write(tmp_path, mjcf(body)))
+    assert imported.forward == "-y"
+    np.testing.assert_allclose(imported.feet[0], [0.2, 0.14, -0.4], atol=1e-9)
     # The file's x axis is the robot's left: knees turned about it as about +y.
-    np.testing.assert_allclose(tree.axes[0, 1], [0, 1, 0])
+    np.testing.assert_allclose(imported.axes[0, 1], [0, 1, 0])
 
 
 def test_axes_that_point_the_other_way_are_kept_in_the_signs(tmp_path: Path) -> None:
-    legs = "".join(
+    body = "".join(
         leg(name, 0.2 * x, 0.08 * y, axes=("1 0 0", f"0 {y} 0", f"0 {y} 0")) for name, (x, y) in CORNERS.items()
     ).replace('axis="0 -1 0" range="-2.6 -.5"', 'axis="0 -1 0" range=".5 2.6"')
-    tree = read_robot(write(tmp_path, mjcf(legs)))
-    write_robot(tree, tmp_path / "dog", "dog")
+    imported = read_robot(write(tmp_path, mjcf(body)))
+    write_robot(imported, tmp_path / "dog", "dog")
     robot = RobotDescription.load(tmp_path / "dog")
     assert isinstance(robot.leg_geometry, SerialLegs)
     np.testing.assert_array_equal(robot.leg_geometry.turn[:, 1], [1, -1, 1, -1])
@@ -151,10 +146,10 @@ def test_axes_that_point_the_other_way_are_kept_in_the_signs(tmp_path: Path) -> 
 
 def test_a_meshless_urdf_with_two_motors_a_leg(tmp_path: Path) -> None:
     robot = SHIPPED["solo8"]
-    tree = read_robot(robot.urdf.path)
-    assert [len(leg) for leg in tree.joints] == [2] * 4
-    assert tree.knee_signs("inward") == ([-1, -1, 1, 1], True)
-    assert tree.knee_signs(None) == ([-1] * 4, False)
+    imported = read_robot(robot.urdf.path)
+    assert [len(leg) for leg in imported.joints] == [2] * 4
+    assert imported.knee_signs("inward") == ([-1, -1, 1, 1], True)
+    assert imported.knee_signs(None) == ([-1] * 4, False)
 
 
 def urdf(body: str) -> str:
@@ -172,87 +167,56 @@ TWO_CHAINS = """<body name="b{n}" pos="{x} {y} 0"><joint name="m{n}a" axis="0 1 
   <body name="c{n}" pos="0 0 -.2"><joint name="m{n}b" axis="0 1 0"/>{link}</body>
   <body name="d{n}" pos="0 0 -.2"><joint name="m{n}c" axis="0 1 0"/>{link}</body></body>"""
 
-BAD = {
-    "no inertials": (
-        urdf(link("a", mass="") + link("b", mass="")),
-        "dog.urdf",
-        "no link has an <inertial> with a mass",
-    ),
-    "mesh": (urdf(link("a", MESH)), "dog.urdf", "mesh 'package://r/trunk.stl' is not there"),
-    "bomb": (BOMB, "dog.urdf", "declares XML entities"),
-    "not xml": ("<robot", "dog.urdf", "is not well-formed XML"),
-    "other root": ("<sdf/>", "dog.xml", "the root element is <sdf>"),
-    "nothing moves": (urdf(link("a")), "dog.urdf", "nothing in it moves"),
-    "five legs": (
-        mjcf("".join(leg(name, 0.2 * x, 0.08 * y) for name, (x, y) in CORNERS.items()) + leg("M", 0.0, 0.2)),
+BAD = [
+    ("dog.urdf", urdf(link("a", mass="") + link("b", mass="")), "no link has an <inertial> with a mass"),
+    ("dog.urdf", urdf(link("a", MESH)), "mesh 'package://r/trunk.stl' is not there"),
+    ("dog.urdf", BOMB, "declares XML entities"),
+    ("dog.urdf", "<robot", "is not well-formed XML"),
+    ("dog.urdf", urdf(link("a")), "nothing in it moves"),
+    ("dog.urdf", urdf(link("a", mass="heavy")), "link 'a': its <inertial> has no numbers"),
+    ("dog.xml", "<sdf/>", "the root element is <sdf>"),
+    ("dog.xml", mjcf(legs() + leg("M", 0.0, 0.2)), "5 legs hang from 'trunk'; a quadruped has 4"),
+    ("dog.xml", mjcf(legs(("FL", "FR", "RL"))), "3 legs hang from 'trunk'"),
+    (
         "dog.xml",
-        "5 legs hang from 'trunk'; a quadruped has 4",
-    ),
-    "open loop": (
         mjcf("".join(TWO_CHAINS.format(n=n, x=0.2 * x, y=0.1 * y, link=LINK) for n, (x, y) in CORNERS.items())),
-        "dog.xml",
         "legs that branch and no loop that closes them",
     ),
-    "skew axis": (
-        mjcf("".join(leg(n, 0.2 * x, 0.08 * y, ("1 0 0", "0 1 .3", "0 1 0")) for n, (x, y) in CORNERS.items())),
+    ("dog.xml", mjcf(legs(axes=("1 0 0", "0 1 .3", "0 1 0"))), "should be the hip, and its axis at zero is"),
+    ("dog.xml", mjcf(legs(foot="<site/>")), "has neither a shape nor a link for its foot"),
+    ("dog.xml", mjcf().replace('axis="0 1 0"', 'type="slide" axis="0 1 0"', 1), "no single hinge"),
+    ("dog.xml", "<mujoco><wheel/></mujoco>", "MuJoCo refuses it: XML Error: Schema violation"),
+    (
         "dog.xml",
-        "should be the hip, and its axis at zero is",
-    ),
-    "no foot": (
-        mjcf("".join(leg(n, 0.2 * x, 0.08 * y, foot="<site/>") for n, (x, y) in CORNERS.items())),
-        "dog.xml",
-        "has neither a shape nor a link for its foot",
-    ),
-    "slide": (
-        mjcf(leg("FL", 0.2, 0.1).replace('axis="0 1 0"', 'type="slide" axis="0 1 0"', 1)),
-        "dog.xml",
-        "no single hinge",
-    ),
-    "no such element": ("<mujoco><wheel/></mujoco>", "dog.xml", "MuJoCo refuses it: XML Error: Schema violation"),
-    "no such mesh": (
-        quadruped()
+        mjcf()
         .replace('type="box"', 'type="mesh" mesh="m"')
         .replace("<worldbody>", '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'),
-        "dog.xml",
         "MuJoCo refuses it: Error",
     ),
-    "no numbers": (urdf(link("a", mass="heavy")), "dog.urdf", "link 'a': its <inertial> has no numbers"),
-    "no base": (
-        quadruped()
-        .replace('<body name="trunk"><freejoint/>' + BODY, "")
-        .replace("</body></worldbody>", "</worldbody>"),
+    (
         "dog.xml",
+        mjcf().replace('<body name="trunk"><freejoint/>' + BODY, "").replace("</body></worldbody>", "</worldbody>"),
         "its legs hang from nothing that moves",
     ),
-    "base without mass": (
-        quadruped().replace("<freejoint/>", "").replace(BODY, ""),
+    ("dog.xml", mjcf().replace("<freejoint/>", "").replace(BODY, ""), "body 'trunk' has no mass"),
+    (
         "dog.xml",
-        "body 'trunk' has no mass",
-    ),
-    "uneven legs": (
-        quadruped().replace('<joint name="FL_abduction" axis="1 0 0" range="-1 1"/>', ""),
-        "dog.xml",
+        mjcf().replace('<joint name="FL_abduction" axis="1 0 0" range="-1 1"/>', ""),
         "its legs have 2, 3, 3, 3 hinges; all must have 2, or all 3",
     ),
-    "tripod in front": (
-        mjcf("".join(leg(n, 0.2 if n != "RR" else -0.2, 0.08 * y) for n, (x, y) in CORNERS.items())),
+    (
         "dog.xml",
+        mjcf("".join(leg(n, 0.2 if n != "RR" else -0.2, 0.08 * y) for n, (x, y) in CORNERS.items())),
         "its hips are not at four corners, one leg at each",
     ),
-    "odd legs": (
-        mjcf("".join(leg(n, 0.2 * x, 0.08 * y) for n, (x, y) in list(CORNERS.items())[:3])),
-        "dog.xml",
-        "3 legs hang from 'trunk'",
-    ),
-}
+]
 
 
-@pytest.mark.parametrize("what", BAD)
-def test_what_is_no_quadruped_is_refused_in_one_line(what: str, tmp_path: Path) -> None:
-    text, name, said = BAD[what]
+@pytest.mark.parametrize(("name", "text", "message"), BAD, ids=[message for _, _, message in BAD])
+def test_a_file_without_a_quadruped_is_refused_in_one_line(name: str, text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(SurefootError) as caught:
         read_robot(write(tmp_path, text, name))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert name in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -270,61 +234,59 @@ def test_inertias_that_no_body_has_are_noted(tmp_path: Path) -> None:
     text = SHIPPED["solo8"].urdf.path.read_text()
     extra = link("camera").replace('ixx="1"', 'ixx="9"')
     fixed = '<joint name="mount" type="fixed"><parent link="base"/><child link="camera"/></joint>'
-    tree = read_robot(write(tmp_path, text.replace("</robot>", f"{extra}{fixed}</robot>"), "solo.urdf"))
-    assert any("camera" in note and "no rigid body" in note for note in tree.notes)
+    imported = read_robot(write(tmp_path, text.replace("</robot>", f"{extra}{fixed}</robot>"), "solo.urdf"))
+    assert any("camera" in note and "no rigid body" in note for note in imported.notes)
 
 
 def test_a_tail_is_held_still_and_adds_to_the_base(tmp_path: Path) -> None:
     tail = f'<body name="tail" pos="-.2 0 0"><joint name="wag" axis="0 0 1"/>{LINK}</body>'
     poses = '<keyframe><key name="home" qpos="0 0 1 1 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0"/></keyframe>'
-    legs = "".join(leg(name, 0.2 * x, 0.08 * y) for name, (x, y) in CORNERS.items())
-    tree = read_robot(write(tmp_path, mjcf(tail + legs, poses)))
-    assert "joint 'wag' and what hangs from it are held still: no leg's" in tree.notes
-    assert tree.base.mass == pytest.approx(6.5)
+    imported = read_robot(write(tmp_path, mjcf(tail + legs(), poses)))
+    assert "joint 'wag' and what hangs from it are held still: no leg's" in imported.notes
+    assert imported.base.mass == pytest.approx(6.5)
     # The tail's centre is .1 m below its joint.
-    np.testing.assert_allclose(tree.base.centre, 0.5 / 6.5 * np.array([-0.2, 0.0, -0.1]), atol=1e-12)
+    np.testing.assert_allclose(imported.base.centre, 0.5 / 6.5 * np.array([-0.2, 0.0, -0.1]), atol=1e-12)
 
 
 def test_torques_are_limited_by_joints_or_by_their_actuators(tmp_path: Path) -> None:
     motors = """<actuator>
       <motor joint="FL_hip" gear="-9" forcerange="-2 3"/><motor joint="FL_knee" gear="6" ctrlrange="-1.5 1.5"/>
       <position joint="FR_hip" kp="20" ctrlrange="-2 2"/></actuator>"""
-    text = quadruped(extra=motors)
+    text = mjcf(extra=motors)
     text = text.replace('<joint name="FL_abduction"', '<joint name="FL_abduction" actuatorfrcrange="-24 20"')
-    tree = read_robot(write(tmp_path, text))
+    imported = read_robot(write(tmp_path, text))
     # What a position servo is sent are angles.
-    np.testing.assert_array_equal(tree.torque, [(24.0, 27.0, 9.0), *[[np.nan] * 3] * 3])
+    np.testing.assert_array_equal(imported.torque, [(24.0, 27.0, 9.0), *[[np.nan] * 3] * 3])
 
 
 def test_feet_without_spheres_are_the_far_ends_of_boxes(tmp_path: Path) -> None:
     box = '<geom type="box" size=".015 .01 .1" pos=".005 0 -.1"/>'
-    legs = "".join(leg(name, 0.2 * x, 0.08 * y, foot=box) for name, (x, y) in CORNERS.items())
-    tree = read_robot(write(tmp_path, mjcf(legs)))
-    radius = tree.foot_radius[0]
+    imported = read_robot(write(tmp_path, mjcf(legs(foot=box))))
+    radius = imported.foot_radius[0]
     # Half of the box's thinnest side.
     assert radius == pytest.approx(0.01)
     # The corner that is furthest from the knee, in the box's middle plane, a radius above its end.
-    np.testing.assert_allclose(tree.feet[0], [0.22, 0.14, -0.4 + radius], atol=1e-9)
-    assert f"feet: the far end of the last link's shapes, radius {radius:.3g} m" in tree.notes
+    np.testing.assert_allclose(imported.feet[0], [0.22, 0.14, -0.4 + radius], atol=1e-9)
+    assert f"feet: the far end of the last link's shapes, radius {radius:.3g} m" in imported.notes
 
 
 def test_a_base_without_a_shape_is_a_box_of_its_inertia(tmp_path: Path) -> None:
     half = np.array([0.3, 0.15, 0.1])
     inertia = 6 / 3 * (np.sum(half**2) - half**2)  # of a solid box with half sides
     body = f'<inertial pos=".01 0 0" mass="6" diaginertia="{" ".join(map(str, inertia))}"/>'
-    tree = read_robot(write(tmp_path, quadruped().replace(BODY, body)))
-    centre, found = tree.base_box
+    imported = read_robot(write(tmp_path, mjcf().replace(BODY, body)))
+    centre, sides = imported.base_box
     np.testing.assert_allclose(centre, [0.01, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(found, half, rtol=1e-6)
-    assert "the base has no shape: a box with its inertia stands for it" in tree.notes
+    np.testing.assert_allclose(sides, half, rtol=1e-6)
+    assert "the base has no shape: a box with its inertia stands for it" in imported.notes
 
 
-def test_forward_is_guessed_where_no_name_tells(tmp_path: Path) -> None:
-    legs = "".join(leg(f"leg{k}", 0.2 * x, 0.08 * y) for k, (x, y) in enumerate(CORNERS.values()))
-    path = write(tmp_path, mjcf(legs))
-    tree = read_robot(path)
-    assert tree.forward == "+x"
-    assert "forward is guessed: the joints' names do not say which legs are in front" in tree.notes
+def test_forward_is_guessed_where_no_name_has_it(tmp_path: Path) -> None:
+    body = "".join(leg(f"leg{k}", 0.2 * x, 0.08 * y) for k, (x, y) in enumerate(CORNERS.values()))
+    path = write(tmp_path, mjcf(body))
+    imported = read_robot(path)
+    assert imported.forward == "+x"
+    assert "forward is guessed: the joints' names do not say which legs are in front" in imported.notes
     back = read_robot(path, "-x")
     assert (back.forward, [note for note in back.notes if "guessed" in note]) == ("-x", [])
     # Turned by half: the last leg of the file is the front left one.
@@ -346,10 +308,12 @@ def test_meshes_are_found_as_packages_have_them_and_unreadable_ones_are_noted(tm
     )
     text = text.replace('<link name="base">', f'<link name="base">{meshes}', 1)
     (tmp_path / "pack" / "urdf").mkdir()
-    tree = read_robot(write(tmp_path, text, "pack/urdf/solo.urdf"))
+    imported = read_robot(write(tmp_path, text, "pack/urdf/solo.urdf"))
     plain = read_robot(SHIPPED["solo8"].urdf.path)
-    assert "shapes that MuJoCo can't read are left out: legs.dae" in tree.notes
-    (low, high), (was_low, was_high) = ((box[0] - box[1], box[0] + box[1]) for box in (tree.base_box, plain.base_box))
+    assert "shapes that MuJoCo can't read are left out: legs.dae" in imported.notes
+    (low, high), (was_low, was_high) = (
+        (box[0] - box[1], box[0] + box[1]) for box in (imported.base_box, plain.base_box)
+    )
     np.testing.assert_allclose(low, np.minimum(was_low, 0.0), atol=1e-6)
     np.testing.assert_allclose(high, np.maximum(was_high, corners.max(axis=0)), atol=1e-6)
 
@@ -361,13 +325,13 @@ def test_links_add_their_mass_with_or_without_inertia(mass: str, moment: str, mo
         extra = extra.replace(f'{axis}="1"', f'{axis}="{moment}"')
     extra += '<joint name="mount" type="fixed"><parent link="base"/><child link="frame"/></joint>'
     path = write(tmp_path, SHIPPED["solo8"].urdf.path.read_text().replace("</robot>", extra + "</robot>"), "solo.urdf")
-    tree, plain = read_robot(path), read_robot(SHIPPED["solo8"].urdf.path)
-    assert tree.base.mass == pytest.approx(plain.base.mass + more)
-    assert tree.base.centre == pytest.approx(plain.base.centre * plain.base.mass / tree.base.mass, abs=1e-9)
+    imported, plain = read_robot(path), read_robot(SHIPPED["solo8"].urdf.path)
+    assert imported.base.mass == pytest.approx(plain.base.mass + more)
+    assert imported.base.centre == pytest.approx(plain.base.centre * plain.base.mass / imported.base.mass, abs=1e-9)
     # Inertia about the base's frame, where the link is.
     about = [
         one.inertia + one.mass * (one.centre @ one.centre * np.eye(3) - np.outer(one.centre, one.centre))
-        for one in (tree.base, plain.base)
+        for one in (imported.base, plain.base)
     ]
     np.testing.assert_allclose(about[0] - about[1], np.eye(3) * (float(moment) if more else 0.0), atol=1e-9)
-    assert tree.notes == plain.notes
+    assert imported.notes == plain.notes

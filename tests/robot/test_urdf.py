@@ -238,13 +238,13 @@ def test_minitaurs_fused_bodies_are_mujocos(robot: RobotDescription):
     fused, model = robot.urdf.fuse_fixed_links(), build_model(robot)
     assert len(fused.links) == model.nbody - 1 == 17
     for name, link in fused.links.items():
-        body, theirs = link.body, model.body(name)
+        body, mujoco_body = link.body, model.body(name)
         turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, theirs.iquat)
+        mujoco.mju_quat2Mat(turn, mujoco_body.iquat)
         turn = turn.reshape(3, 3)
-        assert body.mass == pytest.approx(theirs.mass[0], rel=1e-12)
-        np.testing.assert_allclose(body.centre, theirs.ipos, atol=1e-12)
-        np.testing.assert_allclose(body.inertia, turn @ np.diag(theirs.inertia) @ turn.T, atol=1e-12)
+        assert body.mass == pytest.approx(mujoco_body.mass[0], rel=1e-12)
+        np.testing.assert_allclose(body.centre, mujoco_body.ipos, atol=1e-12)
+        np.testing.assert_allclose(body.inertia, turn @ np.diag(mujoco_body.inertia) @ turn.T, atol=1e-12)
 
 
 def test_principal_moments_and_axes_make_the_inertia_again(rng: np.random.Generator):

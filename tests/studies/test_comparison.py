@@ -21,20 +21,19 @@ MakeComparison = Callable[..., Comparison]
 
 def test_the_top_policies_are_those_with_the_highest_return_at_home(gap_comparison: MakeComparison) -> None:
     study = gap_comparison()
-    best, every = study.best().groups[0], study.groups[0]
-    assert [seed.seed for seed in best.seeds] == [4, 3, 2]
-    assert [seed.seed for seed in every.seeds] == [0, 1, 2, 3, 4]
-    assert (len(best.gap.in_world("bullet")), len(every.gap.home)) == (9, 15)
+    best = study.best()
+    assert best.of_group("a").seed.tolist() == [4, 3, 2]
+    assert study.of_group("a").seed.tolist() == [0, 1, 2, 3, 4]
+    assert (len(best.gap("a").in_world("bullet")), len(study.gap("a").home)) == (9, 15)
     # They are selected by other episodes than those that measure the gap.
-    results = {**every.seeds[0].results, "nominal": {"runs": {"return": [9.0], "speed": [1.0], "fell": [False]}}}
-    lucky = replace(every, seeds=(replace(every.seeds[0], results=results), *every.seeds[1:]))
-    assert [seed.seed for seed in lucky.best(2).seeds] == [0, 4]
+    lucky = study.policies.assign(nominal_return=[9.0, *study.policies.nominal_return[1:]])
+    assert replace(study, policies=lucky).best().of_group("a").seed.tolist() == [0, 4, 3]
 
 
 def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies_and_robots(
     gap_comparison: MakeComparison,
 ) -> None:
-    gap = gap_comparison().best().groups[0].gap
+    gap = gap_comparison().best().gap("a")
     # Policies' gaps are 1.4, 1.3, 1.2 m and robots' 1.6, 1.3, 1.0 m: variances of the means are .01 / 3 and .09 / 3.
     np.testing.assert_allclose(gap.gaps("bullet").mean(axis=1), [1.4, 1.3, 1.2])
     np.testing.assert_allclose(gap.gaps("bullet").mean(axis=0), [1.6, 1.3, 1.0])
@@ -53,7 +52,8 @@ def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies_and_robots(
 
 
 def test_differences_of_gaps_join_the_errors_of_four_means(gap_comparison: MakeComparison) -> None:
-    a, b, _ = (group.gap for group in gap_comparison().best().groups)
+    best = gap_comparison().best()
+    a, b = best.gap("a"), best.gap("b")
     over_runs, crossed, _ = gap_difference(a, b)
     assert over_runs.mean == pytest.approx(-1.3)
     assert over_runs.error == pytest.approx(math.hypot(*(one.gap_over_runs("bullet").error for one in (a, b))))

@@ -122,12 +122,8 @@ def test_robots_have_gains_and_paths_of_their_own():
     np.testing.assert_allclose(both.feedback(seen), alone, atol=1e-12)
 
 
-def test_other_observations_and_gains_out_of_bounds_are_refused():
+def test_other_observations_are_refused():
     with pytest.raises(
         SurefootError, match="observations are roll, pitch; Raibert's controller takes roll, pitch, roll_"
     ):
         RaibertController(ROBOT, reference(), RaibertConfig(), ("roll", "pitch"))
-    with pytest.raises(SurefootError, match=r"raibert\.lag is -1; it must be 0 or more"):
-        RaibertConfig(lag=-1.0)
-    with pytest.raises(SurefootError, match=r"raibert\.pitch is nan"):
-        RaibertConfig(pitch=float("nan"))

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,15 +19,7 @@ pytest.importorskip("matplotlib")
 from surefoot.evaluate.sensitivity import make_test_worlds
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges
-from surefoot.studies.comparison import (
-    Comparison,
-    GroupResult,
-    SeedResult,
-    bin_curve,
-    late_gain,
-    learning_curve,
-    study_tables,
-)
+from surefoot.studies.comparison import Comparison, bin_curve, late_gain, learning_curve, policy_row, study_tables
 from surefoot.studies.study_config import GroupConfig, StudyConfig
 from surefoot.studies.study_report import write_report
 from surefoot.task.trace import EpisodeTrace
@@ -46,19 +39,20 @@ def sensitivity(random: np.random.Generator, level: float, droop: float) -> dict
     return sensitivity_table("", WORLDS, returns, returns < level - droop, nominal).to_mapping()
 
 
-def seed_result(seed: int, level: float, droop: float, steps: int, kinds: tuple[str, ...]) -> SeedResult:
+def row(group: str, seed: int, level: float, droop: float, steps: int, kinds: tuple[str, ...]) -> dict[str, Any]:
     random = np.random.default_rng(seed + int(1000 * level))
-    at = np.arange(8192, steps + 8192, 8192, dtype=float)
-    progress = 1 - np.exp(-3 * at / steps)
-    columns = {"return": level * progress + 0.1 * seed, "speed": 0.5 * progress, "falls": 60 * (1 - progress)}
+    log = [
+        {"steps": at, "return_mean": level * at / steps + 0.1 * seed, "speed_mean": 0.5, "falls": 1, "episodes": 8}
+        for at in range(steps // 100, steps + 1, steps // 100)
+    ]
+    log[-1]["seconds"] = steps / 8000
     runs = {"return": [level + 0.1 * seed] * 5, "speed": [0.5 + 0.01 * seed] * 5, "fell": [False] * 5}
     results = {
         "nominal": {"runs": runs},
         "table1": {"runs": {**runs, "fell": [number < seed for number in range(5)]}},
         "sensitivity": sensitivity(random, level + 0.1 * seed, droop),
     }
-    curve = pd.DataFrame({"steps": at, **columns, "episodes": 8})
-    return SeedResult(seed, steps, steps / 8000, curve, {kind: results[kind] for kind in kinds})
+    return policy_row(group, seed, log, {kind: results[kind] for kind in kinds})
 
 
 def comparison(
@@ -70,17 +64,14 @@ def comparison(
         ("large_plain", "12-D", 2.3, 1.8, 1_500_000),
         ("large_randomized", "12-D, randomized", 1.9, 0.5, 3_000_000),
     )
-    results = tuple(
-        GroupResult(name, label, tuple(seed_result(seed, level, droop, steps, kinds) for seed in seeds))
-        for name, label, level, droop, steps in groups
-    )
     config = StudyConfig(
-        groups={one.name: GroupConfig() for one in results},
+        groups={name: GroupConfig(label) for name, label, *_ in groups},
         name="robustness",
         evaluate=kinds,
         compare=(("small_plain", "small_randomized"), ("large_plain", "large_randomized")),
     )
-    return Comparison(config, results)
+    rows = [row(name, seed, *numbers, kinds) for name, _, *numbers in groups for seed in seeds]
+    return Comparison(config, pd.DataFrame(rows))
 
 
 @pytest.fixture(scope="module")
@@ -117,13 +108,18 @@ def test_tables_hold_the_numbers_of_the_groups(study: Comparison) -> None:
         "episodes": 4 * 3 * (2 * 5 + 4 * (1 + len(WORLDS))),
         "sensitivity": 4 * 3 * len(WORLDS),
     }
-    row = tables["policies"].iloc[1]
-    assert [row[name] for name in ("group", "seed", "nominal_return", "table1_falls")] == ["small_plain", 1, 2.1, 20.0]
+    policy = tables["policies"].iloc[1]
+    assert [policy[name] for name in ("group", "seed", "nominal_return", "table1_falls")] == [
+        "small_plain",
+        1,
+        2.1,
+        20.0,
+    ]
     groups = tables["groups"].set_index(["group", "figure"])
-    row = groups.loc["small_randomized", "nominal_return"]
+    group = groups.loc["small_randomized", "nominal_return"]
     # Seeds differ by 0.1 and 0.1: mean 1.9, standard deviation 0.1, t(0.975, 2) / sqrt 3 = 2.484138.
-    assert (row["label"], row["unit"], row["seeds"]) == ("4-D, randomized", "m", 3)
-    assert (row["mean"], row["low"], row["high"]) == pytest.approx((1.9, 1.6515862, 2.1484138))
+    assert (group["label"], group["unit"], group["seeds"]) == ("4-D, randomized", "m", 3)
+    assert (group["mean"], group["low"], group["high"]) == pytest.approx((1.9, 1.6515862, 2.1484138))
     change = tables["differences"].iloc[1]
     assert [change[name] for name in ("group", "against")] == ["small_randomized", "small_plain"]
     assert change["figure"] == "nominal_return"
@@ -168,16 +164,14 @@ def test_the_report_of_one_seed_has_no_intervals(tmp_path: Path) -> None:
 def test_the_report_names_gaits_and_draws_one_of_each_group(tmp_path: Path, make_run: MakeRun) -> None:
     plain = comparison(("nominal",), seeds=(0, 1))
     gait = {"gait": "pace", "agree": 4, "pattern": "walking pace", "reason": "", "stride": 0.4, "duty": None}
-
-    def walked(seed: SeedResult) -> SeedResult:
-        policy = tmp_path / "runs" / str(id(seed)) / "policy.onnx"
-        make_run().save(policy.parent / "evaluations/gait/mujoco/run_000.npz")
-        return replace(seed, results={**seed.results, "gait": gait}, policy=policy)
-
-    groups = tuple(replace(group, seeds=tuple(map(walked, group.seeds))) for group in plain.groups)
-    text = write_report(
-        replace(plain, study=replace(plain.study, evaluate=("gait",)), groups=groups), tmp_path / "out", "command"
-    ).read_text()
+    policies = []
+    for number, policy in enumerate(plain.policies.to_dict("records")):
+        file = tmp_path / "runs" / str(number) / "policy.onnx"
+        make_run().save(file.parent / "evaluations/gait/mujoco/run_000.npz")
+        figures = {"gait": "pace", "pattern": "walking pace", "gait_agree": 4.0}
+        policies.append(policy | figures | {"results": policy["results"] | {"gait": gait}, "policy": file})
+    study = replace(plain.study, evaluate=("gait",))
+    text = write_report(Comparison(study, pd.DataFrame(policies)), tmp_path / "out", "command").read_text()
     section = text.split("## Gaits")[1].split("## Files")[0]
     assert section.count("| pace | 4 of 5 | walking pace |") == 4 * 2
     assert "0.40 | - |" in section
@@ -185,8 +179,8 @@ def test_the_report_names_gaits_and_draws_one_of_each_group(tmp_path: Path, make
         gaits = [(row["gait"], row["pattern"], row["gait_agree"]) for row in csv.DictReader(table)]
     assert gaits == [("pace", "walking pace", "4")] * (4 * 2)
     for group in plain.groups:
-        assert (tmp_path / "out" / f"gait_{group.name}.png").stat().st_size > 1000
-        assert f"![Footfalls: {group.label}, seed 0](gait_{group.name}.png)" in section
+        assert (tmp_path / "out" / f"gait_{group}.png").stat().st_size > 1000
+        assert f"![Footfalls: {plain.study.label(group)}, seed 0](gait_{group}.png)" in section
 
 
 def test_the_report_on_gaps(tmp_path: Path, gap_comparison: Callable[..., Comparison]) -> None:

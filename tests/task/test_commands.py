@@ -63,16 +63,16 @@ def test_a_range_that_is_reversed_is_refused() -> None:
 
 
 def test_a_command_out_of_range_is_clamped_and_reported() -> None:
-    command, changed = LIMITS.clamped([3.0, 0.1, -1.5])
+    command, changed = LIMITS.clamp([3.0, 0.1, -1.5])
     assert command.tolist() == [2.0, 0.1, -1.0]
     assert changed == "forward 3 to 2 m/s, yaw_rate -1.5 to -1 rad/s"
-    assert LIMITS.clamped([2.0, 0.0, 0.0])[1] == ""
+    assert LIMITS.clamp([2.0, 0.0, 0.0])[1] == ""
 
 
 @pytest.mark.parametrize("bad", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0]])
 def test_a_command_that_is_not_three_numbers_is_refused(bad: list[float]) -> None:
     with pytest.raises(SurefootError, match="command"):
-        LIMITS.clamped(bad)
+        LIMITS.clamp(bad)
 
 
 def test_a_robot_draws_the_same_commands_in_any_batch() -> None:

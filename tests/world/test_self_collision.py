@@ -44,14 +44,14 @@ def test_joints_stop_at_their_limits(engine: str) -> None:
     world = SimWorld(GO2, 1, config=WorldConfig(rack=True, threads=1), engine=engine)
     knees = [GO2.motor_names.index(leg.motors[-1]) for leg in GO2.legs]
     target = np.array(world.resting_angles)
-    least, greatest = GO2.urdf.joints[GO2.motor_names[knees[0]]].limits or (0.0, 0.0)
-    for asked in (greatest + 0.5, least - 0.5):
-        target[knees] = asked
+    low, high = GO2.urdf.joints[GO2.motor_names[knees[0]]].limits or (0.0, 0.0)
+    for angle in (high + 0.5, low - 0.5):
+        target[knees] = angle
         for _ in range(80):
             world.step(target[None])
         angles = world.truth().motor_angle[0, knees]
         # Limits give way a little: by some hundredths of a rad at half a rad of the servo's.
-        np.testing.assert_allclose(angles, np.clip(asked, least, greatest), atol=0.06)
+        np.testing.assert_allclose(angles, np.clip(angle, low, high), atol=0.06)
 
 
 def test_pairs_are_of_different_legs_and_can_meet() -> None:

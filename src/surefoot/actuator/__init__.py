@@ -9,7 +9,6 @@ from surefoot.actuator.compiled import drop_stale_caches
 drop_stale_caches()
 
 from surefoot.actuator.motor import (  # noqa: E402
-    joint_limit,
     joint_torque,
     motor_current,
     motor_friction,
@@ -17,4 +16,4 @@ from surefoot.actuator.motor import (  # noqa: E402
     servo_duty,
 )
 
-__all__ = ["joint_limit", "joint_torque", "motor_current", "motor_friction", "motor_torque", "servo_duty"]
+__all__ = ["joint_torque", "motor_current", "motor_friction", "motor_torque", "servo_duty"]

@@ -159,31 +159,25 @@ def joint_torque(target, angle, speed, kp, kd):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
-def joint_limit_kernel(torque: float, speed: float, limit: float, full: float, none: float) -> float:
-    """Return `joint_limit` for scalars."""
-    most = limit
-    if torque * speed > 0.0 and abs(speed) > full:
-        share = (none - abs(speed)) / (none - full) if none > full else 0.0
-        most = limit * (share if share > 0.0 else 0.0)
-    # Compiled min and max would turn NaN into a torque.
-    return most if torque > most else -most if torque < -most else torque
-
-
-@vectorize(cache=True)
-def joint_limit(torque, speed, limit, full, none):  # type: ignore[no-untyped-def]
+def joint_limit_kernel(torque: float, speed: float, limit: float, corner_speed: float, no_load_speed: float) -> float:
     """Return a joint actuator's torque [N m] within its limit at a speed.
 
-    A braking actuator has its whole torque. A driving one has it up to the speed `full`; from there the torque falls
-    linearly to none at the speed `none`, where the supply's voltage is used up.
+    A braking actuator has its whole torque. A driving one has it up to `corner_speed`; from there the torque falls
+    linearly to zero at `no_load_speed`, where the supply's voltage is used up.
 
     Args:
         torque: torque of the controller [N m].
         speed: present speed [rad/s].
         limit: greatest torque [N m].
-        full: speed up to which a driving motor has it [rad/s].
-        none: speed at which a driving motor has none [rad/s].
+        corner_speed: speed up to which a driving motor has it [rad/s].
+        no_load_speed: speed at which a driving motor has no torque [rad/s].
     """
-    return joint_limit_kernel(torque, speed, limit, full, none)
+    available = limit
+    if torque * speed > 0.0 and abs(speed) > corner_speed:
+        share = (no_load_speed - abs(speed)) / (no_load_speed - corner_speed) if no_load_speed > corner_speed else 0.0
+        available = limit * (share if share > 0.0 else 0.0)
+    # Compiled min and max would turn NaN into a torque.
+    return available if torque > available else -available if torque < -available else torque
 
 
 @njit(cache=True, inline="always")

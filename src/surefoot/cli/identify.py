@@ -1,6 +1,6 @@
 """`surefoot identify`: experiments on a robot, parameters from them or from recorded runs, and the motor figure.
 
-Exit codes: 0 done; 2 refused before anything moved, or data that tell nothing; 3 the experiment was stopped.
+Exit codes: 0 done; 2 refused before anything moved, or data that identify nothing; 3 the experiment was stopped.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
 from surefoot.cli.helpers.options import Json, Seed, check_folder, check_suffix
@@ -18,10 +18,11 @@ from surefoot.cli.helpers.output import print_json, table_lines
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
-from surefoot.identify.overlay import Known, read_known
+from surefoot.identify.overlay import missing_experiments, read_prior
 from surefoot.identify.recording import COMPLETE, Recording, load_recording
 from surefoot.identify.registry import EXPERIMENTS, Experiment
 from surefoot.robot import FiveBar, RobotDescription
+from surefoot.robot.params_file import ParamsFile
 
 STOPPED = 3
 """Exit code of an experiment that did not come to its end."""
@@ -33,30 +34,30 @@ _USAGE = """usage: surefoot identify EXPERIMENT --port PORT ...
        surefoot identify EXPERIMENT --recording FOLDER ...
        surefoot identify --from-trace FOLDER ...
 
-Find a robot's physical parameters by experiments, and write them to a file for surefoot train --params FILE.
+Identify a robot's physical parameters by experiments, and write them to a file for surefoot train --params FILE.
 
-experiments on a robot, in this order, each with --params FILE of what is known already:
+experiments on a robot, in this order, each with --params FILE of earlier results:
 {experiments}
 
 without an experiment:
 {others}
 
-surefoot identify EXPERIMENT --help tells what it takes."""
+surefoot identify EXPERIMENT --help lists its options."""
 
 
 @dataclass(frozen=True)
 class TracesCommand:
-    """Find a robot's physical parameters from traces of its runs, without an experiment.
+    """Identify a robot's physical parameters from traces of its runs, without an experiment.
 
-    The last runs, at least one, are kept back to try the fit on; of a single run its last quarter.
+    The last runs, at least one, are held out to check the fit; of a single run its last quarter.
     """
 
     from_trace: Path
     """Trace file (.npz), or a folder of them. Of robots with joint actuators: logs of commands and angles."""
     fit: tuple[str, ...] = ()
-    """Physical parameters to find; all that traces tell, if not given. The others are taken as they are known."""
+    """Physical parameters to identify; all that traces can identify, if not given. The others stay as they are."""
     params: Path | None = None
-    """File of what is known of the robot (.toml); what is found is written to it. robot.toml in --out, if not given."""
+    """File of the robot's parameters (.toml), to which the estimates are written. robot.toml in --out, if not given."""
     out: Path | None = None
     """Folder for the report; runs/identify/traces-TIME, if not given."""
     robot: str | None = None
@@ -64,7 +65,7 @@ class TracesCommand:
     rack: tuple[str, ...] = ()
     """Logs, by the names of their files, of a robot that hung with its base held still."""
     hold_out: tuple[str, ...] = ()
-    """Logs, by the names of their files, that are not fitted but replayed with what was found."""
+    """Logs, by the names of their files, that are not fitted but replayed with the estimates."""
     seconds: Annotated[float, Within(0.5, 3600)] = 2.3
     """How much of each log is fitted [s], from its start."""
     search: Annotated[int, Within(0, 100_000)] = 0
@@ -89,11 +90,12 @@ def main(argv: list[str]) -> int:
         code: int = import_module("surefoot.cli.helpers.identify_motor_figure").main(argv[1:])
         return code
     if word.partition("=")[0] == FROM_TRACE:
-        return _from_trace(argv)
+        return _identify_from_traces(argv)
     if word in EXPERIMENTS:
-        return _experiment(word, argv[1:])
-    named = choices([*EXPERIMENTS, FIGURE])
-    raise SurefootError(f"'{word}' is no experiment; choices: {named}, or {FROM_TRACE} FOLDER")
+        return _run_experiment(EXPERIMENTS[word], argv[1:])
+    raise SurefootError(
+        f"'{word}' is no experiment; choices: {choices([*EXPERIMENTS, FIGURE])}, or {FROM_TRACE} FOLDER"
+    )
 
 
 def _usage() -> str:
@@ -106,11 +108,12 @@ def _usage() -> str:
     return _USAGE.format(experiments=table_lines(experiments, width), others=table_lines(others, width))
 
 
-def _from_trace(argv: list[str]) -> int:
+def _identify_from_traces(argv: list[str]) -> int:
     command = parse(TracesCommand, argv, "surefoot identify")
-    _check_files(command)
+    check_suffix("params", command.params, ".toml")
+    check_folder(command.out)
     if command.robot is not None and (robot := RobotDescription.load(command.robot)).actuator.kind == "joint":
-        return _from_logs(command, robot)
+        return _identify_from_logs(command, robot)
     for name in ("rack", "hold_out", "search"):
         if getattr(command, name):
             raise SurefootError(
@@ -121,21 +124,21 @@ def _from_trace(argv: list[str]) -> int:
     traces = find_traces(command.from_trace)
     robot = RobotDescription.load(command.robot or str(traces[0][1].meta["robot"]))
     check_identifiable(robot)
-    known = read_known(command.params, robot)
-    from surefoot.cli.helpers.identify_results import check_installed, fitting, report, write
+    prior = read_prior(command.params, robot)
+    from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
 
     check_installed()
     from surefoot.identify.traces.fit import fit_traces
 
-    with fitting("traces") as say:
-        found = fit_traces(robot, [trace for _, trace in traces], command.fit or None, known.params, say)
-    folder = command.out or _new_folder("traces")
-    files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(command.from_trace))
-    report(robot, known, found, files, {"traces": [str(path) for path, _ in traces]}, command.json)
+    with fit_progress("traces") as report:
+        result = fit_traces(robot, [trace for _, trace in traces], command.fit or None, prior.params, report)
+    folder, source = command.out or _new_folder("traces"), str(command.from_trace)
+    more = {"traces": [str(path) for path, _ in traces]}
+    save_and_print(robot, prior, result, command.params, folder, source, more, command.json)
     return 0
 
 
-def _from_logs(command: TracesCommand, robot: RobotDescription) -> int:
+def _identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     """Fit a whole robot with joint actuators to logs."""
     from surefoot.identify.logs.robot_log import read_log
 
@@ -146,8 +149,8 @@ def _from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     for option, names in (("rack", command.rack), ("hold-out", command.hold_out)):
         if bad := [name for name in names if name not in logs]:
             raise SurefootError(f"--{option} names '{bad[0]}'; logs: {choices(logs)}")
-    known = read_known(command.params, robot)
-    from surefoot.cli.helpers.identify_results import check_installed, fitting, report, write
+    prior = read_prior(command.params, robot)
+    from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
 
     check_installed()
     from surefoot.identify.logs.fit import fit_logs
@@ -156,27 +159,27 @@ def _from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     runs = {name: LogRun(log, name in command.rack) for name, log in logs.items()}
     fitted = [run for name, run in runs.items() if name not in command.hold_out]
     held = [runs[name] for name in command.hold_out]
-    options: dict[str, Any] = {"seconds": command.seconds, "search": command.search, "seed": command.seed}
-    with fitting("logs") as say:
-        found = fit_logs(robot, fitted, held, command.fit or None, known.params, **options, report=say)
-    folder = command.out or _new_folder("logs")
-    files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(command.from_trace.name))
-    report(robot, known, found, files, {"logs": [str(path) for path in paths]}, command.json)
+    with fit_progress("logs") as report:
+        result = fit_logs(robot, fitted, held, command.fit or None, prior.params, command.seconds, command.search,
+                          command.seed, report)  # fmt: skip
+    folder, more = command.out or _new_folder("logs"), {"logs": [str(path) for path in paths]}
+    save_and_print(robot, prior, result, command.params, folder, command.from_trace.name, more, command.json)
     return 0
 
 
-def _experiment(name: str, argv: list[str]) -> int:
+def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
+    name = experiment.name
     command = parse(ExperimentCommand, argv, f"surefoot identify {name}")
-    _check(command)
-    experiment, robot = EXPERIMENTS[name], RobotDescription.load(command.robot)
+    _check_options(command)
+    robot = RobotDescription.load(command.robot)
     check_identifiable(robot)
-    known = read_known(command.params, robot)
-    from surefoot.cli.helpers.identify_results import check_installed, fitting, report, write
+    prior = read_prior(command.params, robot)
+    from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
 
     if command.recording is not None:
         path = command.recording / RECORDING if command.recording.is_dir() else command.recording
         recording, folder = load_recording(path, robot, name), command.out or path.parent
-        _warn(command, experiment, known)
+        _warn_of_missing(command, experiment, prior)
     else:
         folder = command.out or _new_folder(name)
         path = folder / RECORDING
@@ -184,34 +187,30 @@ def _experiment(name: str, argv: list[str]) -> int:
             raise SurefootError(f"{path} exists and is not written over; give another folder with --out")
         if not command.record_only:
             check_installed(f"surefoot identify {name} --record-only")
-            _warn(command, experiment, known)
+            _warn_of_missing(command, experiment, prior)
         recording = run_experiment(command, experiment.plan(robot), robot, path)
         if recording.meta["ended"] != COMPLETE or command.record_only:
-            return _tell_recording(command, recording, path)
+            return _print_recording(command, recording, path)
     check_installed()
-    with fitting(name) as say:
-        found = experiment.fit(robot, recording, known.params, known.sensors, say)
-    files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(path))
-    told = {"recording": str(path), "ended": COMPLETE, "lacks": list(known.lacks(experiment.before))}
-    report(robot, known, found, files, told, command.json)
+    with fit_progress(name) as report:
+        result = experiment.fit(robot, recording, prior.params, dict(prior.tables.get("sensors", {})), report)
+    missing = list(missing_experiments(prior, experiment.before))
+    more = {"recording": str(path), "ended": COMPLETE, "lacks": missing}
+    save_and_print(robot, prior, result, command.params, folder, str(path), more, command.json)
     return 0
 
 
-def _check(command: ExperimentCommand) -> None:
+def _check_options(command: ExperimentCommand) -> None:
     if (command.port is None) == (command.recording is None):
-        given = "none" if command.port is None else "both"
-        raise SurefootError(f"--port of a robot, or --recording of an experiment: give one of them; {given} is given")
+        number = "none" if command.port is None else "both"
+        raise SurefootError(f"--port of a robot, or --recording of an experiment: give one of them; {number} is given")
     if command.recording is not None:
         for name in ("record_only", "yes", "lockstep"):
             if getattr(command, name):
                 option = name.replace("_", "-")
                 raise SurefootError(f"--recording and --{option} don't go together; a recording needs no robot")
     if command.record_only and command.params is not None:
-        raise SurefootError("--record-only and --params don't go together; what is known is needed when it is fitted")
-    _check_files(command)
-
-
-def _check_files(command: ExperimentCommand | TracesCommand) -> None:
+        raise SurefootError("--record-only and --params don't go together; parameters are needed for the fit")
     check_suffix("params", command.params, ".toml")
     check_folder(command.out)
 
@@ -220,35 +219,27 @@ def _new_folder(name: str) -> Path:
     return RUNS / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
 
 
-def _warn(command: ExperimentCommand, experiment: Experiment, known: Known) -> None:
-    """Say which experiments should have come before."""
-    lacks = known.lacks(experiment.before)
-    if lacks:
+def _warn_of_missing(command: ExperimentCommand, experiment: Experiment, prior: ParamsFile) -> None:
+    """Print which experiments should precede this one."""
+    if missing := missing_experiments(prior, experiment.before):
         where = f"{command.params} has no results of it" if command.params is not None else "no --params FILE is given"
         print(
-            f"surefoot: warning: {experiment.name} should come after {' and '.join(lacks)}, and {where}; the data "
+            f"surefoot: warning: {experiment.name} should come after {' and '.join(missing)}, and {where}; the data "
             "sheet stands in",
             file=sys.stderr,
         )
 
 
-def _tell_recording(command: ExperimentCommand, recording: Recording, path: Path) -> int:
-    """Say what was recorded, of an experiment that is not fitted."""
-    ended = str(recording.meta["ended"])
-    whole = ended == COMPLETE
+def _print_recording(command: ExperimentCommand, recording: Recording, path: Path) -> int:
+    """Print the outcome of an experiment that is not fitted."""
+    name, ended = recording.meta["experiment"], str(recording.meta["ended"])
+    complete = ended == COMPLETE
     if command.json:
-        told = {
-            "experiment": recording.meta["experiment"],
-            "robot": recording.meta["robot"],
-            "ended": ended,
-            "duration": recording.duration,
-            "recording": str(path),
-            "digest": recording.digest,
-        }
-        print_json(told)
+        outcome = {"experiment": name, "robot": recording.meta["robot"], "ended": ended, "recording": str(path)}
+        print_json({**outcome, "duration": recording.duration, "digest": recording.digest})
     else:
-        said = "recorded" if whole else f"stopped after {recording.duration:.1f} s: {ended}; recorded until then"
-        print(f"{recording.meta['experiment']} experiment {said}: {path}", file=sys.stdout if whole else sys.stderr)
-        if whole:
-            print(f"to fit it: surefoot identify {recording.meta['experiment']} --recording {path.parent}")
-    return 0 if whole else STOPPED
+        what = "recorded" if complete else f"stopped after {recording.duration:.1f} s: {ended}; recorded until then"
+        print(f"{name} experiment {what}: {path}", file=sys.stdout if complete else sys.stderr)
+        if complete:
+            print(f"to fit it: surefoot identify {name} --recording {path.parent}")
+    return 0 if complete else STOPPED

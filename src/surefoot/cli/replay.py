@@ -19,7 +19,7 @@ from surefoot.tables import plain_value
 
 @dataclass(frozen=True)
 class ReplayCommand:
-    """Send the commands of a recorded run, at their recorded times, through a simulated robot; compare what both told.
+    """Send the commands of a recorded run, at their recorded times, through a simulated robot; compare the readings.
 
     Errors are root mean squares from .3 s on: over the joints that move [rad], of each motor, of each channel of the
     IMU. The robot stands on the ground, or hangs on a rack.
@@ -52,17 +52,17 @@ def main(argv: list[str]) -> int:
         import_module("matplotlib")
     robot = RobotDescription.load(command.robot)
     params = load_params(robot, command.params, command.settings)
-    from surefoot.identify.logs.errors import errors_of_recorded, replay_log
+    from surefoot.identify.logs.errors import compare_logs, replay_log
     from surefoot.identify.logs.robot_log import read_log
     from surefoot.identify.replay import Replayer
     from surefoot.world.registry import check_takes_params
 
     check_takes_params(command.world)
     log = read_log(command.trace, robot)
-    other = None if command.beside is None else errors_of_recorded(log, read_log(command.beside, robot))
+    other = None if command.beside is None else compare_logs(log, read_log(command.beside, robot))
     replayer = Replayer(robot, 1, command.rack, command.world, torques=False)
     errors = replay_log(log, robot, params, replayer)
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "rms": errors.rms,
         "rms_by_motor": dict(zip(robot.motor_names, map(plain_value, errors.by_motor.tolist()), strict=True)),
         "rms_imu": {name: plain_value(value) for name, value in errors.by_imu.items()},
@@ -72,22 +72,20 @@ def main(argv: list[str]) -> int:
         "timing": log.timing(),
     }
     if other is not None:
-        told["beside"] = {"file": str(command.beside), "rms": other.rms}
+        report["beside"] = {"file": str(command.beside), "rms": other.rms}
     if command.out is not None:
         from surefoot.report.figures.replay import draw_replay
 
-        label = "" if command.beside is None else command.beside.name.removesuffix(".npz")
-
-        draw_replay(command.out, robot, errors, other, label)
-        told["figure"] = str(command.out)
+        draw_replay(command.out, robot, errors, other, "" if command.beside is None else command.beside.stem)
+        report["figure"] = str(command.out)
     if command.json:
-        print_json(told)
+        print_json(report)
         return 0
     print(f"root mean square over the joints that move: {errors.rms:.4f} rad")
-    for name, value in told["rms_by_motor"].items():
-        moves = "" if name in told["moving"] else "  (stands)"
+    for name, value in report["rms_by_motor"].items():
+        moves = "" if name in report["moving"] else "  (stands)"
         print(f"  {name:<24} {'not read' if value is None else f'{value:.4f} rad'}{moves}")
-    for name, value in told["rms_imu"].items():
+    for name, value in report["rms_imu"].items():
         unit = "rad/s" if name.endswith("rate") else "rad"
         print(f"  {name:<24} {'not read' if value is None else f'{value:.4f} {unit}'}")
     if other is not None:

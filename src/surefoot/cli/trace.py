@@ -43,10 +43,10 @@ def _import(argv: list[str]) -> int:
     check_suffix("out", command.out, ".npz")
     robot = RobotDescription.load(command.robot)
     from surefoot.identify.logs.importing import import_log, missing_columns
-    from surefoot.identify.logs.robot_log import log_of_trace
+    from surefoot.identify.logs.robot_log import log_from_trace
 
     trace = import_log(command.file, robot, command.map)
-    timing = log_of_trace(command.file.name, trace).timing()
+    timing = log_from_trace(command.file.name, trace).timing()
     missing = missing_columns(trace)
     trace.save(command.out)
     if command.json:

@@ -60,7 +60,7 @@ class Controller:
         """
         if self.contract.commands is None:
             raise SurefootError(f"policy '{self.contract.name}' has no commands to follow")
-        self.command, clamped = self.contract.commands.clamped(command)
+        self.command, clamped = self.contract.commands.clamp(command)
         return clamped
 
     def _state(self) -> CommandState | None:

@@ -99,7 +99,7 @@ class DrivenRobot:
         """
         if self.limits is None:
             raise SurefootError("this policy follows no commands")
-        self._command.command[0], _ = self.limits.clamped(command)
+        self._command.command[0], _ = self.limits.clamp(command)
 
     def push(self, force: ArrayLike, duration: float) -> None:
         """Push the base with a force (3,) [N] in the heading frame, for a duration [s].

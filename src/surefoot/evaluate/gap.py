@@ -29,7 +29,6 @@ class PolicyGap:
     """Runs of one policy, or of several pooled, in the world of its training (home) and in others (away)."""
 
     name: str
-    """Name of the policy, or of the group."""
     runs: pd.DataFrame
     """A row a run: the policy, then the columns of `measure_runs`; runs at home come first."""
 

@@ -40,7 +40,6 @@ class Sensitivity:
     """Results of one policy in its test worlds and in the nominal one."""
 
     policy: str
-    """Name of the policy."""
     nominal_values: Mapping[str, float]
     """Nominal value of each row of the table; the mean, where motors or axes differ."""
     episodes: pd.DataFrame

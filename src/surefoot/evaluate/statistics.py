@@ -51,7 +51,6 @@ class Interval:
     """An estimate and its confidence interval."""
 
     mean: float
-    """The estimate."""
     low: float = math.nan
     """Lower end; NaN for too few numbers."""
     high: float = math.nan

@@ -1,4 +1,4 @@
-"""Runs an experiment on a robot over the link: motion runner, the plan's own limits, everything recorded."""
+"""Run of an experiment on a robot over the link, within the plan's limits, with everything recorded."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from surefoot.stop_signals import StopSignals
 PERIOD = 0.002
 """Time between two commands, and between two states [s]: at 921,600 baud a state takes 1.7 ms."""
 REST = 1.0
-"""How long the robot is watched at rest before it is armed [s]."""
+"""Time at rest before the robot is armed [s]."""
 LATE = 0.05
 """Age of the newest state [s], and time without a command, that end an experiment: the robot damps itself then."""
 BATTERY_ROOM = 0.3
@@ -55,7 +55,7 @@ class _ExperimentRunner:
         self._states: list[tuple[State, float, float]] = []
         self._sent: list[tuple[int, float, int, Array]] = []
         self._changes: list[tuple[float, int]] = []
-        self._strained = np.zeros(robot.num_motors)
+        self._overload_time = np.zeros(robot.num_motors)
         self._target: Array | None = None
         self._started = 0.0
         self._low, self._high = plan.angle_low, plan.angle_high
@@ -65,12 +65,12 @@ class _ExperimentRunner:
         link, ended, resting = self.link, COMPLETE, 0
         statistics = link.statistics
         before = statistics.missing, statistics.damaged
-        link.on_state = lambda state, sent, came: self._states.append((state, sent, came))
+        link.on_state = lambda *received: self._states.append(received)
         self._started = link.clock.now()
         try:
             self._runner(self.plan.phases[0].mode).ping_until(lambda: False, REST)
             resting = len(self._states)
-            # Legs on a rack hang down, and those of a robot that lies are folded: there the way to the plan begins.
+            # Legs on a rack hang down, and fold when a robot lies: the first transition starts there.
             angle = link.last_state().motor_angle
             self._low, self._high = np.minimum(self._low, angle), np.maximum(self._high, angle)
             self._run_phases()
@@ -109,7 +109,7 @@ class _ExperimentRunner:
     def _disarm(self, runner: MotionRunner) -> None:
         self._changes.append((self.link.clock.now(), int(Mode.DISARMED)))
         if not runner.release():
-            raise ExperimentStoppedError("the robot does not say that it has disarmed")
+            raise ExperimentStoppedError("the robot does not report that it has disarmed")
 
     def _follow(self, runner: MotionRunner, index: int, phase: Phase) -> None:
         loop, start = runner.loop, self._target
@@ -122,8 +122,8 @@ class _ExperimentRunner:
             self._why = self._passed_limit(state, phase)
             if self._why:
                 raise ExperimentStoppedError(self._why)
-            asked = phase.signal(k * self.period, start)
-            return np.clip(asked, low, high) if phase.mode == Mode.POSITION else np.clip(asked, -1.0, 1.0)
+            bounds = (low, high) if phase.mode == Mode.POSITION else (-1.0, 1.0)
+            return np.clip(phase.signal(k * self.period, start), *bounds)
 
         def after(k: int, state: State, computed: bool) -> None:
             if loop.target is not None:
@@ -137,20 +137,20 @@ class _ExperimentRunner:
             raise ExperimentStoppedError(f"{self._why or verdict.text} (in phase '{phase.name}')")
 
     def _passed_limit(self, state: State, phase: Phase) -> str:
-        """Return which limit of the plan is passed; empty, if none is."""
+        """Return the limit of the plan that is passed; empty, if none is."""
         plan, limits, names = self.plan, self.plan.limits, self.robot.motor_names
         low, high = (self._low, self._high) if phase.use == "transition" else (plan.angle_low, plan.angle_high)
         beyond = np.maximum(low - state.motor_angle, state.motor_angle - high)
         worst = int(np.argmax(beyond))
         if self._sent and beyond[worst] > limits.angle_room:
             return (
-                f"{names[worst]} is at {state.motor_angle[worst]:.2f} rad, {beyond[worst]:.2f} beyond what was asked "
-                f"for; at most {limits.angle_room:g}"
+                f"{names[worst]} is at {state.motor_angle[worst]:.2f} rad, {beyond[worst]:.2f} beyond the plan's "
+                f"angles; at most {limits.angle_room:g}"
             )
-        strained = np.abs(state.motor_torque) > limits.torque
-        self._strained = np.where(strained, self._strained + self.period, 0.0)
-        worst = int(np.argmax(self._strained))
-        if self._strained[worst] > limits.torque_time:
+        overloaded = np.abs(state.motor_torque) > limits.torque
+        self._overload_time = np.where(overloaded, self._overload_time + self.period, 0.0)
+        worst = int(np.argmax(self._overload_time))
+        if self._overload_time[worst] > limits.torque_time:
             return f"{names[worst]} gave more than {limits.torque:g} N m for {limits.torque_time:g} s"
         worst = int(np.argmax(state.temperature))
         if state.temperature[worst] > limits.temperature:
@@ -169,7 +169,7 @@ class _ExperimentRunner:
             "sent_phase": np.array(phases, float),
             "sent_value": np.array(values, float).reshape(-1, motors),
             "time": np.array([sent for _, sent, _ in self._states], float),
-            "host_time": np.array([came for _, _, came in self._states], float),
+            "host_time": np.array([received for _, _, received in self._states], float),
         }
         for item in fields(Recording):
             if item.name not in (*arrays, "meta"):

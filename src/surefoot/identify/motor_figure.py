@@ -1,8 +1,7 @@
-"""One motor follows a sine on the rack: how well each model of the motor repeats it (Tan et al. 2018, fig. 4)."""
+"""A motor that follows a sine on the rack, simulated with each model of the motor (Tan et al. 2018, fig. 4)."""
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices, describe_os_errors
+from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors
 from surefoot.files import check_readable
+from surefoot.identify.logs.table import read_csv
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import ACTUATORS, SimulationFactory, WorldConfig
 
@@ -28,14 +28,14 @@ class MotorLog:
     name: str
     """Where it comes from."""
     time: Array
-    """Rising, from the start of the motion [s]."""
+    """Rising [s]."""
     target: Array
-    """Angle asked for from this time on [rad]."""
+    """Commanded angle from this time on [rad]."""
     angle: Array
-    """Angle measured at this time [rad]; NaN where there is none."""
+    """Measured angle [rad]; NaN where there is none."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no recording."""
+        """Refuse too few rows, and times or targets that are not finite or do not rise."""
         if len(self.time) < 2:
             raise SurefootError(f"motor log {self.name}: has {len(self.time)} rows; it takes 2 or more")
         if not np.isfinite(self.time).all() or not np.isfinite(self.target).all():
@@ -44,14 +44,14 @@ class MotorLog:
             raise SurefootError(f"motor log {self.name}: times must rise")
 
     def error(self, simulated: Array) -> float:
-        """Root mean square [rad] of simulated (T,) less measured angles; less targets where nothing was measured."""
-        known = np.isfinite(self.angle)
-        missed = (simulated - self.angle)[known] if known.any() else simulated - self.target
-        return float(np.sqrt(np.mean(np.square(missed))))
+        """Return the RMS [rad] of simulated (T,) less measured angles; less targets where nothing was measured."""
+        measured = np.isfinite(self.angle)
+        errors = (simulated - self.angle)[measured] if measured.any() else simulated - self.target
+        return float(np.sqrt(np.mean(np.square(errors))))
 
     @classmethod
     def sine(cls, middle: float, amplitude: float, frequency: float, duration: float, step: float) -> MotorLog:
-        """A target without a measurement: `middle` + `amplitude` sin(2 pi `frequency` t), renewed every `step` [s]."""
+        """Return a target without a measurement: `middle` + `amplitude` sin(2 pi `frequency` t), every `step` [s]."""
         time: Array = step * np.arange(round(duration / step) + 1, dtype=np.float64)
         target: Array = middle + amplitude * np.sin(2 * np.pi * frequency * time)
         return cls("sine", time, target, np.full(len(time), np.nan))
@@ -63,25 +63,13 @@ class MotorLog:
         Raises:
             SurefootError: a file that can't be read or is no such table.
         """
-        try:
-            with describe_os_errors(f"motor log {path}"):
+        with prefix_errors(f"motor log {path}"):
+            with describe_os_errors("it"):
                 check_readable(path)
-                with path.open(newline="", encoding="utf-8") as file:
-                    rows = list(csv.DictReader(file))
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise SurefootError(f"motor log {path}: is no CSV file: {error}") from error
-        found = list(rows[0]) if rows else []
-        if any(name not in found for name in COLUMNS):
-            raise SurefootError(f"motor log {path}: columns are {choices(found)}; it takes {choices(COLUMNS)}")
-        columns: dict[str, list[float]] = {name: [] for name in COLUMNS}
-        for number, row in enumerate(rows, start=2):
-            for name in COLUMNS:
-                try:
-                    columns[name].append(float(row[name]))
-                except (TypeError, ValueError):
-                    text = row[name]
-                    raise SurefootError(f"motor log {path}: line {number}: {name} '{text}' is no number") from None
-        return cls(str(path), *(np.array(columns[name]) for name in COLUMNS))
+                columns = read_csv(path).columns
+            if any(name not in columns for name in COLUMNS):
+                raise SurefootError(f"columns are {choices(columns)}; it takes {choices(COLUMNS)}")
+        return cls(str(path), *(columns[name] for name in COLUMNS))
 
     def write(self, path: Path) -> Path:
         """Write a CSV file that `read` reads."""
@@ -92,7 +80,7 @@ class MotorLog:
 
 
 def motor_index(robot: RobotDescription, motor: str) -> int:
-    """Place of a motor in the robot's order; refused, if there is no such motor."""
+    """Return the index of a motor; refuse an unknown name."""
     if motor not in robot.motor_names:
         raise SurefootError(f"motor '{motor}' does not exist; motors: {choices(robot.motor_names)}")
     return robot.motor_names.index(motor)
@@ -105,27 +93,26 @@ def run_motor_experiment(
     index: int,
     params: Mapping[str, float] | None = None,
 ) -> dict[str, Array]:
-    """Let one motor of the robot on its rack follow a log's targets with each model of the motor; the others hold.
+    """Simulate one motor on the rack that follows a log's targets, with each model of the motor; the others hold.
 
     Args:
         robot: the robot.
         make_world: makes the simulation.
         log: targets, and what was measured.
-        index: place of the motor that follows them in the robot's order.
-        params: physical parameters that differ from the robot's description; refused if it does not allow them.
+        index: of the motor.
+        params: physical parameters that differ from the robot's description.
 
     Returns:
-        by actuator, the motor's true angle at the log's times (T,) [rad].
+        By actuator, the motor's true angle at the log's times (T,) [rad].
     """
     step = robot.timing.servo_step
     # A command for every servo step: the targets come with the log's own timing.
-    given = {**(params or {}), "control_step": step}
-    nominal = PhysicalParams.nominal(robot).with_values(robot, **given)
+    nominal = PhysicalParams.nominal(robot).with_values(robot, **{**(params or {}), "control_step": step})
     clock = log.time - log.time[0]
     lead_in, ticks = round(LEAD_IN / step), math.ceil(clock[-1] / step) + 1
-    # The newest target at each servo step; a hair's breadth against rounding.
+    # The newest target at each servo step, with a margin against rounding.
     newest = np.searchsorted(clock, np.arange(ticks) * step + 1e-9, side="right") - 1
-    found = {}
+    angles = {}
     for actuator in ACTUATORS:
         config = WorldConfig(actuator=actuator, rack=True, threads=1)  # type: ignore[arg-type]
         world = make_world(robot, 1, nominal, 0, config)
@@ -135,5 +122,5 @@ def run_motor_experiment(
                 angle[tick] = world.truth().motor_angle[0, index]
             command[index] = log.target[newest[max(tick, 0)]]
             world.step(command[None])
-        found[actuator] = np.interp(clock, np.arange(ticks) * step, angle)
-    return found
+        angles[actuator] = np.interp(clock, np.arange(ticks) * step, angle)
+    return angles

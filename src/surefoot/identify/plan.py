@@ -1,4 +1,4 @@
-"""What an experiment is going to do, before it does it: phases, their signals, and limits within which it stays."""
+"""The plan of an experiment: phases with their signals, and limits that end it early."""
 
 from __future__ import annotations
 
@@ -15,26 +15,25 @@ from surefoot.deploy.poses import minimum_jerk
 
 Use = Literal["fit", "check", "transition"]
 Signal = Callable[[float, Array], Array]
-"""What the motors are asked for (M,) at a time since the phase's start [s], from what they were asked for before."""
+"""Command of the motors (M,) at a time since the phase's start [s], from the last command of the phase before."""
 FADE = 0.2
-"""Time [s] within which sines grow to their amplitude, and fade at the end."""
+"""Time [s] in which sines grow to their amplitude, and fade at the end."""
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of an experiment in which one kind of command is sent."""
+    """A part of an experiment with one kind of command."""
 
     name: str
     what: str
-    """What the motors are going to do, for whoever stands beside the robot."""
+    """Motion of the robot, for people beside it."""
     duration: float
     """Length [s]."""
     signal: Signal
-    """Motor angles [rad], or duties."""
+    """Motor angles [rad] if the mode is `POSITION`, duties if it is `PWM`."""
     mode: Mode = Mode.POSITION
-    """Which of the two."""
     use: Use = "fit"
-    """fit: its readings are fitted; check: kept back, to try the fit on; way: it only leads from pose to pose."""
+    """fit: readings are fitted; check: held out for a check; transition: between poses, not used."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +41,11 @@ class ExperimentLimits:
     """When an experiment ends early, with motors damped."""
 
     torque: float
-    """Torque [N m] that a motor may give for `torque_time`."""
+    """Torque [N m] that a motor may exceed for `torque_time`."""
     angle_room: float = 0.7
-    """How far [rad] a motor may be beyond the angles that the plan asks for."""
+    """Distance [rad] of a motor from the plan's angles."""
     torque_time: float = 0.4
-    """How long [s] a motor may give more than that."""
+    """[s]"""
     temperature: float = 70.0
     """Motor temperature [degC]."""
     duration: float = 600.0
@@ -55,14 +54,14 @@ class ExperimentLimits:
 
 @dataclass(frozen=True)
 class Plan:
-    """An experiment that has not begun."""
+    """A planned experiment."""
 
     experiment: str
     rack: bool
     """Whether the robot hangs in the air; otherwise it sits on the ground."""
     phases: tuple[Phase, ...]
     angle_low: Array
-    """Least motor angles (M,) [rad] that it asks for."""
+    """Least commanded motor angles (M,) [rad]."""
     angle_high: Array
     """Greatest ones."""
     largest_duty: float
@@ -76,36 +75,41 @@ class Plan:
 
 
 def go_to(target: Array, duration: float) -> Signal:
-    """Smoothly from wherever the motors were sent to `target` (M,) [rad]."""
+    """Return a smooth motion from the last command to `target` (M,) [rad]."""
     return lambda t, start: minimum_jerk(start, target, t / duration)
 
 
+def transition(name: str, what: str, duration: float, target: Array, motion: float | None = None) -> Phase:
+    """Return a phase that leads to `target` (M,) [rad], within the time `motion` [s] if it is not the whole phase."""
+    return Phase(name, what, duration, go_to(target, motion or duration), use="transition")
+
+
 def hold(target: Array) -> Signal:
-    """Stay at `target`."""
+    """Return a constant command."""
     return lambda t, start: target
 
 
 def chirps(middle: Array, amplitude: Array, first: float, last: float, duration: float, phase: Array) -> Signal:
-    """Sines that fade in and out, and whose frequency [Hz] grows exponentially from `first` to `last`.
+    """Return sines that fade in and out, and whose frequency [Hz] grows exponentially from `first` to `last`.
 
     Each motor has its own middle, amplitude and phase (M,) [rad]; the duration is in [s].
     """
 
     def signal(t: float, start: Array) -> Array:
-        turned, faded = sweep(t, first, last, duration)
-        value: Array = middle + faded * amplitude * np.sin(turned + phase)
+        angle, fade = sweep(t, first, last, duration)
+        value: Array = middle + fade * amplitude * np.sin(angle + phase)
         return value
 
     return signal
 
 
 def sweep(t: float, first: float, last: float, duration: float) -> tuple[float, float]:
-    """Angle [rad] that a sine of exponentially growing frequency has turned, and its fading in and out from 0 to 1."""
+    """Return the phase angle [rad] of a sine of exponentially growing frequency, and its fading from 0 to 1."""
     rate = math.log(last / first) / duration
-    turned = 2 * math.pi * first * (math.expm1(rate * t) / rate if rate else t)
-    return turned, min(1.0, t / FADE, max(duration - t, 0.0) / FADE)
+    angle = 2 * math.pi * first * (math.expm1(rate * t) / rate if rate else t)
+    return angle, min(1.0, t / FADE, max(duration - t, 0.0) / FADE)
 
 
-def steps(values: Array, each: float) -> Signal:
-    """One row of `values` (K, M) after the other, for a time [s] each."""
-    return lambda t, start: values[min(int(t / each + 1e-9), len(values) - 1)]
+def steps(values: Array, period: float) -> Signal:
+    """Return the rows of `values` (K, M) one after the other, each for a period [s]."""
+    return lambda t, start: values[min(int(t / period + 1e-9), len(values) - 1)]

@@ -1,4 +1,4 @@
-"""What an experiment recorded: every command that was sent and every state that came, in one file with a digest."""
+"""The recording of an experiment: every command that was sent and every state that came, in a file with a digest."""
 
 from __future__ import annotations
 
@@ -16,17 +16,19 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import is_number
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.files import check_readable
 from surefoot.npz import write_npz
 from surefoot.robot import RobotDescription
 
 SCHEMA = 1
 STILL = 0.002
-"""Standard deviation of an angle [rad] below which a motor has not moved: a few steps of its encoder."""
-CLOCK = 2e-5
-"""Resolution of the times in states [s], twice."""
+"""Standard deviation of an angle [rad] below which a motor does not move: a few steps of its encoder."""
+CLOCK_RESOLUTION = 2e-5
+"""Twice the resolution of the times in states [s]."""
 COMPLETE = "complete"
+_MAX_COMMAND_AGE = 0.6
+"""Greatest age of a command [s] that a state can hold."""
 _META = (
     *("schema", "experiment", "robot", "motor_names", "rack", "phases", "mode_changes", "ended", "period", "lead"),
     *("servo_period", "resting_states", "frames", "date", "digest"),
@@ -42,38 +44,37 @@ class Recording:
     sent_time: Array
     """When they were sent, on the host's clock (C,) [s]."""
     sent_phase: Array
-    """Index of the phase to which each belongs (C,)."""
+    """Index of each command's phase (C,)."""
     sent_value: Array
-    """Motor angles [rad] or duties (C, M), as the phase's mode says."""
+    """Motor angles [rad] or duties (C, M), by the phase's mode."""
     time: Array
-    """When each state was sent by the robot (T,) [s]."""
+    """When the robot sent each state (T,) [s]."""
     host_time: Array
-    """When it came, on the host's clock (T,) [s]."""
+    """When it arrived, on the host's clock (T,) [s]."""
     mode: Array
     """The robot's mode (T,)."""
     command: Array
-    """Number of the command that the robot obeyed (T,)."""
+    """Number of the command in effect (T,)."""
     command_age: Array
-    """Time since that came to the robot (T,) [s]."""
+    """Time since that arrived at the robot (T,) [s]."""
     motor_angle: Array
-    """(T, M) [rad], as old as readings are."""
+    """(T, M) [rad], delayed by the control latency."""
     motor_velocity: Array
-    """(T, M) [rad/s], equally old."""
+    """(T, M) [rad/s], equally delayed."""
     motor_torque: Array
     """(T, M) [N m], from the currents of the last servo step."""
     roll_pitch_yaw: Array
-    """(T, 3) [rad], as old as readings are."""
+    """(T, 3) [rad], delayed as angles are."""
     angular_velocity_base: Array
-    """(T, 3) [rad/s], equally old."""
+    """(T, 3) [rad/s], equally delayed."""
     voltage: Array
-    """Of the battery (T,) [V], of now."""
+    """Of the battery, without delay (T,) [V]."""
     temperature: Array
     """Of the motors (T, M) [degC]."""
     meta: dict[str, Any]
-    """What can be written as JSON: schema, experiment, robot, firmware, motor_names, rack, phases (name, mode, use,
-    duration), mode_changes (the host's time [s] of sending, and mode, of all arming and disarming), ended (`COMPLETE`,
-    or why not), period and lead (s), servo_period (s), resting_states (how many came before motors were armed), frames
-    (received, missing, damaged), date, digest."""
+    """Schema, experiment, robot, firmware, motor_names, rack, phases (name, mode, use, duration), mode_changes (the
+    host's time [s] and the mode of all arming and disarming), ended (`COMPLETE`, or why not), period, lead and
+    servo_period [s], resting_states (count before arming), frames (received, missing, damaged), date, digest."""
 
     @property
     def num_motors(self) -> int:
@@ -85,13 +86,18 @@ class Recording:
         """Time between two commands, and between two states [s]."""
         return float(self.meta["period"])
 
+    @property
+    def resting(self) -> slice:
+        """States before motors were armed; at least the first one."""
+        return slice(0, max(int(self.meta["resting_states"]), 1))
+
     def phases(self, *uses: str) -> list[int]:
-        """Indices of the phases of some uses: fit, check or way."""
+        """Return the indices of the phases of some uses: fit, check or transition."""
         return [k for k, phase in enumerate(self.meta["phases"]) if phase["use"] in uses]
 
     def servo_step(self, times: Array) -> NDArray[np.int64]:
-        """Number of the first servo step that begins at times [s] or later, by the robot's clock."""
-        return np.ceil((times - CLOCK) / float(self.meta["servo_period"])).astype(np.int64)
+        """Return the number of the first servo step that begins at times [s] of the robot's clock or later."""
+        return np.ceil((times - CLOCK_RESOLUTION) / float(self.meta["servo_period"])).astype(np.int64)
 
     @property
     def duration(self) -> float:
@@ -105,30 +111,31 @@ class Recording:
 
     @cached_property
     def clock_offset(self) -> float:
-        """Usual difference of a command's coming, on the robot's clock, and its sending, on the host's [s]."""
-        told = self._told - self.sent_time
-        return float(np.nanmedian(told)) if np.isfinite(told).any() else 0.0
+        """Median of a command's arrival on the robot's clock less its sending on the host's [s]."""
+        offsets = self._reported_arrival - self.sent_time
+        return float(np.nanmedian(offsets)) if np.isfinite(offsets).any() else 0.0
 
     @cached_property
     def arrival(self) -> Array:
-        """When each command came to the robot (C,) [s]: what states tell, else as long after sending as usual."""
-        return np.where(np.isfinite(self._told), self._told, self.sent_time + self.clock_offset)
+        """When each command arrived at the robot (C,) [s]: as states report, else by the clocks' offset."""
+        reported = self._reported_arrival
+        return np.where(np.isfinite(reported), reported, self.sent_time + self.clock_offset)
 
     @cached_property
-    def _told(self) -> Array:
-        """When each command came to the robot (C,) [s], as states tell; NaN where none does."""
-        told = np.full(len(self.sent_number), np.nan)
+    def _reported_arrival(self) -> Array:
+        """When each command arrived at the robot (C,) [s], as states report; NaN where none does."""
+        arrival = np.full(len(self.sent_number), np.nan)
         place = np.searchsorted(self.sent_number, self.command)
-        inside = (place < len(self.sent_number)) & (self.command_age < 0.6)
+        inside = (place < len(self.sent_number)) & (self.command_age < _MAX_COMMAND_AGE)
         inside[inside] &= self.sent_number[place[inside]] == self.command[inside]
-        # The first state after a command tells its age best: the age has a resolution of 10 us.
+        # The first state after a command has its age best: the age has a resolution of 10 us.
         for index in np.flatnonzero(inside)[::-1]:
-            told[place[index]] = self.time[index] - self.command_age[index]
-        return told
+            arrival[place[index]] = self.time[index] - self.command_age[index]
+        return arrival
 
     @cached_property
     def still_motors(self) -> frozenset[int]:
-        """Motors whose angles hardly change while they are experimented with: nothing can be told of them."""
+        """Motors whose angles hardly change in the fitted phases: their parameters are not identifiable."""
         driven = np.zeros(len(self.time), np.bool_)
         for k in self.phases("fit"):
             driven[self.phase_states(k)] = True
@@ -136,29 +143,29 @@ class Recording:
         return frozenset(np.flatnonzero(spread < STILL).tolist())
 
     def phase_states(self, phase: int) -> slice:
-        """States that were sent while commands of a phase held."""
-        mine = np.flatnonzero(self.sent_phase == phase)
-        if not len(mine):
+        """Return the states that were sent while commands of a phase were in effect."""
+        sent = np.flatnonzero(self.sent_phase == phase)
+        if not len(sent):
             return slice(0, 0)
-        begin, last = self.arrival[mine[0]], self.arrival[mine[-1]]
-        following = mine[-1] + 1
+        begin, last = self.arrival[sent[0]], self.arrival[sent[-1]]
+        following = sent[-1] + 1
         end = self.arrival[following] if following < len(self.arrival) else last + 0.1
         return slice(*np.searchsorted(self.time, [begin, max(end, last)]).tolist())
 
     def save(self, path: Path) -> Path:
-        """Write it to an .npz file, whole or not at all."""
+        """Write an .npz file, whole or not at all."""
         arrays = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "meta"}
         write_npz(path, arrays, self.meta)
         return path
 
 
 def read_at(moments: Array, times: Array, values: Array) -> Array:
-    """Return the columns of values (T, n) of times (T,) at other moments (K,), on straight lines between (K, n)."""
+    """Interpolate the columns of values (T, n) of times (T,) linearly at other moments (K,); returns (K, n)."""
     return np.stack([np.interp(moments, times, column) for column in values.T], axis=1)
 
 
 def digest_of(arrays: dict[str, Array]) -> str:
-    """SHA-256 over arrays, by name."""
+    """Return the SHA-256 over arrays, by name."""
     total = hashlib.sha256()
     for name in sorted(arrays):
         total.update(name.encode())
@@ -166,8 +173,8 @@ def digest_of(arrays: dict[str, Array]) -> str:
     return total.hexdigest()
 
 
-def _misfit(arrays: dict[str, Any], meta: dict[str, Any], motors: int) -> str:
-    """What does not fit a recording in shape or type: name of an array or of an entry; empty if all do."""
+def _first_invalid(arrays: dict[str, Any], meta: dict[str, Any], motors: int) -> str:
+    """Return the name of an array or entry of the wrong shape or type; empty if there is none."""
     commands, states = np.shape(arrays["sent_number"])[:1], np.shape(arrays["time"])[:1]
     widths = dict.fromkeys(("sent_value", "motor_angle", "motor_velocity", "motor_torque", "temperature"), (motors,))
     widths |= dict.fromkeys(("roll_pitch_yaw", "angular_velocity_base"), (3,))
@@ -176,27 +183,26 @@ def _misfit(arrays: dict[str, Any], meta: dict[str, Any], motors: int) -> str:
         if len(rows) != 1 or array.shape != (*rows, *widths.get(name, ())) or array.dtype != np.float64:
             return name
 
-    def numbers(*values: Any) -> bool:
-        return all(map(is_number, values))
+    def is_phase(phase: Any) -> bool:
+        keys = {"name": str, "use": str, "mode": float, "duration": float}
+        return isinstance(phase, dict) and all(is_kind(phase.get(key), kind) for key, kind in keys.items())
+
+    def is_kind(value: Any, kind: type) -> bool:
+        return is_number(value) if kind is float else isinstance(value, kind)
 
     phases, changes, frames = (meta[name] for name in ("phases", "mode_changes", "frames"))
-    right = {
-        "phases": isinstance(phases, list)
-        and all(
-            isinstance(phase, dict)
-            and all(isinstance(phase.get(key), str) for key in ("name", "use"))
-            and numbers(phase.get("mode"), phase.get("duration"))
-            for phase in phases
-        ),
+    counts = [frames.get(key) for key in ("received", "missing", "damaged")] if isinstance(frames, dict) else [None]
+    valid = {
+        "phases": isinstance(phases, list) and all(map(is_phase, phases)),
         "mode_changes": isinstance(changes, list)
-        and all(isinstance(change, list) and len(change) == 2 and numbers(*change) for change in changes),
-        "frames": isinstance(frames, dict) and numbers(*(frames.get(x) for x in ("received", "missing", "damaged"))),
+        and all(isinstance(change, list) and len(change) == 2 and all(map(is_number, change)) for change in changes),
+        "frames": all(map(is_number, counts)),
         "resting_states": isinstance(meta["resting_states"], int) and 0 <= meta["resting_states"] < 10**9,
-        "lead": numbers(meta["lead"]),
+        "lead": is_number(meta["lead"]),
     }
-    right |= {name: numbers(meta[name]) and meta[name] > 0 for name in ("period", "servo_period")}
-    right |= {name: isinstance(meta[name], str) for name in ("experiment", "ended", "date", "digest")}
-    return next((f"meta.{name}" for name, fits in right.items() if not fits), "")
+    valid |= {name: is_number(meta[name]) and meta[name] > 0 for name in ("period", "servo_period")}
+    valid |= {name: isinstance(meta[name], str) for name in ("experiment", "ended", "date", "digest")}
+    return next((f"meta.{name}" for name, right in valid.items() if not right), "")
 
 
 def load_recording(path: Path, robot: RobotDescription, experiment: str | None = None) -> Recording:
@@ -206,32 +212,36 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
         SurefootError: no such file, cut off, damaged, changed, of another schema, robot or experiment, or an experiment
             that did not come to its end.
     """
-    names = {item.name for item in fields(Recording)} - {"meta"}
+    with prefix_errors(f"recording {path}"):
+        arrays, meta = _read(path)
+        if not isinstance(meta, dict) or meta.get("schema") != SCHEMA:
+            schema = meta.get("schema") if isinstance(meta, dict) else None
+            raise SurefootError(f"has schema {schema}; surefoot reads schema {SCHEMA}")
+        names = {item.name for item in fields(Recording)} - {"meta"}
+        if missing := [key for key in _META if key not in meta] + sorted(names ^ set(arrays)):
+            raise SurefootError(f"missing or unknown: {choices(missing)}")
+        if meta["robot"] != robot.name or meta["motor_names"] != list(robot.motor_names):
+            raise SurefootError(f"is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
+        if experiment is not None and meta["experiment"] != experiment:
+            raise SurefootError(f"is of experiment {meta['experiment']}, not {experiment}")
+        if name := _first_invalid(arrays, meta, robot.num_motors):
+            raise SurefootError(f"{name} does not fit; it must be what surefoot wrote")
+        if digest_of(arrays) != meta["digest"]:
+            raise SurefootError("was changed after it was made: its digest does not fit")
+        if meta["ended"] != COMPLETE:
+            raise SurefootError(f"did not come to its end: {meta['ended']}")
+        return Recording(**arrays, meta=meta)
+
+
+def _read(path: Path) -> tuple[dict[str, Any], Any]:
     try:
         check_readable(path)
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        meta = json.loads(str(arrays.pop("meta")))
+        return arrays, json.loads(str(arrays.pop("meta")))
     except OSError as error:
-        raise SurefootError(f"recording {path}: can't be read: {error.strerror or 'it is no recording'}") from error
+        raise SurefootError(f"can't be read: {error.strerror or 'it is no recording'}") from error
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
-        raise SurefootError(f"recording {path}: cut off or damaged: {error}") from error
+        raise SurefootError(f"cut off or damaged: {error}") from error
     except (KeyError, ValueError, TypeError) as error:
-        raise SurefootError(f"recording {path}: is none: {' '.join(str(error).split())}") from error
-    if not isinstance(meta, dict) or meta.get("schema") != SCHEMA:
-        found = meta.get("schema") if isinstance(meta, dict) else None
-        raise SurefootError(f"recording {path}: has schema {found}; surefoot reads schema {SCHEMA}")
-    missing = [key for key in _META if key not in meta] + sorted(names ^ set(arrays))
-    if missing:
-        raise SurefootError(f"recording {path}: missing or unknown: {choices(missing)}")
-    if meta["robot"] != robot.name or meta["motor_names"] != list(robot.motor_names):
-        raise SurefootError(f"recording {path}: is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
-    if experiment is not None and meta["experiment"] != experiment:
-        raise SurefootError(f"recording {path}: is of experiment {meta['experiment']}, not {experiment}")
-    if odd := _misfit(arrays, meta, robot.num_motors):
-        raise SurefootError(f"recording {path}: {odd} does not fit; it must be what surefoot wrote")
-    if digest_of(arrays) != meta["digest"]:
-        raise SurefootError(f"recording {path}: was changed after it was made: its digest does not fit")
-    if meta["ended"] != COMPLETE:
-        raise SurefootError(f"recording {path}: did not come to its end: {meta['ended']}")
-    return Recording(**arrays, meta=meta)
+        raise SurefootError(f"is none: {' '.join(str(error).split())}") from error

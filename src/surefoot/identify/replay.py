@@ -1,14 +1,14 @@
-"""Sends what was recorded once more, to a batch of simulated robots, and reads them as the recording was read.
+"""Replay of recorded commands on a batch of simulated robots, which are read as the recording was read.
 
-What a state of the robot's time t tells is, with the control latency L_c, which counts up to the readings' use a lead
-after they were sent, and the servo step dt:
+A state that was sent at robot time t holds, with the control latency L_c (which counts up to the readings' use, a lead
+after they were sent) and the servo step dt:
 
-    motor_angle, motor_velocity, IMU                    of t - L_c + lead, between servo steps on a straight line
-    motor_torque                                        of the servo step that ended last, at t or before
-    voltage                                             of t, which is that of the servo step that begins then
+    motor_angle, motor_velocity, IMU                    of t - L_c + lead, interpolated linearly between servo steps
+    motor_torque                                        of the last servo step that ended at t or before
+    voltage                                             of the servo step that begins at t
 
-Commands act from the first servo step that begins when they have come or later. The robot's clock is taken to show
-multiples of dt when servo steps begin.
+A command acts from the first servo step that begins at its arrival or later. Servo steps begin at multiples of dt on
+the robot's clock.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.logs.robot_log import RobotLog
-from surefoot.identify.recording import CLOCK, Recording
+from surefoot.identify.recording import CLOCK_RESOLUTION, Recording
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.actuation import read_imu
 from surefoot.world.interface import WorldConfig
@@ -33,9 +33,9 @@ from surefoot.world.registry import DEFAULT_WORLD, WORLDS
 from surefoot.world.sim_world import SimWorld
 
 SETTLE = 0.6
-"""Time [s] for which simulated robots hold the first command before the recording begins."""
+"""Time [s] for which simulated robots hold the first command before the segment begins."""
 HELD = -1
-"""An order: the servos hold the angles that they find, as they do from arming to the first command."""
+"""Kind of command: servos hold the present angles, as from arming to the first command."""
 
 
 @dataclass(frozen=True)
@@ -47,47 +47,46 @@ class Segment:
     order: Array
     """Motor angles [rad] or duties (C, M)."""
     kind: NDArray[np.int64]
-    """What an order is (C,): `Mode.POSITION`, `Mode.PWM`, `Mode.DISARMED`, or `HELD`."""
+    """Kind of each command (C,): `Mode.POSITION`, `Mode.PWM`, `Mode.DISARMED`, or `HELD`."""
     state_time: Array
     """When states were sent (T,) [s]."""
     states: NDArray[np.int64]
-    """Their places in the recording (T,)."""
+    """Their indices in the recording (T,)."""
     voltage: Array
     """Of the battery in each servo step (ticks,) [V]."""
     start: Array
     """Motor angles (M,) [rad] that were held before the first command."""
     lead: float = 0.0
-    """How long before their use [s] the control latency takes states to be sent."""
+    """Time [s] from sending a state to its use, which the control latency includes."""
 
 
 def segment_from_recording(recording: Recording, first: int, last: int) -> Segment:
-    """The phases `first` to `last`, of which the first one must begin with servos at rest.
+    """Return the phases `first` to `last`, of which the first one must begin with servos at rest.
 
     Between phases of servos and of duties the robot is disarmed for some milliseconds, and its motors damped.
     """
     dt = float(recording.meta["servo_period"])
-    mine = np.flatnonzero((recording.sent_phase >= first) & (recording.sent_phase <= last))
-    if len(mine) < 2:
+    sent = np.flatnonzero((recording.sent_phase >= first) & (recording.sent_phase <= last))
+    if len(sent) < 2:
         raise SurefootError(f"the recording has no commands of phases {first} to {last}")
-    begins = recording.servo_step(recording.arrival[mine])
+    arrival = recording.arrival[sent]
+    begins = recording.servo_step(arrival)
     modes = [phase["mode"] for phase in recording.meta["phases"]]
-    kind = np.array([int(modes[int(phase)]) for phase in recording.sent_phase[mine]], np.int64)
-    orders = recording.sent_value[mine]
-    for sent, mode in recording.meta["mode_changes"]:
-        tick = int(recording.servo_step(sent + recording.clock_offset))
+    kind = np.array([int(modes[int(phase)]) for phase in recording.sent_phase[sent]], np.int64)
+    orders = recording.sent_value[sent]
+    for sent_time, mode in recording.meta["mode_changes"]:
+        tick = int(recording.servo_step(sent_time + recording.clock_offset))
         if begins[0] < tick <= begins[-1]:
             place = int(np.searchsorted(begins, tick, side="right"))
             begins = np.insert(begins, place, tick)
             orders = np.insert(orders, place, 0.0, axis=0)
             kind = np.insert(kind, place, {Mode.POSITION: HELD, Mode.PWM: Mode.PWM}.get(mode, Mode.DISARMED))
-    states = np.flatnonzero(
-        (recording.time >= recording.arrival[mine[0]]) & (recording.time <= recording.arrival[mine[-1]] + CLOCK)
-    )
+    states = np.flatnonzero((recording.time >= arrival[0]) & (recording.time <= arrival[-1] + CLOCK_RESOLUTION))
     origin = int(begins[0])
     state_time = recording.time[states] - origin * dt
-    ticks = int(np.floor(state_time[-1] / dt + 1e-6)) + 1
-    # The voltage falls when a command makes the current jump: what a step had is told by the state that follows.
-    following = np.searchsorted(recording.time, (origin + np.arange(ticks)) * dt - CLOCK)
+    ticks = _count_ticks(state_time, dt)
+    # The voltage falls when a command makes the current jump: the state that follows has a step's voltage.
+    following = np.searchsorted(recording.time, (origin + np.arange(ticks)) * dt - CLOCK_RESOLUTION)
     return Segment(
         order_tick=begins - origin,
         order=orders,
@@ -95,63 +94,64 @@ def segment_from_recording(recording: Recording, first: int, last: int) -> Segme
         state_time=state_time,
         states=states,
         voltage=recording.voltage[np.minimum(following, len(recording.time) - 1)],
-        start=recording.sent_value[mine[0]],
+        start=recording.sent_value[sent[0]],
         lead=float(recording.meta["lead"]),
     )
 
 
 def segment_from_log(log: RobotLog, robot: RobotDescription) -> Segment:
-    """Return a log as a segment that begins with its first command.
+    """Return a log as a segment.
 
-    Robots settle at what is commanded of joints that stand still. Joints that move stand as those in the same place of
-    other legs do; where all move, as they were first read.
+    Joints that stand still start at their command. Joints that move start where the same joints of other legs stand;
+    where all move, at their first reading.
     """
     dt, origin = robot.timing.servo_step, float(log.time[0])
     state_time = np.maximum(log.read_time - origin, 0.0)
-    ticks = int(np.floor(state_time[-1] / dt + 1e-6)) + 1
+    start = log.command[0].copy()
+    for motors in robot.leg_motor_index.T:
+        still = motors[~log.moving[motors]]
+        for motor in motors[log.moving[motors]]:
+            reading = log.motor_angle[0, motor]
+            if len(still):
+                start[motor] = log.command[0, still].mean()
+            elif np.isfinite(reading):
+                start[motor] = reading
     return Segment(
         order_tick=np.ceil((log.time - origin) / dt - 1e-6).astype(np.int64),
         order=log.command,
         kind=np.full(len(log.time), int(Mode.POSITION)),
         state_time=state_time,
         states=np.arange(len(log.time)),
-        voltage=np.full(ticks, float(robot.battery.nominal)),
-        start=_standing(log, robot),
+        voltage=np.full(_count_ticks(state_time, dt), float(robot.battery.nominal)),
+        start=start,
     )
 
 
-def _standing(log: RobotLog, robot: RobotDescription) -> Array:
-    """Return the angles (M,) [rad] at which a robot stood before a log; see `segment_from_log`."""
-    start, index = log.command[0].copy(), robot.leg_motor_index
-    for motors in index.T:
-        still = motors[~log.moving[motors]]
-        for motor in motors[log.moving[motors]]:
-            read = log.motor_angle[0, motor]
-            start[motor] = log.command[0, still].mean() if len(still) else read if np.isfinite(read) else start[motor]
-    return start
+def _count_ticks(state_time: Array, dt: float) -> int:
+    return int(np.floor(state_time[-1] / dt + 1e-6)) + 1
 
 
 @dataclass(frozen=True)
 class ReplayedReadings:
-    """What N simulated robots would have told of M motors in T states: arrays (N, T, M) [rad, rad/s, N m]."""
+    """Readings of N simulated robots with M motors in T states: arrays (N, T, M) [rad, rad/s, N m]."""
 
     motor_angle: Array
     motor_velocity: Array
     motor_torque: Array
-    """Empty, if torques were not wanted."""
+    """Empty, if the replayer does not compute torques."""
     imu: Array
     """Roll, pitch, yaw [rad] and angular velocity in the IMU's frame [rad/s], (N, T, 6)."""
 
 
 class Replayer:
-    """Simulated robots, `num_envs` at a time, that go through a segment of a recording.
+    """Simulated robots that go through segments of recordings.
 
     Args:
-        robot: what to simulate.
-        num_envs: how many go at once.
+        robot: its description.
+        num_envs: number of robots that are simulated at once.
         rack: hold their bases in the air.
         engine: name of the physics engine in the registry of worlds; one that uses threads runs on all cores.
-        torques: tell motors' torques too, and follow the voltage, with a call of the engine in every servo step.
+        torques: compute motors' torques too, and follow the voltage, with a call of the engine in every servo step.
     """
 
     def __init__(
@@ -164,57 +164,57 @@ class Replayer:
     ) -> None:
         self.robot, self.num_envs, self._torques = robot, num_envs, torques
         cores = min(os.cpu_count() or 1, num_envs) if WORLDS[engine].uses_threads else 1
-        # A world that steps on several threads would have them wait for each other in every servo step.
+        # Several threads of one world would wait for each other in every servo step.
         config = WorldConfig(rack=rack, threads=1)
         self._worlds = [SimWorld(robot, -(-num_envs // cores), config=config, engine=engine) for _ in range(cores)]
         self._pool = ThreadPoolExecutor(cores)
 
     def run(self, segment: Segment, params: PhysicalParams) -> ReplayedReadings:
-        """Go through it, with at most `num_envs` rows of parameters."""
+        """Replay a segment on a robot for each row of the parameters, `num_envs` rows at most."""
         return self._read(segment, params, *self._simulate(segment, params))
 
-    def read_late(self, segment: Segment, params: PhysicalParams, latencies: Array) -> Array:
-        """Motor angles (K, T, M) [rad] that one simulated robot would tell with each of K control latencies [s]."""
+    def angles_with_latencies(self, segment: Segment, params: PhysicalParams, latencies: Array) -> Array:
+        """Return the motor angles (K, T, M) [rad] of one simulated robot for each of K control latencies [s]."""
         history, torque = self._simulate(segment, params)
         rows = np.zeros(len(latencies), np.int64)
-        many = params.rows(rows)
-        many.control_latency[:] = latencies
-        return self._read(segment, many, history[:, rows], torque[:, rows]).motor_angle
+        delayed = params.rows(rows)
+        delayed.control_latency[:] = latencies
+        return self._read(segment, delayed, history[:, rows], torque[:, rows]).motor_angle
 
     def _simulate(self, segment: Segment, params: PhysicalParams) -> tuple[Array, Array]:
-        """States (ticks + 1, N, width), and torques of the steps that led to them (ticks + 1, N, M)."""
+        """Return states (ticks + 1, N, width), and torques of the steps that led to them (ticks + 1, N, M)."""
         shares = np.array_split(np.arange(params.num_envs), min(len(self._worlds), params.num_envs))
         rows = [params.rows(share) for share in shares]
-        go = partial(_go_through, torques=self._torques)
-        done = list(self._pool.map(go, self._worlds[: len(rows)], [segment] * len(rows), rows))
-        return np.concatenate([d[0] for d in done], axis=1), np.concatenate([d[1] for d in done], axis=1)
+        simulate = partial(_simulate_segment, segment, torques=self._torques)
+        states, torques = zip(*self._pool.map(simulate, self._worlds[: len(rows)], rows), strict=True)
+        return np.concatenate(states, axis=1), np.concatenate(torques, axis=1)
 
     def _read(self, segment: Segment, params: PhysicalParams, history: Array, torque: Array) -> ReplayedReadings:
         motors, last, dt = self.robot.num_motors, len(history) - 1, self.robot.timing.servo_step
-        told = np.empty((params.num_envs, len(segment.state_time), history.shape[2]))
+        readings = np.empty((params.num_envs, len(segment.state_time), history.shape[2]))
         for row, latency in enumerate(params.control_latency.tolist()):
             age = max(latency - segment.lead, 0.0)
             at = np.clip((segment.state_time - age) / dt, 0.0, last)
             before = np.minimum(at.astype(np.int64), last - 1)
             share = (at - before)[:, None]
-            told[row] = (1 - share) * history[before, row] + share * history[before + 1, row]
+            readings[row] = (1 - share) * history[before, row] + share * history[before + 1, row]
         ended = np.clip(np.floor(segment.state_time / dt + 1e-3).astype(np.int64), 0, len(torque) - 1)
-        imu = told[:, :, 2 * motors :]
+        imu = readings[:, :, 2 * motors :]
         for row in range(params.num_envs):
             read_imu(imu[row, :, :3], imu[row, :, 3:], segment.state_time, params, np.full(len(imu[row]), row))
         return ReplayedReadings(
-            motor_angle=told[:, :, :motors],
-            motor_velocity=told[:, :, motors : 2 * motors],
+            motor_angle=readings[:, :, :motors],
+            motor_velocity=readings[:, :, motors : 2 * motors],
             motor_torque=np.moveaxis(torque[ended] if len(torque) else torque, 1, 0),
             imu=imu,
         )
 
 
-def _go_through(world: SimWorld, segment: Segment, params: PhysicalParams, torques: bool = True) -> tuple[Array, Array]:
-    """Go through a segment; row k is the state at k servo steps, and the torque of the step before (or no torques)."""
+def _simulate_segment(segment: Segment, world: SimWorld, params: PhysicalParams, torques: bool) -> tuple[Array, Array]:
+    """Simulate a segment; row k has the states at servo step k, and the torques of the step before (or none)."""
     rows, everyone = params.num_envs, np.arange(world.num_envs)
-    given = params.rows(np.minimum(everyone, rows - 1))
-    world.set_params(everyone, given)
+    padded = params.rows(np.minimum(everyone, rows - 1))
+    world.set_params(everyone, padded)
     world.reset()
     actuation, advance = world.actuation, world.engine.advance
     active = np.where(everyone < rows, 1, 0)
@@ -232,7 +232,7 @@ def _go_through(world: SimWorld, segment: Segment, params: PhysicalParams, torqu
     while tick < ticks:
         while changes[order + 1] <= tick and order + 1 < len(segment.order_tick):
             order += 1
-            _obey(world, int(segment.kind[order]), segment.order[order], given)
+            _apply_command(world, int(segment.kind[order]), segment.order[order], padded)
         actuation.voltage[:] = segment.voltage[tick]
         count = 1 if torques else min(changes[order + 1], ticks, tick + kept) - tick
         advance(count * active)
@@ -244,12 +244,11 @@ def _go_through(world: SimWorld, segment: Segment, params: PhysicalParams, torqu
     return history, torque
 
 
-def _obey(world: SimWorld, kind: int, order: Array, params: PhysicalParams) -> None:
-    actuation, follows = world.actuation, kind in (Mode.POSITION, HELD)
+def _apply_command(world: SimWorld, kind: int, order: Array, params: PhysicalParams) -> None:
+    actuation, servo = world.actuation, kind in (Mode.POSITION, HELD)
     actuation.duty[:] = order if kind == Mode.PWM else 0.0
-    actuation.kp[:] = params.servo_kp if follows else 0.0
+    actuation.kp[:] = params.servo_kp if servo else 0.0
     # A robot that is not armed damps its motors with the derivative gain of its data sheet.
-    actuation.kd[:] = (
-        params.servo_kd if follows else np.asarray(world.robot.actuator.kd) if kind == Mode.DISARMED else 0.0
-    )
+    damping = world.robot.actuator.kd if kind == Mode.DISARMED else 0.0
+    actuation.kd[:] = params.servo_kd if servo else np.asarray(damping)
     actuation.target[:] = actuation.sample[:, : world.robot.num_motors] if kind == HELD else order

@@ -1,4 +1,4 @@
-"""A run's folder: configuration, versions, results, and checkpoints that survive interruptions."""
+"""The folder of a run: configuration, versions, results, and checkpoints that survive interruptions."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ import io
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -32,10 +35,11 @@ _TIME = "%Y-%m-%d_%H-%M-%S"
 _PACKAGES = ("mujoco", "numpy", "numba", "torch", "rsl-rl-lib", "gymnasium", "onnx", "onnxruntime")
 
 
-def _write(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all."""
+@contextmanager
+def _describe_write_errors(path: Path) -> Iterator[None]:
+    """Turn a failure of the file system inside into one line."""
     try:
-        atomic_write(path, content)
+        yield
     except OSError as error:
         raise SurefootError(
             f"{path}: can't be written: {error.strerror}; what was saved before is untouched"
@@ -51,7 +55,8 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
     buffer = io.BytesIO()
     torch.save(state, buffer)
     payload = buffer.getvalue()
-    _write(path, _MAGIC + hashlib.sha256(payload).hexdigest().encode() + b"\n" + payload)
+    with _describe_write_errors(path):
+        atomic_write(path, _MAGIC + hashlib.sha256(payload).hexdigest().encode() + b"\n" + payload)
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -94,7 +99,6 @@ class RunFolder:
         self.checkpoints = path / "checkpoints"
         self.latest = self.checkpoints / "latest.ckpt"
         self.previous = self.checkpoints / "previous.ckpt"
-        self.fresh = self.checkpoints / "fresh.ckpt"
         self.figures_log = path / "figures.jsonl"
         self.policy = path / "policy.onnx"
 
@@ -137,7 +141,8 @@ class RunFolder:
             "packages": {name: metadata.version(name) for name in _PACKAGES},
             "machine": {"processor": platform.machine(), "cores": os.cpu_count()},
         }
-        _write(path / "run.json", (json.dumps(about, indent=2) + "\n").encode())
+        with _describe_write_errors(path / "run.json"):
+            atomic_write(path / "run.json", json.dumps(about, indent=2) + "\n")
         return folder
 
     @classmethod
@@ -150,14 +155,14 @@ class RunFolder:
         about_path = path / "run.json"
         try:
             about = json.loads(read_configuration(about_path))
-            written = about["format"]
+            format_ = about["format"]
         except OSError:
             raise SurefootError(f"{path}: is not a run folder; one has run.json and config.yaml") from None
         except (ValueError, KeyError, TypeError, RecursionError):
             raise SurefootError(f"{about_path}: is damaged; it must be the JSON that surefoot wrote") from None
-        if written != FORMAT:
+        if format_ != FORMAT:
             raise SurefootError(
-                f"{path}: is of run format {written}, by surefoot {about.get('surefoot')}; "
+                f"{path}: is of run format {format_}, by surefoot {about.get('surefoot')}; "
                 f"this is surefoot {__version__}, which reads format {FORMAT}"
             )
         config_path = path / "config.yaml"
@@ -168,10 +173,10 @@ class RunFolder:
 
     def save(self, state: dict[str, Any]) -> None:
         """Save the run's state; keep the one saved before as `previous.ckpt`."""
-        write_checkpoint(self.fresh, state)
         if self.latest.exists():
-            os.replace(self.latest, self.previous)
-        os.replace(self.fresh, self.latest)
+            with _describe_write_errors(self.previous):
+                shutil.copyfile(self.latest, self.previous)
+        write_checkpoint(self.latest, state)
 
     def load(self) -> dict[str, Any]:
         """Return the run's last state.
@@ -179,9 +184,6 @@ class RunFolder:
         Raises:
             SurefootError: it is missing or broken; says whether the one before it is whole.
         """
-        if self.fresh.exists() and not self.latest.exists():
-            # Killed between the two renamings of `save`; a file of this name is whole.
-            os.replace(self.fresh, self.latest)
         try:
             return read_checkpoint(self.latest)
         except SurefootError as error:
@@ -200,13 +202,8 @@ class RunFolder:
         Raises:
             SurefootError: it can't be written, for example because the disk is full.
         """
-        try:
-            with self.figures_log.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
-        except OSError as error:
-            raise SurefootError(
-                f"{self.figures_log}: can't be written: {error.strerror}; checkpoints are untouched"
-            ) from error
+        with _describe_write_errors(self.figures_log), self.figures_log.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
 
     def rows(self) -> list[dict[str, Any]]:
         """Return all rows of figures; a last line that was cut off is left out."""
@@ -218,5 +215,6 @@ class RunFolder:
 
     def drop_rows_after(self, steps: int) -> None:
         """Remove rows later than `steps`, which a resumed run writes again."""
-        kept = [row for row in self.rows() if row["steps"] <= steps]
-        _write(self.figures_log, "".join(json.dumps(row) + "\n" for row in kept).encode())
+        lines = [json.dumps(row) + "\n" for row in self.rows() if row["steps"] <= steps]
+        with _describe_write_errors(self.figures_log):
+            atomic_write(self.figures_log, "".join(lines))

@@ -18,7 +18,7 @@ COMMANDS = {"forward": "m/s", "sideways": "m/s", "yaw_rate": "rad/s"}
 """Names of the commands in order, with units; sideways is positive to the left, the yaw rate about +z."""
 STAND = (0.0, 0.0, 0.0)
 """The command that means stand."""
-_MOST = 1e3
+_MAX = 1e3
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,11 @@ class CommandLimits:
     """What a policy can be commanded, as its contract states it."""
 
     forward: tuple[float, float]
-    """Least and greatest speed forward [m/s]."""
+    """Range of speeds forward [m/s]."""
     sideways: tuple[float, float]
-    """Least and greatest speed to the left [m/s]; (0, 0) for legs without abduction."""
+    """Range of speeds to the left [m/s]; (0, 0) for legs without abduction."""
     yaw_rate: tuple[float, float]
-    """Least and greatest yaw rate [rad/s]."""
+    """Range of yaw rates [rad/s]."""
     acceleration: tuple[float, float, float]
     """How fast each command that the gait follows may change [m/s^2, m/s^2, rad/s^2]."""
     deadband: tuple[float, float, float]
@@ -42,44 +42,44 @@ class CommandLimits:
         """Refuse ranges that are reversed or do not hold zero, and rates that are not over zero."""
         for name in COMMANDS:
             low, high = getattr(self, name)
-            if not -_MOST <= low <= 0.0 <= high <= _MOST:
+            if not -_MAX <= low <= 0.0 <= high <= _MAX:
                 raise SurefootError(
                     f"commands.{name} is [{low:g}, {high:g}] {COMMANDS[name]}; it must go from 0 or less to 0 or more"
                 )
         for name in ("acceleration", "deadband"):
             for value in getattr(self, name):
-                if not (0.0 <= value <= _MOST and (value > 0.0 or name == "deadband")):
-                    raise SurefootError(f"commands.{name} holds {value:g}; it must be over 0 and at most {_MOST:g}")
-        if not 0.0 <= self.heading_gain <= _MOST:
-            raise SurefootError(f"commands.heading_gain is {self.heading_gain:g}; it must be 0 to {_MOST:g} 1/s")
+                if not (0.0 <= value <= _MAX and (value > 0.0 or name == "deadband")):
+                    raise SurefootError(f"commands.{name} holds {value:g}; it must be over 0 and at most {_MAX:g}")
+        if not 0.0 <= self.heading_gain <= _MAX:
+            raise SurefootError(f"commands.heading_gain is {self.heading_gain:g}; it must be 0 to {_MAX:g} 1/s")
 
     @property
     def low(self) -> Array:
-        """Least commands (3,)."""
+        """Lower bounds of the commands (3,)."""
         return np.array([getattr(self, name)[0] for name in COMMANDS])
 
     @property
     def high(self) -> Array:
-        """Greatest commands (3,)."""
+        """Upper bounds of the commands (3,)."""
         return np.array([getattr(self, name)[1] for name in COMMANDS])
 
-    def clamped(self, command: ArrayLike) -> tuple[Array, str]:
+    def clamp(self, command: ArrayLike) -> tuple[Array, str]:
         """Return a command (3,) within the limits, and what was changed in words, empty if nothing.
 
         Raises:
             SurefootError: not three finite numbers.
         """
-        given = np.asarray(command, float)
-        if given.shape != (3,):
-            raise SurefootError(f"command has shape {given.shape}; it is {', '.join(COMMANDS)}")
-        for name, value in zip(COMMANDS, given, strict=True):
+        values = np.asarray(command, float)
+        if values.shape != (3,):
+            raise SurefootError(f"command has shape {values.shape}; it is {', '.join(COMMANDS)}")
+        for name, value in zip(COMMANDS, values, strict=True):
             if not math.isfinite(value):
                 raise SurefootError(f"command {name} is {value}; it must be a finite number")
-        bounded = np.clip(given, self.low, self.high)
+        bounded = np.clip(values, self.low, self.high)
         changed = [
-            f"{name} {asked:g} to {value:g} {unit}"
-            for (name, unit), asked, value in zip(COMMANDS.items(), given, bounded, strict=True)
-            if asked != value
+            f"{name} {value:g} to {bound:g} {unit}"
+            for (name, unit), value, bound in zip(COMMANDS.items(), values, bounded, strict=True)
+            if value != bound
         ]
         return bounded, ", ".join(changed)
 

@@ -54,7 +54,7 @@ class RobotDescription:
     leg_geometry: Legs
     loops: tuple[Loop, ...]
     leg_space: dict[str, Range]
-    """Least and greatest value of each coordinate of leg space that a command may ask of a leg, in order."""
+    """Range of each coordinate of leg space that commands may use, in order."""
     rest: tuple[float, ...]
     """Pose in leg space of every leg in which the robot settles before an episode."""
     actuator: ActuatorData
@@ -223,7 +223,7 @@ class RobotDescription:
         return self.to_motors(np.stack(values, axis=-2))
 
     def angle_extent(self, *ranges: Range) -> tuple[Array, Array]:
-        """Return the least and greatest motor angles (M,) [rad] over all poses in a range of each coordinate.
+        """Return the minimum and maximum motor angles (M,) [rad] over all poses in a range of each coordinate.
 
         Angles rise or fall with each coordinate but the extension, which is sampled.
         """

@@ -1,4 +1,4 @@
-"""How far experiments and checks move a robot: the table [experiments] of a sheet, and usual values for its legs."""
+"""Amplitudes of experiments and checks: the table [experiments] of a sheet, and defaults for a robot's legs."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _EXTENSIONS = {
     **{"stance": 0.52, "high": 0.67, "low": 0.43, "squat": 0.14, "nod": 0.057, "lift": 0.12},
     **{"shorter": 0.095, "longer": 0.048},
 }
-"""Shares of the range of extensions; the first three count from its least."""
+"""Shares of the range of extensions; the first three are above its least."""
 _STEPS = {"sweep": 1.3, "chirp": 0.86, "step": 1.0}
-"""Shares of the angle at which a servo asks for the torque that a motor bears."""
+"""Shares of the angle error at which a servo commands the continuous torque."""
 _TORQUE = 8 / 7
-"""Torque at which an experiment ends, over the one that a motor bears."""
+"""Torque at which an experiment ends, over the continuous torque."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,11 @@ class Experiments:
     nod: Positive
     """Amplitude of the extension when front and back legs move against each other."""
     lift: Positive
-    """How much shorter legs get whose feet are dragged."""
+    """Reduction of the extension of legs whose feet are dragged."""
     shorter: Positive
-    """How much less legs are extended on the side that the doctor lowers."""
+    """Reduction of the extension on the side that the doctor lowers."""
     longer: Positive
-    """How much more on the other side."""
+    """Increase on the other side."""
     sweep: Positive
     """Amplitude of slow sines of motors [rad]."""
     chirp: Positive
@@ -58,15 +58,15 @@ class Experiments:
     """Torque [N m] beyond which an experiment ends."""
 
     def part(self, name: str, share: float) -> float:
-        """Return a share of one of these, to three decimals, as plans tell it."""
+        """Return a share of one of these, to three decimals, as in the text of plans."""
         return round(share * float(getattr(self, name)), 3)
 
 
 def read_experiments(table: Mapping[str, Any], extension: tuple[float, float], motors: ActuatorData) -> Experiments:
-    """Return the table of a sheet, where it is silent with what suits the range of extensions and the motors."""
+    """Return the table of a sheet; its missing entries follow from the range of extensions and the motors."""
     low, high = extension
-    usual = {name: share * (high - low) for name, share in _EXTENSIONS.items()}
-    usual |= {name: low + usual[name] for name in ("stance", "high", "low")}
+    defaults = {name: share * (high - low) for name, share in _EXTENSIONS.items()}
+    defaults |= {name: low + defaults[name] for name in ("stance", "high", "low")}
     duty = 0.0
     if isinstance(motors, DcMotorData):
         torque = motors.overheat_torque
@@ -76,6 +76,6 @@ def read_experiments(table: Mapping[str, Any], extension: tuple[float, float], m
     else:
         torque = float(np.min(np.minimum(motors.torque_limit, motors.overheat_torque)))
         angle = torque / float(np.max(motors.kp))
-    usual |= {name: share * angle for name, share in _STEPS.items()}
-    usual |= {"duty": 1.3 * duty, "spike": 1.15 * duty, "torque": _TORQUE * torque}
-    return from_mapping(Experiments, usual | dict(table), "experiments")
+    defaults |= {name: share * angle for name, share in _STEPS.items()}
+    defaults |= {"duty": 1.3 * duty, "spike": 1.15 * duty, "torque": _TORQUE * torque}
+    return from_mapping(Experiments, defaults | dict(table), "experiments")

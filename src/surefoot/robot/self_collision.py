@@ -85,8 +85,8 @@ def _gap(one: Shape, other: Shape, frames: dict[str, Array]) -> float:
     (points, radius), (other_points, other_radius) = _core(one), _core(other)
     points = _place(points, frames[one.link])
     if other.kind != "box":
-        between = points[:, None] - _place(other_points, frames[other.link])
-        return float(np.linalg.norm(between, axis=-1).min()) - radius - other_radius
+        apart = points[:, None] - _place(other_points, frames[other.link])
+        return float(np.linalg.norm(apart, axis=-1).min()) - radius - other_radius
     frame = frames[other.link] @ other.frame
     outside = np.maximum(np.abs((points - frame[:3, 3]) @ frame[:3, :3]) - other.size, 0.0)
     return float(np.linalg.norm(outside, axis=1).min()) - radius

@@ -32,7 +32,7 @@ _MIN_LENGTH = 1e-3
 
 @dataclass(frozen=True)
 class SerialLegs:
-    """Kinematics of L serial legs with two or three motors each; arrays (L,) unless said otherwise.
+    """Kinematics of L serial legs with two or three motors each; arrays (L,) unless stated otherwise.
 
     Motor angles theta and joint angles about the base's +x (abduction) and +y (hip, knee) axes differ by a sign:
     joint angle = turn * theta.
@@ -134,8 +134,8 @@ class SerialLegs:
 
     def to_motors(self, pose: ArrayLike) -> Array:
         """Return the motor angles (..., L, m) [rad] of poses (..., C, L); NaN out of reach."""
-        given = np.asarray(pose, float)
-        swing, length = given[..., -2, :], given[..., -1, :] * (self.upper + self.lower)
+        pose = np.asarray(pose, float)
+        swing, length = pose[..., -2, :], pose[..., -1, :] * (self.upper + self.lower)
         cosine = (length**2 - self.upper**2 - self.lower**2) / (2 * self.upper * self.lower)
         with np.errstate(invalid="ignore"):
             # The straight leg's cosine may be over 1 by rounding.
@@ -143,7 +143,7 @@ class SerialLegs:
         upper = swing - np.arctan2(self.lower * np.sin(beta), self.upper + self.lower * np.cos(beta))
         joints = [upper - self.upper_angle, beta - self.lower_angle + self.upper_angle]
         if self.abducts:
-            joints = [self.side * given[..., 0, :], *joints]
+            joints = [self.side * pose[..., 0, :], *joints]
         return np.stack(joints, axis=-1) * self.turn
 
     def foot_in_plane(self, angles: ArrayLike) -> Array:
@@ -160,8 +160,8 @@ class SerialLegs:
         """
         place = np.asarray(foot, float)
         extension = np.hypot(place[..., 0], place[..., 1]) / (self.upper + self.lower)
-        least = np.abs(self.upper - self.lower) / (self.upper + self.lower)
-        reached = (extension <= 1.0) & (extension >= least)
+        shortest = np.abs(self.upper - self.lower) / (self.upper + self.lower)
+        reached = (extension <= 1.0) & (extension >= shortest)
         swing = np.arctan2(-place[..., 0], -place[..., 1])
         return np.where(reached, swing, np.nan), np.where(reached, extension, np.nan)
 

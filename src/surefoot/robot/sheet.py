@@ -19,7 +19,7 @@ Point = tuple[float, float, float]
 _Voltage = Annotated[float, Within(1, 1e3)]
 
 _USUAL_SPACE = {"abduction": (-0.5, 0.5), "swing": (-1.0, 1.0), "extension": (0.35, 0.97)}
-"""What a command may ask of a serial leg: angles [rad], and extension in lengths of the straight leg."""
+"""Ranges of commands to a serial leg: angles [rad], and extension in lengths of the straight leg."""
 _USUAL_REST = 0.75
 """Extension of a serial leg at rest, in lengths of the straight leg."""
 _SINK = 0.01
@@ -39,7 +39,7 @@ class Leg:
     knee: Literal["forward", "backward"] = "backward"
     """Where the knee of a serial leg points."""
     name: str = ""
-    """In the sheet it is the name of the leg's table."""
+    """Name of the leg's table in the sheet."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Motors:
 
 @dataclass(frozen=True)
 class LegSpace:
-    """What a command may ask of a leg, and where it rests; angles in rad."""
+    """Ranges of commands to a leg, and its pose at rest; angles in rad."""
 
     abduction: Range | None = None
     swing: Range | None = None

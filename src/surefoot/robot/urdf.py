@@ -74,7 +74,7 @@ class Joint:
     frame: Array
     """Frame (4, 4) of the child in the parent's at angle 0."""
     limits: tuple[float, float] | None = None
-    """Least and greatest angle [rad]; None: it turns without end."""
+    """Range of the angle [rad]; None: unlimited."""
 
     def child_frame(self, angle: ArrayLike) -> Array:
         """Return the frames (..., 4, 4) of the child in the parent's at angles (...) [rad]."""

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -71,73 +70,13 @@ def late_gain(curve: pd.DataFrame) -> float:
     return float(last - before)
 
 
-@dataclass(frozen=True)
-class SeedResult:
-    """One trained policy."""
-
-    seed: int
-    """Seed of its training."""
-    steps: int
-    """Control steps that it was trained for."""
-    seconds: float
-    """How long its training took [s]."""
-    curve: pd.DataFrame
-    """Its `learning_curve`."""
-    results: dict[str, Result]
-    """Result of each kind of evaluation."""
-    best: int | None = None
-    """Control steps after which the policy was the one that is evaluated, the best of its training; None if unknown."""
-    policy: Path | None = None
-    """Its file; needed for kind `gait`, which stores an episode beside it."""
-
-    @cached_property
-    def figures(self) -> dict[str, float]:
-        """Figures of the evaluations, by name."""
-        parts = [EVALUATIONS[kind].read_figures(result) for kind, result in self.results.items()]
-        return {name: value for part in parts for name, value in part.items()}
-
-
-@dataclass(frozen=True)
-class GroupResult:
-    """Policies whose trainings differ in the seed alone."""
-
-    name: str
-    """Name of the group."""
-    label: str
-    """What figures and tables call it."""
-    seeds: tuple[SeedResult, ...]
-    """Its policies."""
-
-    def values(self, figure: str) -> Array:
-        """Return a figure of every seed (S,)."""
-        return np.array([seed.figures[figure] for seed in self.seeds])
-
-    def interval(self, figure: str) -> Interval:
-        """Return a figure's mean over seeds with its interval."""
-        return t_interval(self.values(figure))
-
-    @cached_property
-    def sensitivities(self) -> list[Sensitivity]:
-        """Test worlds of every seed; empty where the study has none."""
-        return [
-            Sensitivity.from_mapping(seed.results["sensitivity"], f"{self.label}, seed {seed.seed}")
-            for seed in self.seeds
-            if "sensitivity" in seed.results
-        ]
-
-    @cached_property
-    def gap(self) -> PolicyGap:
-        """Runs of all policies at home, away and, last, at home as described."""
-        parts = [gap_from_result(seed.results["gap"], f"{self.label}, seed {seed.seed}") for seed in self.seeds]
-        return PolicyGap.pooled(self.label, parts)
-
-    def best(self, count: int) -> GroupResult:
-        """Return the group with the policies of the highest return in their own simulator alone, best first.
-
-        They are selected by other episodes than those that measure the gap.
-        """
-        seeds = sorted(self.seeds, key=lambda seed: seed.figures["nominal_return"], reverse=True)
-        return replace(self, seeds=tuple(seeds[:count]))
+def policy_row(group: str, seed: int, log: Sequence[dict[str, Any]], results: dict[str, Result]) -> dict[str, Any]:
+    """Return the row of a trained policy in a comparison from the log of its training and its evaluations."""
+    figures = [EVALUATIONS[kind].read_figures(result) for kind, result in results.items()]
+    gait = {name: results["gait"][name] for name in ("gait", "pattern")} if "gait" in results else {}
+    row = {"group": group, "seed": seed, "steps": log[-1]["steps"], "training_seconds": round(log[-1]["seconds"], 1)}
+    row |= {"best_steps": None, **{name: value for part in figures for name, value in part.items()}, **gait}
+    return row | {"results": results, "curve": learning_curve(log), "policy": None}
 
 
 @dataclass(frozen=True)
@@ -145,11 +84,12 @@ class Comparison:
     """The groups of a study side by side."""
 
     study: StudyConfig
-    """The study."""
-    groups: tuple[GroupResult, ...]
-    """Its groups with one policy or more."""
+    policies: pd.DataFrame
+    """A trained policy a row: group, seed, control steps and duration of its training, steps after which it was best,
+    figures of its evaluations by name, gait and pattern. Besides, `results` of its evaluations by kind, the
+    `learning_curve` and the `policy` file; the file is needed for kind `gait`, which stores an episode beside it."""
     missing: tuple[str, ...] = ()
-    """Names of its trainings that are not in it."""
+    """Names of the study's trainings that are not in it."""
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -161,64 +101,88 @@ class Comparison:
         """The numbers that are compared."""
         return tuple(figure for kind in self.kinds for figure in EVALUATIONS[kind].figures)
 
+    @property
+    def groups(self) -> list[str]:
+        """Names of the groups that have policies."""
+        return list(self.policies.group.unique())
+
+    def of_group(self, group: str) -> pd.DataFrame:
+        """Return the policies of a group."""
+        return self.policies[self.policies.group == group]
+
     def best(self) -> Comparison:
-        """Return the comparison with the `top` policies of each group alone."""
-        return replace(self, groups=tuple(group.best(self.study.top) for group in self.groups))
+        """Return the comparison with the `top` policies of each group: the highest return in their own simulator first.
 
-    def present_pairs(self) -> list[tuple[GroupResult, GroupResult]]:
+        They are selected by other episodes than those that measure the gap.
+        """
+        ranked = self.policies.sort_values("nominal_return", ascending=False, kind="stable")
+        return replace(self, policies=pd.concat([ranked[ranked.group == g][: self.study.top] for g in self.groups]))
+
+    def interval(self, group: str, figure: str) -> Interval:
+        """Return the mean of a figure over the seeds of a group with its interval."""
+        return t_interval(self.of_group(group)[figure])
+
+    def sensitivities(self, group: str) -> list[Sensitivity]:
+        """Return the results of each policy of a group in test worlds."""
+        rows = self.of_group(group).itertuples()
+        return [Sensitivity.from_mapping(row.results["sensitivity"], self._name(row)) for row in rows]
+
+    def gap(self, group: str) -> PolicyGap:
+        """Return the runs of all policies of a group at home, away and, last, at home as described."""
+        parts = [gap_from_result(row.results["gap"], self._name(row)) for row in self.of_group(group).itertuples()]
+        return PolicyGap.pooled(self.study.label(group), parts)
+
+    def _name(self, row: Any) -> str:
+        return f"{self.study.label(row.group)}, seed {row.seed}"
+
+    def present_pairs(self) -> list[tuple[str, str]]:
         """Return the pairs of which both groups have policies."""
-        by_name = {group.name: group for group in self.groups}
-        return [(by_name[a], by_name[b]) for a, b in self.study.pairs if a in by_name and b in by_name]
+        return [pair for pair in self.study.pairs if set(pair) <= set(self.groups)]
 
-    def sets(self) -> list[tuple[str, tuple[GroupResult, ...]]]:
+    def sets(self) -> dict[str, list[str]]:
         """Return the groups of each set of bars, and those in no set as `others`; all as `groups` without sets."""
         bars = {name: set(groups) for name, groups in self.study.bars.items()}
-        bars["others" if bars else "groups"] = {one.name for one in self.groups}.difference(*bars.values())
-        sets = [(name, tuple(one for one in self.groups if one.name in names)) for name, names in bars.items()]
-        return [(name, groups) for name, groups in sets if groups]
+        bars["others" if bars else "groups"] = set(self.groups).difference(*bars.values())
+        sets = {name: [group for group in self.groups if group in members] for name, members in bars.items()}
+        return {name: groups for name, groups in sets.items() if groups}
 
     def finding(self, names: Iterable[str]) -> str:
         """Return the published results on the same groups; empty if there are none."""
         return " ".join(one.text for one in self.study.findings if set(one.groups) == set(names))
 
 
-def difference(base: GroupResult, other: GroupResult, figure: str) -> Interval:
-    """Return a figure's mean over the seeds of `other` less that of `base`, with Welch's interval."""
-    return welch_interval(other.values(figure), base.values(figure))
-
-
 def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
     """Return the tables of a study by name; those on test worlds and gaps only where the study has them."""
-    groups = comparison.groups
+    groups, policies = comparison.groups, comparison.policies
     tables: dict[str, Any] = {
-        "policies": [_policy_row(group, seed) for group in groups for seed in group.seeds],
+        "policies": policies.drop(columns=["results", "curve", "policy"]),
         "groups": [
-            {"group": group.name, "label": group.label, "figure": figure.name, "unit": figure.unit}
-            | {"seeds": len(group.seeds), **vars(group.interval(figure.name))}
+            {"group": group, "label": comparison.study.label(group), "figure": figure.name, "unit": figure.unit}
+            | {"seeds": len(comparison.of_group(group)), **vars(comparison.interval(group, figure.name))}
             for group in groups
             for figure in comparison.figures
         ],
         "differences": [
-            {"group": other.name, "against": base.name, "figure": figure.name, "unit": figure.unit}
-            | difference(base, other, figure.name).columns("difference")
+            {"group": other, "against": base, "figure": figure.name, "unit": figure.unit}
+            | welch_interval(comparison.of_group(other)[figure.name], comparison.of_group(base)[figure.name]).columns(
+                "difference"
+            )
             for base, other in comparison.present_pairs()
             for figure in comparison.figures
         ],
-        "episodes": _episodes(groups),
+        "episodes": _episodes(policies),
     }
-    if tested := [one for group in groups for one in group.sensitivities]:
+    if "sensitivity" in comparison.kinds:
+        tested = [one for group in groups for one in comparison.sensitivities(group)]
         tables["sensitivity"] = pd.concat([one.worlds.assign(policy=one.policy) for one in tested])
         tables["sensitivity"] = tables["sensitivity"].set_index("policy").reset_index()
     if "gap" in comparison.kinds:
         parts = {"top": comparison.best(), "all": comparison}
         tables["gap_groups"] = [
-            row
-            for number in range(len(groups))
-            for which, part in parts.items()
-            for row in _gap_rows(which, part.groups[number])
+            row for group in groups for which, part in parts.items() for row in _gap_rows(which, group, part)
         ]
         tables["gap_differences"] = [
-            _gap_difference_row(which, base, other)
+            _gap_difference_row(which, base, other, part)
             for which, part in parts.items()
             for base, other in part.present_pairs()
         ]
@@ -241,32 +205,25 @@ def write_tables(comparison: Comparison, tables: Mapping[str, pd.DataFrame], fol
     return [*files, folder / "summary.json"]
 
 
-def _policy_row(group: GroupResult, seed: SeedResult) -> dict[str, Any]:
-    row = {"group": group.name, "seed": seed.seed, "steps": seed.steps, "training_seconds": round(seed.seconds, 1)}
-    gait = {name: seed.results["gait"][name] for name in ("gait", "pattern")} if "gait" in seed.results else {}
-    return row | {"best_steps": seed.best, **seed.figures, **gait}
-
-
-def _episodes(groups: Sequence[GroupResult]) -> pd.DataFrame:
+def _episodes(policies: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each episode; kind `gait` measures none."""
     tables = []
-    for group in groups:
-        for seed in group.seeds:
-            for kind, result in seed.results.items():
-                if columns := result.get("runs") or result.get("episodes"):
-                    about = {"group": group.name, "seed": seed.seed, "evaluation": kind}
-                    world = {"world": EVALUATIONS[kind].world_names[0]} | columns
-                    tables.append(pd.DataFrame(about | world).reindex(columns=_EPISODE_COLUMNS))
+    for policy in policies.itertuples():
+        for kind, result in policy.results.items():
+            if columns := result.get("runs") or result.get("episodes"):
+                about = {"group": policy.group, "seed": policy.seed, "evaluation": kind}
+                world = {"world": EVALUATIONS[kind].world_names[0]} | columns
+                tables.append(pd.DataFrame(about | world).reindex(columns=_EPISODE_COLUMNS))
     return pd.concat(tables)
 
 
-def _gap_rows(which: str, group: GroupResult) -> list[dict[str, Any]]:
+def _gap_rows(which: str, group: str, comparison: Comparison) -> list[dict[str, Any]]:
     """Return the rows of a group's gap, a row a world: home, away, and home as described."""
-    gap, seeds = group.gap, " ".join(str(seed.seed) for seed in group.seeds)
+    gap, seeds = comparison.gap(group), " ".join(map(str, comparison.of_group(group).seed))
     rows = []
     for number, world in enumerate(gap.worlds):
         runs = gap.in_world(world)
-        row = {"group": group.name, "label": group.label, "policies": which, "seeds": seeds, **summarize_runs(runs)}
+        row = {"group": group, "label": gap.name, "policies": which, "seeds": seeds, **summarize_runs(runs)}
         row |= {"balanced": int(runs.balanced.sum()), "far": int((runs.distance > FAR).sum())}
         row |= {"least_distance": float(runs.distance.min())}
         over_runs, interval = MeanEstimate(), Interval(math.nan)
@@ -277,8 +234,8 @@ def _gap_rows(which: str, group: GroupResult) -> list[dict[str, Any]]:
     return rows
 
 
-def _gap_difference_row(which: str, base: GroupResult, other: GroupResult) -> dict[str, Any]:
-    over_runs, crossed, away = gap_difference(base.gap, other.gap)
-    row: dict[str, Any] = {"policies": which, "group": other.name, "against": base.name}
+def _gap_difference_row(which: str, base: str, other: str, comparison: Comparison) -> dict[str, Any]:
+    over_runs, crossed, away = gap_difference(comparison.gap(base), comparison.gap(other))
+    row: dict[str, Any] = {"policies": which, "group": other, "against": base}
     row |= {"difference": over_runs.mean, "error": over_runs.error}
     return row | crossed.columns("interval_difference") | away.columns("away_difference")

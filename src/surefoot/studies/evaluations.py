@@ -46,13 +46,9 @@ class ResultFigure:
     """A number that policies are compared by."""
 
     name: str
-    """Its column in tables of results."""
     title: str
-    """What it is, in words."""
     unit: str
-    """Its unit."""
     digits: int
-    """Decimals."""
 
     @property
     def heading(self) -> str:
@@ -66,9 +62,7 @@ class EvaluationRun:
 
     policy: PolicyRuntime
     task: TaskConfig
-    """The task of the policy."""
     settings: dict[str, Any]
-    """Settings of the kind of evaluation."""
     threads: int
 
     def run(self, task: TaskConfig, world: str) -> list[EpisodeTrace]:
@@ -82,15 +76,12 @@ class EvaluationKind:
     """A kind of evaluation of a policy."""
 
     what: str
-    """What is done, in words."""
     settings: dict[str, Any]
     """Everything besides the policy that the result depends on."""
     run: Callable[[EvaluationRun], tuple[Result, Traces]]
-    """Evaluates a policy."""
     read: Callable[[Result], tuple[float, ...]]
     """Returns the figures of a result."""
     figures: tuple[ResultFigure, ...]
-    """The figures."""
 
     @property
     def world_names(self) -> tuple[str, ...]:

@@ -51,9 +51,7 @@ class ValueCounts:
     file: str
     """Path from the root of the repository."""
     count: str
-    """The column."""
     where: dict[str, str] = field(default_factory=dict)
-    """Values of the columns that identify the rows."""
 
 
 @dataclass(frozen=True)
@@ -61,14 +59,12 @@ class PaperItem:
     """One line of the comparison."""
 
     what: str
-    """The quantity."""
     paper: float | str
     """The paper's number, or its words."""
     ours: NumberSource | ValueCounts | str
     """surefoot's number, counts or words."""
     unit: str = ""
     digits: int = 2
-    """Digits behind the point."""
     how: str = ""
     """How surefoot's was measured: episodes, seeds, what the interval is over."""
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.configuration import Within, check_bounds
+from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
 from surefoot.task.foot_references import FootReference
@@ -56,10 +56,6 @@ class RaibertConfig:
     """Delay of measured legs behind their reference: latency of readings and servos [s]."""
     reach: Annotated[float, Within(0, 1)] = 0.04
     """Greatest shift of a foot, forward or upward [m]."""
-
-    def __post_init__(self) -> None:
-        """Refuse numbers out of bounds."""
-        check_bounds(self, "raibert")
 
 
 class RaibertController:

@@ -48,7 +48,6 @@ class SearchConfig:
     space: dict[str, Dimension] = field(default_factory=dict)
     """The fields that are searched, by dotted name."""
     seed: Seed = 0
-    """The one seed of the search."""
 
     @property
     def evaluations(self) -> int:

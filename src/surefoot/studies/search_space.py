@@ -28,9 +28,7 @@ class Dimension:
     """Values that a search may give a field."""
 
     low: float | None = None
-    """Least value."""
     high: float | None = None
-    """Greatest value."""
     log: bool = False
     """Whether values are drawn on a logarithmic scale, of their magnitudes where all are negative."""
     int: bool = False

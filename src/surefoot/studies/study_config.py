@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from surefoot.configuration import Seed, Within, check_bounds, from_mapping, read_yaml
+from surefoot.configuration import Seed, Within, from_mapping, read_yaml
 from surefoot.errors import SurefootError, check_name, choices, prefix_errors
 from surefoot.learn.config import TrainConfig
 from surefoot.robot.randomization import resolve_table
@@ -33,7 +33,6 @@ class PublishedFinding:
     groups: tuple[str, ...]
     """The groups that repeat it: those of a set of `bars`, or of a pair of `compare`."""
     text: str
-    """The result."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,6 @@ class StudyConfig:
             raise SurefootError("groups is empty; a study has 1 group or more")
         for name in (self.name, *self.groups, *self.bars):
             check_name("name", name)
-        check_bounds(self)
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             raise SurefootError(f"seeds is {list(self.seeds)}; it takes 1 or more, none twice")
         for pair in self.compare:

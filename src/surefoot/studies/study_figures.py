@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from surefoot.evaluate.gap import PolicyGap
-from surefoot.evaluate.statistics import MeanEstimate
+from surefoot.evaluate.statistics import Interval, MeanEstimate
 from surefoot.report.figures.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered
-from surefoot.studies.comparison import Comparison, GroupResult, bin_curve
+from surefoot.studies.comparison import Comparison, bin_curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,10 +57,13 @@ def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str])
     with new_figure(path, (3.4 * len(figures), 1.5 + 0.55 * len(groups)), columns=len(figures)) as (picture, axes):
         for ax, figure in zip(axes, figures, strict=True):
             for row, group in enumerate(groups):
-                _group_bar(ax, row, group, figure.name, f"C{row}")
+                values = comparison.of_group(group)[figure.name]
+                _group_bar(ax, row, comparison.interval(group, figure.name), values, f"C{row}")
             ax.set_title(capital(figure.heading))
             ax.set_ylim(len(groups) - 0.4, -0.6)
-            place_labels(ax, [group.label if ax is axes[0] else "" for group in groups], vertical=True)
+            place_labels(
+                ax, [comparison.study.label(group) if ax is axes[0] else "" for group in groups], vertical=True
+            )
             ax.axvline(0.0, color=QUIET, linewidth=0.8)
             if figure.unit == "%":
                 # The interval of a share may exceed its bounds.
@@ -69,8 +72,7 @@ def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str])
     return Path(path)
 
 
-def _group_bar(ax: Axes, row: int, group: GroupResult, figure: str, color: str) -> None:
-    interval, values = group.interval(figure), group.values(figure)
+def _group_bar(ax: Axes, row: int, interval: Interval, values: pd.Series, color: str) -> None:
     ax.barh(row, interval.mean, height=0.62, color=color, alpha=0.28, linewidth=0)
     if interval.is_finite:
         half = [[interval.mean - interval.low], [interval.high - interval.mean]]

@@ -7,14 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
 from surefoot.files import atomic_write
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
 from surefoot.report.figures.runs import footfall_diagram
-from surefoot.studies.comparison import CONTENTS, FAR, Comparison, GroupResult, late_gain, study_tables, write_tables
+from surefoot.studies.comparison import CONTENTS, FAR, Comparison, late_gain, study_tables, write_tables
 from surefoot.studies.evaluations import EVALUATIONS, load_gait_trace
 from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
 from surefoot.tables import markdown
@@ -43,7 +42,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         f"```sh\n{command}\n```",
         *([f"**Not complete.** Not in this report: {missing}."] if missing else []),
         "## Trainings",
-        markdown([_training(group) for group in comparison.groups]),
+        markdown([_training(comparison, group) for group in comparison.groups]),
         *_curves(comparison, folder),
         "## Evaluations",
         "\n".join(f"- **{name}**: {EVALUATIONS[name].what}." for name in comparison.kinds),
@@ -57,10 +56,9 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         "## Every seed",
         markdown(
             [
-                {"group": group.label, "seed": seed.seed}
-                | {figure.heading: decimal(seed.figures[figure.name], figure.digits) for figure in comparison.figures}
-                for group in comparison.groups
-                for seed in group.seeds
+                {"group": comparison.study.label(row["group"]), "seed": row["seed"]}
+                | {figure.heading: decimal(row[figure.name], figure.digits) for figure in comparison.figures}
+                for row in comparison.policies.to_dict("records")
             ]
         ),
         *(_gaits(comparison, folder) if "gait" in comparison.kinds else []),
@@ -75,22 +73,23 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
 def _differences(comparison: Comparison, table: pd.DataFrame) -> str:
     if not len(table):
         return "There are no two groups to compare."
-    label = {group.name: group.label for group in comparison.groups}
-    pairs = [f"{label[row.group]}, against {label[row.against]}" for row in table.itertuples()]
+    label = comparison.study.label
+    pairs = [f"{label(row.group)}, against {label(row.against)}" for row in table.itertuples()]
     return _by_figure(comparison, table.assign(column=pairs), "difference")
 
 
-def _training(group: GroupResult) -> dict[str, str]:
+def _training(comparison: Comparison, group: str) -> dict[str, str]:
     """Return the row of a group's trainings."""
-    gains = np.array([late_gain(seed.curve) for seed in group.seeds])
-    gains = gains[np.isfinite(gains)]
+    policies = comparison.of_group(group)
+    gains = policies.curve.map(late_gain).dropna()
+    best = ["?" if math.isnan(steps) else f"{steps / 1e6:.2f}" for steps in policies.best_steps.astype(float)]
     return {
-        "group": group.label,
-        "name": f"`{group.name}`",
-        "seeds": ", ".join(str(seed.seed) for seed in group.seeds),
-        "control steps": ", ".join(dict.fromkeys(f"{seed.steps:,}" for seed in group.seeds)),
-        "best after (millions)": ", ".join("?" if s.best is None else f"{s.best / 1e6:.2f}" for s in group.seeds),
-        "time (min)": ", ".join(f"{seed.seconds / 60:.1f}" for seed in group.seeds),
+        "group": comparison.study.label(group),
+        "name": f"`{group}`",
+        "seeds": ", ".join(map(str, policies.seed)),
+        "control steps": ", ".join(f"{steps:,}" for steps in policies.steps.unique()),
+        "best after (millions)": ", ".join(best),
+        "time (min)": ", ".join(f"{seconds / 60:.1f}" for seconds in policies.training_seconds),
         "late gain of return (m)": t_interval(gains).text(3, sign=True) if len(gains) else "-",
     }
 
@@ -98,9 +97,10 @@ def _training(group: GroupResult) -> dict[str, str]:
 def _curves(comparison: Comparison, folder: Path) -> list[str]:
     """Draw the learning curves, a figure for each set of groups; return lines that show them."""
     lines = []
-    for name, groups in comparison.sets() if comparison.study.bars else [("", comparison.groups)]:
-        file = f"learning_curves_{name}.png" if name else "learning_curves.png"
-        learning_curves({group.label: [seed.curve for seed in group.seeds] for group in groups}, folder / file)
+    for name, groups in comparison.sets().items():
+        file = f"learning_curves_{name}.png" if comparison.study.bars else "learning_curves.png"
+        curves = {comparison.study.label(group): list(comparison.of_group(group).curve) for group in groups}
+        learning_curves(curves, folder / file)
         lines.append(f"![Learning curves]({file})")
     return lines
 
@@ -126,23 +126,22 @@ def _gaits(comparison: Comparison, folder: Path) -> list[str]:
     """Name the gait of each policy and draw an episode of each group's first; return the section."""
     rows, figures = [], []
     for group in comparison.groups:
-        for seed in group.seeds:
-            gait = seed.results["gait"]
+        label, policies = comparison.study.label(group), comparison.of_group(group)
+        for policy in policies.itertuples():
+            gait = policy.results["gait"]
             stride, duty = (decimal(math.nan if gait[name] is None else gait[name]) for name in ("stride", "duty"))
-            row = {"group": group.label, "seed": str(seed.seed), "gait": gait["gait"], "agree": f"{gait['agree']} of 5"}
+            row = {"group": label, "seed": str(policy.seed), "gait": gait["gait"], "agree": f"{gait['agree']} of 5"}
             row |= {"pattern": gait["pattern"], "why unnamed": gait["reason"] or ""}
             rows.append(row | {"stride (s)": stride, "duty factor": duty})
-        policy, file = group.seeds[0].policy, f"gait_{group.name}.png"
-        assert policy is not None
-        footfall_diagram(load_gait_trace(policy), folder / file)
-        figures.append(f"![Footfalls: {group.label}, seed {group.seeds[0].seed}]({file})")
+        footfall_diagram(load_gait_trace(policies.policy.iloc[0]), folder / f"gait_{group}.png")
+        figures.append(f"![Footfalls: {label}, seed {policies.seed.iloc[0]}](gait_{group}.png)")
     return ["## Gaits", markdown(rows), *figures]
 
 
 def _parameters(comparison: Comparison, folder: Path) -> list[str]:
     """Draw returns and falls against each parameter; return the section."""
-    groups = {group.label: group.sensitivities for group in comparison.groups}
-    rows = comparison.groups[0].sensitivities[0].rows
+    groups = {comparison.study.label(group): comparison.sensitivities(group) for group in comparison.groups}
+    rows = next(iter(groups.values()))[0].rows
     parameters_figure(groups, folder / "parameters.png")
     for row in rows:
         parameter_figure(row, groups, folder / "parameters" / f"{row}.png")
@@ -157,20 +156,20 @@ def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Pa
     """Draw the gaps of each set of groups; return the section."""
     best, parts = comparison.best(), ["## Reality gap", _GAP_TERMS]
     groups, changes = tables["gap_groups"], tables["gap_differences"]
-    for name, members in comparison.sets():
-        names, file = [group.name for group in members], f"gap_{name}.png"
-        gap_figure([group.gap for group in best.groups if group.name in names], folder / file)
+    for name, names in comparison.sets().items():
+        file = f"gap_{name}.png"
+        gap_figure([best.gap(group) for group in names], folder / file)
         finding = comparison.finding(comparison.study.bars.get(name, names))
         parts += [f"### {name}", f"![Return at home and away]({file})"]
         parts += [f"In the paper: {finding}"] if finding else []
         parts.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
     parts += ["### All policies", _gap_table(groups[groups.policies == "all"])]
     if len(changes):
-        labels = {group.name: group.label for group in comparison.groups}
+        label = comparison.study.label
         rows = [
             {
-                "group": labels[row.group],
-                "against": labels[row.against],
+                "group": label(row.group),
+                "against": label(row.against),
                 "policies": f"best {comparison.study.top}" if row.policies == "top" else "all",
                 "gap (m)": MeanEstimate(row.difference, row.error).text(sign=True),
                 "gap, interval (m)": _interval(row, "interval_difference").text(sign=True),

@@ -36,9 +36,7 @@ class Training:
     group: str
     """Name of its group in a study, or of the trial."""
     config: TrainConfig
-    """The training."""
     path: Path
-    """Its folder."""
     trial: bool = False
     """Whether it is a trial of a search: its last policy is exported, not its best, and its checkpoints are removed."""
 

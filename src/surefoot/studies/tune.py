@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.configuration import Seed, Threads, Within, check_bounds, is_number, to_mapping
+from surefoot.configuration import Seed, Threads, Within, is_number, to_mapping
 from surefoot.errors import SurefootError, choices, quote
 from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.rollout import run_to_end
@@ -103,13 +103,8 @@ class TuneConfig:
     sigma: Annotated[float, Within(0, 1, above=True)] = 0.2
     """First standard deviation, in parts of each parameter's range."""
     seed: Seed = 0
-    """The one seed of the search."""
     threads: Threads = 0
     """Threads of the simulation; 0 means one a core. The result does not depend on it."""
-
-    def __post_init__(self) -> None:
-        """Refuse values out of bounds."""
-        check_bounds(self)
 
     @property
     def ranges(self) -> Ranges:
@@ -172,9 +167,8 @@ class Tuner:
                 f"{self.robot.name} has legs {choices(self.robot.leg_names)}; gaits are of {choices(FEET)}"
             )
         self.feedback = FEEDBACK[self.robot.leg_geometry.units[-1]]
-        straight = self.robot.pose_angles(
-            *[0.0] * (len(self.robot.coordinates) - 1), self.robot.leg_space["extension"][1]
-        )
+        level = [0.0] * (len(self.robot.coordinates) - 1)
+        straight = self.robot.pose_angles(*level, self.robot.leg_space["extension"][1])
         feet = self.robot.leg_geometry.foot_in_plane(straight[self.robot.leg_motor_index])
         self.reach = float(np.linalg.norm(feet, axis=-1).mean())
         start = start or {}

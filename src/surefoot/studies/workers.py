@@ -49,7 +49,6 @@ class ProgressReport:
     """Progress of a training."""
 
     steps: int = 0
-    """Control steps so far."""
     speed: float | None = None
     """Mean speed of episodes that ended in the last update [m/s]; None if none did."""
     evaluations: tuple[dict[str, Any], ...] = ()
@@ -57,7 +56,6 @@ class ProgressReport:
     finished: bool = False
     """Whether it is over: its policy is exported."""
     files: dict[str, bytes] = field(default_factory=dict, repr=False)
-    """Files of a training that is over, by name."""
 
 
 @dataclass

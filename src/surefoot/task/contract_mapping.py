@@ -97,7 +97,9 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
     """
     robot = robot or RobotDescription.load(contract.description)
     keys = {f"task.{key}" for key in contract.task}
-    keys |= {f"task.{table}.{key}" for table in ("commands", "params") for key in contract.task.get(table) or {}}
+    for table in ("commands", "params"):
+        if isinstance(values := contract.task.get(table), Mapping):
+            keys |= {f"task.{table}.{key}" for key in values}
     if stated := keys & _STATED_KEYS:
         raise SurefootError(f"{min(stated)} is not a key; the contract states it outside the task")
     task = from_mapping(TaskConfig, contract.task, "task")

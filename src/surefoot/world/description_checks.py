@@ -53,7 +53,7 @@ def longest_servo_step(robot: RobotDescription) -> float:
 
 
 def _round_down(limits: dict[str, float]) -> float:
-    """Return the least limit [s], rounded down to hundredths of a millisecond."""
+    """Return the smallest limit [s], rounded down to hundredths of a millisecond."""
     return max(math.floor(1e5 * min(limits.values())), 1) / 1e5
 
 
@@ -129,15 +129,15 @@ def _step_limits(robot: RobotDescription, model: mujoco.MjModel) -> tuple[str, d
     mujoco.mj_fullM(model, data, inertia)
     limits = {}
     if isinstance(robot.actuator, JointActuatorData):
-        # With the base free, each motor feels the inertia that its own force meets.
+        # With the base free, each motor turns the inertia that its own torque accelerates.
         dofs = [int(model.joint(name).dofadr[0]) for name in robot.motor_names]
-        felt = 1.0 / np.diag(np.linalg.inv(inertia))[dofs]
+        turned = 1.0 / np.diag(np.linalg.inv(inertia))[dofs]
         kp, kd, friction = map(np.asarray, (robot.actuator.kp, robot.actuator.kd, robot.actuator.friction))
-        servo, damping = np.sqrt(kp / felt), kd / (2 * np.sqrt(np.maximum(kp * felt, 1e-12)))
+        servo, damping = np.sqrt(kp / turned), kd / (2 * np.sqrt(np.maximum(kp * turned, 1e-12)))
         message += f", servos {_span(servo / math.tau)} Hz at damping ratios {_span(damping)}"
-        limits["the servos' damping"] = 0.5 * float(np.min(felt / np.maximum(kd, 1e-9)))
+        limits["the servos' damping"] = 0.5 * float(np.min(turned / np.maximum(kd, 1e-9)))
         limits["the servos' stiffness"] = 0.3 / float(servo.max())
-        limits["Coulomb friction"] = 0.1 * float(np.min(felt / np.maximum(friction, 1e-9)))
+        limits["Coulomb friction"] = 0.1 * float(np.min(turned / np.maximum(friction, 1e-9)))
     masses = [_foot_mass(model, data, inertia, int(geom)) for geom in foot_geoms(robot, model)]
     contact = math.sqrt(robot.contact.stiffness / min(masses))
     limits["the feet's stiffness"] = 0.5 / contact
@@ -146,7 +146,7 @@ def _step_limits(robot: RobotDescription, model: mujoco.MjModel) -> tuple[str, d
 
 
 def _foot_mass(model: mujoco.MjModel, data: mujoco.MjData, inertia: Array, geom: int) -> float:
-    """Return the mass [kg] that a vertical force on a foot meets."""
+    """Return the mass [kg] that a vertical force on a foot accelerates."""
     jacobian = np.zeros((3, model.nv))
     mujoco.mj_jac(model, data, jacobian, None, data.geom_xpos[geom], int(model.geom_bodyid[geom]))
     return 1.0 / float(jacobian[2] @ np.linalg.solve(inertia, jacobian[2]))

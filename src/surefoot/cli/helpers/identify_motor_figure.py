@@ -1,4 +1,4 @@
-"""`surefoot identify motor-figure`: one motor follows a sine, or a recording, with both models of the motor."""
+"""`surefoot identify motor-figure`: a motor that follows a sine, or a recording, with both models of the motor."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from surefoot.robot import DEFAULT_ROBOT
 class MotorFigureCommand:
     """Let one motor of the robot on its rack follow a sine with both models of the motor, and draw what it did.
 
-    With --log the targets are the recording's, its measured angles are drawn, and errors are told against them.
-    Without, errors are told against the target: how far each model lags, which no recording has confirmed.
+    With --log the targets are the recording's, its measured angles are drawn, and errors are relative to them.
+    Without, errors are relative to the target: the lag of each model.
     """
 
     log: Path | None = None
@@ -73,8 +73,8 @@ def main(argv: list[str]) -> int:
     if command.record is not None:
         files.append(MotorLog(log.name, log.time, log.target, angles["dc"]).write(command.record))
     if command.json:
-        told = {"motor": motor, "robot": robot.name, "world": command.world, "against": against, "rms_error": errors}
-        print_json({**told, "files": files})
+        report = {"motor": motor, "robot": robot.name, "world": command.world, "against": against, "rms_error": errors}
+        print_json({**report, "files": files})
         return 0
     for name, error in errors.items():
         print(f"{STYLES[name][1]}: {error:.4f} rad RMS from {against}")

@@ -1,4 +1,4 @@
-"""What an identification found: its progress, tables, files."""
+"""Progress, tables and files of an identification."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from rich.text import Text
 
 from surefoot.cli.helpers.output import print_json
 from surefoot.errors import SurefootError, choices
-from surefoot.identify.overlay import Known, overlay, write_known
+from surefoot.identify.overlay import overlay, write_overlay
 from surefoot.identify.result import Identification, ParameterEstimate
 from surefoot.progress import ProgressDisplay
 from surefoot.report.figures.identification import cells, full_name, prior_value
 from surefoot.report.pages.identification import write_report
-from surefoot.robot import RobotDescription
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params_file import ParamsFile
 
 _NEEDED = {"mujoco": "sim", "numba": "sim", "scipy": "sim", "matplotlib": "report"}
 
 
 def check_installed(otherwise: str = "") -> None:
-    """Refuse to begin where a fit is going to lack a library; name it, its extra, and a command that works without."""
+    """Refuse to begin without a library that the fit needs; name its extra, and a command that works without it."""
     for module, extra in _NEEDED.items():
         try:
             import_module(module)
@@ -39,7 +40,7 @@ def check_installed(otherwise: str = "") -> None:
 
 
 @contextlib.contextmanager
-def fitting(what: str) -> Iterator[Callable[[str, float], None]]:
+def fit_progress(what: str) -> Iterator[Callable[[str, float], None]]:
     """Yield a callback that shows the progress of a fit on standard error."""
     line = f"fit of {what}"
     with ProgressDisplay(Console(stderr=True), lambda: Text(line), line_period=0.0, transient=True) as display:
@@ -52,48 +53,54 @@ def fitting(what: str) -> Iterator[Callable[[str, float], None]]:
         yield report
 
 
-def write(
-    robot: RobotDescription, known: Known, found: Identification, params: Path, folder: Path, source: str
-) -> list[Path]:
-    """Write what is known now, with the data's `source`, to the file `params`, and the report to a folder."""
-    # First what took a robot and a fit to get; a figure can be drawn again.
-    files = [write_known(params, robot, overlay(known, found, robot, source))]
-    return [*files, *write_report(found, robot, known.params, folder, source)]
-
-
-def report(
+def save_and_print(
     robot: RobotDescription,
-    known: Known,
-    found: Identification,
-    files: list[Path],
+    prior: ParamsFile,
+    result: Identification,
+    params: Path | None,
+    folder: Path,
+    source: str,
     more: dict[str, Any],
     as_json: bool,
 ) -> None:
-    """Print what was found, and the files that were written, as tables or as one JSON object, which has more."""
+    """Write parameters and report of an identification, and print it.
+
+    Args:
+        robot: its description.
+        prior: parameters before.
+        result: the identification.
+        params: file of parameters (.toml); robot.toml in the folder, if not given.
+        folder: of the report.
+        source: where the data come from.
+        more: further entries of the JSON object.
+        as_json: print one JSON object, not tables.
+    """
+    # First what took a robot and a fit; a figure can be drawn again.
+    files = [write_overlay(params or folder / "robot.toml", robot, overlay(prior, result, robot, source))]
+    files += write_report(result, robot, prior.params, folder, source)
     if as_json:
-        print_json(as_mapping(robot, known, found) | more | {"files": files})
+        print_json(_as_mapping(robot, prior.params, result) | more | {"files": files})
         return
     console = Console(highlight=False, emoji=False)
-    console.print(_estimates(robot, known, found))
-    if found.checks:
+    console.print(_estimates_table(robot, prior, result))
+    if result.checks:
         table = _table("RMS error on data that were not fitted", "quantity", "before", "after", "unit")
-        for check in found.checks:
+        for check in result.checks:
             table.add_row(Text(check.what), f"{check.before:.3g}", f"{check.after:.3g}", check.unit)
         console.print(table)
     lines = [
-        f"{full_name(one, robot)} and {full_name(other, robot)} can hardly be told apart (correlation {value:+.2f})"
-        for one, other, value in found.correlations
+        f"{full_name(one, robot)} and {full_name(other, robot)} are hardly distinguishable (correlation {value:+.2f})"
+        for one, other, value in result.correlations
     ]
-    for line in [*lines, *(f"note: {note}" for note in found.notes)]:
+    for line in [*lines, *(f"note: {note}" for note in result.notes), f"wrote {choices(map(str, files))}"]:
         console.print(line, markup=False, soft_wrap=True)
-    console.print(f"wrote {choices(map(str, files))}", markup=False, soft_wrap=True)
 
 
-def _estimates(robot: RobotDescription, known: Known, found: Identification) -> Table:
-    table = _table(f"{found.experiment}: {robot.name}", "parameter", "known" if known.given else "sheet", "found",
-                   "95 % interval", "unit")  # fmt: skip
+def _estimates_table(robot: RobotDescription, prior: ParamsFile, result: Identification) -> Table:
+    before = "prior" if prior.names else "sheet"
+    table = _table(f"{result.experiment}: {robot.name}", "parameter", before, "estimate", "95 % interval", "unit")
     groups: dict[str, list[ParameterEstimate]] = {}
-    for item in found.estimates:
+    for item in result.estimates:
         groups.setdefault(item.name, []).append(item)
     for name, items in groups.items():
         unit = items[0].unit if items[0].unit != "1" else ""
@@ -102,13 +109,13 @@ def _estimates(robot: RobotDescription, known: Known, found: Identification) -> 
             unit = ""
         for item in items:
             label = name if item.index is None else "  " + full_name(item.label, robot).removeprefix(name).strip()
-            was, value, interval = cells(item, known.params)
+            was, value, interval = cells(item, prior.params)
             table.add_row(Text(label), was or "-", value, interval, unit, style=None if item.identifiable else "dim")
     return table
 
 
 def _table(title: str, first: str, *others: str) -> Table:
-    """A table that fits 80 columns: texts at both ends, numbers between."""
+    """Return a table that fits 80 columns: texts at both ends, numbers between."""
     table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column(first, overflow="fold")
     for name in others:
@@ -116,30 +123,30 @@ def _table(title: str, first: str, *others: str) -> Table:
     return table
 
 
-def as_mapping(robot: RobotDescription, known: Known, found: Identification) -> dict[str, Any]:
-    """What was found, for JSON: numbers that are not finite are null."""
+def _as_mapping(robot: RobotDescription, prior: PhysicalParams, result: Identification) -> dict[str, Any]:
+    """Return an identification for JSON: numbers that are not finite are null."""
     return {
-        "experiment": found.experiment,
-        "robot": found.robot,
-        "date": found.date,
-        "digest": found.digest,
+        "experiment": result.experiment,
+        "robot": result.robot,
+        "date": result.date,
+        "digest": result.digest,
         "estimates": [
             {
                 "name": item.name,
                 "index": item.index,
                 "label": full_name(item.label, robot),
-                "before": _finite(prior_value(item, known.params)),
+                "before": _finite(prior_value(item, prior)),
                 "value": _finite(item.value),
                 "interval": [_finite(end) for end in item.interval],
                 "unit": item.unit,
                 "identifiable": item.identifiable,
             }
-            for item in found.estimates
+            for item in result.estimates
         ],
-        "checks": [{**vars(one), "before": _finite(one.before), "after": _finite(one.after)} for one in found.checks],
-        "correlations": [[*pair[:2], _finite(pair[2])] for pair in found.correlations],
-        "notes": list(found.notes),
-        "sensors": found.sensors,
+        "checks": [{**vars(one), "before": _finite(one.before), "after": _finite(one.after)} for one in result.checks],
+        "correlations": [[*pair[:2], _finite(pair[2])] for pair in result.correlations],
+        "notes": list(result.notes),
+        "sensors": result.sensors,
     }
 
 

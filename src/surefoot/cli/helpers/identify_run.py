@@ -1,4 +1,4 @@
-"""An experiment on a robot: greet it, say what is going to happen, ask, run it, keep what was recorded."""
+"""An experiment on a robot: handshake, plan, confirmation, run, recording."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ PLACES = {True: "hang free, its legs in the air", False: "sit on flat ground wit
 
 @dataclass(frozen=True)
 class ExperimentCommand(LinkOptions):
-    """Run an experiment on a robot, or take a recording of one, and find the physical parameters that it tells.
+    """Run an experiment on a robot, or take a recording of one, and identify physical parameters.
 
-    What is going to happen is shown, and asked for, before a motor moves. The recording is kept however the experiment
-    ends; --record-only leaves the fit to another computer, such as one with MuJoCo. Exit codes: 0 done, 2 refused
-    before anything moved or data that tell nothing, 3 stopped.
+    The plan is shown, and must be confirmed, before a motor moves. The recording is kept however the experiment ends;
+    --record-only leaves the fit to another computer, such as one with MuJoCo. Exit codes: 0 done, 2 refused before
+    anything moved or data that identify nothing, 3 stopped.
     """
 
     port: str | None = None
@@ -46,7 +46,7 @@ class ExperimentCommand(LinkOptions):
     recording: Path | None = None
     """Take this recording instead of a robot: the folder of an experiment, or its file."""
     params: Path | None = None
-    """File of what is known of the robot (.toml); what is found is written to it. robot.toml in --out, if not given."""
+    """File of the robot's parameters (.toml), to which the estimates are written. robot.toml in --out, if not given."""
     out: Path | None = None
     """Folder for recording and report; runs/identify/EXPERIMENT-TIME or the recording's, if not given."""
     record_only: bool = False
@@ -65,8 +65,8 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
     """
     if not command.yes:
         check_terminal(PLACES[plan.rack])
-    with _greeted(command, robot) as (link, said):
-        _show_plan(plan, said, make_console(stderr=command.json))
+    with _greeted(command, robot) as (link, handshake):
+        _show_plan(plan, handshake, make_console(stderr=command.json))
         if command.yes:
             return _run(command, link, plan, robot, path)
     # A robot does not wait for slow answers: it is greeted anew.
@@ -95,7 +95,7 @@ def refuse_another_robot(handshake: Handshake, robot: RobotDescription) -> None:
 
 
 def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
-    """Say what is going to happen."""
+    """Print the plan."""
     limits, name = plan.limits, handshake.robot
     # What a robot does not take is not sent to it.
     low, high = np.maximum(plan.angle_low, handshake.angle_low), np.minimum(plan.angle_high, handshake.angle_high)

@@ -39,7 +39,6 @@ class PaperRuns:
     folder: Path
     """Folder for all results."""
     quick: bool
-    """Small versions."""
     workers: Workers = 0
     ray: Ray = None
     console: Console = field(default_factory=lambda: make_console(stderr=True))
@@ -66,7 +65,6 @@ class Stage:
     makes: str
     """File that is there when it is done, from the folder of the runs."""
     make: Callable[[PaperRuns], None]
-    """Make it."""
 
 
 def command(runs: PaperRuns, *words: object) -> None:

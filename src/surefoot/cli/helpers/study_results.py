@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -15,7 +15,7 @@ from surefoot.studies.training import Training
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.studies.comparison import Comparison, SeedResult
+    from surefoot.studies.comparison import Comparison
 
 
 def check_evaluations(study: StudyConfig, worlds: bool) -> None:
@@ -69,29 +69,24 @@ def report(study: StudyConfig, root: Path, out: Path, command: str, console: Con
 
 def _collect(study: StudyConfig, root: Path) -> Comparison:
     """Return all runs of a study that are finished and have every evaluation; one or more."""
-    from surefoot.studies.comparison import Comparison, GroupResult
-    from surefoot.studies.evaluations import evaluation_names
+    import pandas as pd
 
-    kinds = evaluation_names(study.evaluate)
-    results: dict[str, list[SeedResult]] = {name: [] for name in study.groups}
-    missing = []
-    for run in study_runs(study, root):
-        result = _result(run, kinds)
-        if result is None:
-            missing.append(run.name)
-        else:
-            results[run.group].append(result)
-    groups = tuple(GroupResult(name, study.label(name), tuple(seeds)) for name, seeds in results.items() if seeds)
-    if not groups:
+    from surefoot.studies.comparison import Comparison
+
+    runs = study_runs(study, root)
+    rows = {run.name: _policy_row(run, study) for run in runs}
+    present = [row for group in study.groups for row in rows.values() if row is not None and row["group"] == group]
+    if not present:
         raise SurefootError(f"{root}: no run of the study is finished and evaluated; there is nothing to report yet")
-    return Comparison(study, groups, tuple(missing))
+    missing = tuple(name for name, row in rows.items() if row is None)
+    return Comparison(study, pd.DataFrame(present), missing)
 
 
-def _result(run: Training, kinds: tuple[str, ...]) -> SeedResult | None:
-    """Return the result of a run; None if it is not finished, not evaluated, or not the one of the study."""
+def _policy_row(run: Training, study: StudyConfig) -> dict[str, Any] | None:
+    """Return the row of a run; None if it is not finished, not evaluated, or not the one of the study."""
     from surefoot.policy.runtime import PolicyRuntime
-    from surefoot.studies.comparison import SeedResult, learning_curve
-    from surefoot.studies.evaluations import stored_result
+    from surefoot.studies.comparison import policy_row
+    from surefoot.studies.evaluations import evaluation_names, stored_result
 
     if run.state != "finished":
         return None
@@ -99,10 +94,10 @@ def _result(run: Training, kinds: tuple[str, ...]) -> SeedResult | None:
         run.check()
     except SurefootError:
         return None
-    results = {kind: result for kind in kinds if (result := stored_result(run.policy, kind)) is not None}
-    if len(results) < len(kinds):
+    results = {kind: stored_result(run.policy, kind) for kind in evaluation_names(study.evaluate)}
+    stored = {kind: result for kind, result in results.items() if result is not None}
+    if len(stored) < len(results):
         return None
-    rows = run.rows()
     best = PolicyRuntime.load(run.policy).contract.figures.get("training", {}).get("steps")
-    about = (run.config.seed, rows[-1]["steps"], rows[-1]["seconds"])
-    return SeedResult(*about, learning_curve(rows), results, best, run.policy)
+    row = policy_row(run.group, run.config.seed, run.rows(), stored)
+    return row | {"best_steps": best, "policy": run.policy}

@@ -1,7 +1,7 @@
 """Fits of the experiments on the ground.
 
-Mass: what the feet carry is the weight; what their forces turn, and how fast, the inertia. Contact: friction from
-dragged feet, stiffness and damping from a body that nods on them.
+Mass: the feet carry the weight, and their forces turn the base, whose inertia resists. Contact: friction from dragged
+feet, stiffness and damping from a body that nods on them.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.identify.fitting import GAIN
 from surefoot.identify.ground.inverse_dynamics import Forces, InverseDynamics
 from surefoot.identify.ground.motion import (
     STEP,
-    THIN,
+    SUBSAMPLE_STRIDE,
     GroundMotion,
     block_deviation,
     check_feet,
@@ -26,42 +25,42 @@ from surefoot.identify.ground.motion import (
     regress,
 )
 from surefoot.identify.ground.plans import ends, sides
+from surefoot.identify.model import GAIN_DEVIATION
 from surefoot.identify.recording import Recording
-from surefoot.identify.registry import FitProgress
-from surefoot.identify.result import Check, Identification, ParameterEstimate, Series, with_floor
+from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, with_floor
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 STILL = ("stand still", "squat slowly")
-"""Phases in which nothing is fast: what the feet carry on average is the weight."""
+"""Phases without fast motion: the mean force on the feet is the weight."""
 TURNING = ("nod",)
 """Phases in which the base turns fast about y."""
 ROUNDS = 4
-SEEN = 0.15
-"""Standard deviation of what is told of the base's inertia, in shares of it, beyond which it is not identifiable."""
-SLIDING = 0.15
-"""Speed of a foot over the ground [m/s] from which on it slides for sure."""
-LEAST = 2.0
-"""Force [N] with which a foot must touch the ground to count."""
-FEWEST = 40
+MAX_INERTIA_DEVIATION = 0.15
+"""Relative standard deviation of the base's inertia beyond which it is not identifiable."""
+SLIDING_SPEED = 0.15
+"""Speed of a foot over the ground [m/s] from which it certainly slides."""
+MIN_CONTACT_FORCE = 2.0
+"""Force [N] from which a foot counts as touching the ground."""
+MIN_SAMPLES = 40
 """Values with a sliding foot, and with all feet on the ground, that are needed."""
-SURE = 0.04
-"""What friction, stiffness and damping are known to at best, of their value: the legs' masses, torques and the feet's
-roundness are in all forces."""
+RELATIVE_ACCURACY = 0.04
+"""Least deviation of friction, stiffness and damping, as a share of the value: the legs' masses, torques and the feet's
+roundness affect all forces."""
 TREND = 0.5
-"""Slow changes of heights and forces, over so many seconds, are taken away: the gyro adds up its errors."""
+"""Time [s] of the moving average that is subtracted from heights and forces: the gyro's errors accumulate."""
 
 
 def fit_mass(
-    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], report: FitProgress
+    robot: RobotDescription, recording: Recording, prior: PhysicalParams, sensors: dict[str, Any], report: FitProgress
 ) -> Identification:
-    """What the mass experiment tells; see `Experiment.fit`."""
-    standing = ground_motion(robot, recording, known, sensors)
+    """Return the result of the mass experiment; see `Experiment.fit`."""
+    standing = ground_motion(robot, recording, prior, sensors)
     still, turning = standing.during(*STILL), standing.during(*TURNING)
     notes = []
-    accuracy = float(sensors.get("torque_accuracy", GAIN / np.sqrt(robot.num_motors)))
+    accuracy = float(sensors.get("torque_accuracy", GAIN_DEVIATION / np.sqrt(robot.num_motors)))
     if "torque_gain" not in sensors:
         notes.append("the motors were not identified before: their torque reports are taken as they are")
-    params = known.rows(np.zeros(1, np.int64))
+    params = prior.rows(np.zeros(1, np.int64))
     for k in range(ROUNDS):
         dynamics = InverseDynamics(robot, params)
         forces = dynamics.forces(standing.motion)
@@ -69,64 +68,67 @@ def fit_mass(
         weight = forces.force[still, :, 1].sum(axis=1)
         base = dynamics.base_mass
         total, legs = float(weight.mean()) / GRAVITY, dynamics.mass - base
-        columns, lacking = _turning(standing, forces, turning)
-        found, covariance = regress(columns, lacking, standing.blocks[turning])
-        params.base_mass_ratio[0] *= _within(robot, "base_mass_ratio", (total - legs) / base, params)
-        params.base_inertia_ratio[0] *= _within(robot, "base_inertia_ratio", 1 + float(found[0]), params)
+        excess, variance = _inertia_excess(standing, forces, turning)
+        _scale(robot, params, "base_mass_ratio", (total - legs) / base)
+        _scale(robot, params, "base_inertia_ratio", 1 + excess)
         report(f"round {k + 1}: {total:.3f} kg", float("nan"))
     forces = InverseDynamics(robot, params).forces(standing.motion)
     mass_spread = float(np.hypot(block_deviation(weight, standing.blocks[still]) / GRAVITY, accuracy * total))
     inertia = float(params.base_inertia_ratio[0])
-    # Moments carry the scale of forces, and the legs' inertia with the base's.
-    inertia_spread = inertia * float(np.hypot(np.sqrt(covariance[0, 0]), 2 * accuracy))
-    inertia_spread, told = with_floor("base_inertia_ratio", inertia, inertia_spread), inertia_spread < SEEN * inertia
+    # Moments are in proportion to forces, and the legs' inertia acts with the base's.
+    inertia_spread = inertia * float(np.hypot(np.sqrt(variance), 2 * accuracy))
+    identifiable = inertia_spread < MAX_INERTIA_DEVIATION * inertia
+    inertia_spread = with_floor("base_inertia_ratio", inertia, inertia_spread)
     ratio = float(params.base_mass_ratio[0])
     ratio_spread = with_floor("base_mass_ratio", ratio, mass_spread / base * ratio)
-    if told:
-        notes.append("base_inertia_ratio is seen in turns about y alone, and taken for all axes")
+    if identifiable:
+        notes.append("base_inertia_ratio is identified from turns about y alone, and taken for all axes")
     else:
-        notes.append("the base turned too little about y to tell its inertia")
+        notes.append("the base turned too little about y: its inertia is not identifiable")
     result = Identification(
         "mass",
         robot.name,
         (
             ParameterEstimate.within_bounds(robot, "base_mass_ratio", ratio, ratio_spread),
-            ParameterEstimate.within_bounds(robot, "base_inertia_ratio", inertia, inertia_spread, identifiable=told),
+            ParameterEstimate.within_bounds(
+                robot, "base_inertia_ratio", inertia, inertia_spread, identifiable=identifiable
+            ),
             ParameterEstimate("total_mass", total, with_floor("total_mass", total, mass_spread), "kg", low=0.0),
-            *_centre(robot, standing, forces, still, accuracy),
+            *_centre_of_mass(robot, standing, forces, still, accuracy),
         ),
         notes=tuple(notes),
     )
-    checks, series = _check(robot, standing, known, result.params(robot, known))
+    checks, series = _check(robot, standing, prior, result.params(robot, prior))
     return replace(result, checks=checks, series=series)
 
 
-def _within(robot: RobotDescription, name: str, factor: float, params: PhysicalParams) -> float:
-    """A factor that leaves a ratio within what the robot allows."""
-    low, high = robot.allowed[name]
-    now = float(getattr(params, name)[0])
-    return float(np.clip(now * factor, low, high)) / now
+def _scale(robot: RobotDescription, params: PhysicalParams, name: str, factor: float) -> None:
+    """Multiply a ratio by a factor, within the robot's bounds."""
+    ratio = getattr(params, name)
+    ratio[0] *= float(np.clip(float(ratio[0]) * factor, *robot.allowed[name])) / float(ratio[0])
 
 
-def _turning(standing: GroundMotion, forces: Forces, during: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Columns: moment of the base's own inertia, and one constant a phase; and the moment that forces lack.
+def _inertia_excess(standing: GroundMotion, forces: Forces, during: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the base's inertia about y over that of the parameters, less 1, and its variance.
 
-    What forces on the feet turn the robot with is more than its motion takes, or less, by as much as the base's
-    inertia is more or less than it was taken to be. Constants are where the centre of mass is not as described.
+    The moment of the forces on the feet exceeds what the motion needs by the moment of the excess inertia, and by a
+    constant in each phase if the centre of mass is not as described.
     """
     phases = standing.phase[during]
     constants = [(phases == k).astype(float) for k in np.unique(phases)]
-    return np.stack([forces.turning[during], *constants], axis=1), -forces.needed[during, 2]
+    columns = np.stack([forces.turning[during], *constants], axis=1)
+    solution, covariance = regress(columns, -forces.needed[during, 2], standing.blocks[during])
+    return float(solution[0]), float(covariance[0, 0])
 
 
-def _centre(
+def _centre_of_mass(
     robot: RobotDescription, standing: GroundMotion, forces: Forces, still: NDArray[np.bool_], accuracy: float
 ) -> list[ParameterEstimate]:
-    """Centre of mass of the whole robot, from its base's origin along x and y, from what each foot carries."""
+    """Return the robot's centre of mass, from its base's origin along x and y, by the forces on the feet."""
     carried = forces.force[still, :, 1]
     total = carried.sum(axis=1)
     forward = (forces.foot[still, :, 0] * carried - forces.foot[still, :, 1] * forces.force[still, :, 0]).sum(axis=1)
-    # A robot that leans is held up sideways too, at its feet: below the centre of mass by about their own depth.
+    # A robot that leans has sideways forces too, at its feet: below the centre of mass by about their own depth.
     leaning = np.tan(standing.motion.roll_pitch[still, 0]) * -forces.foot[still, :, 1].mean(axis=1)
     left = (robot.leg_mounts[:, 1] * carried).sum(axis=1) + leaning * total
     reach = np.abs(robot.leg_mounts[:, :2]).mean(axis=0)
@@ -141,7 +143,7 @@ def _centre(
 def _check(
     robot: RobotDescription, standing: GroundMotion, before: PhysicalParams, after: PhysicalParams
 ) -> tuple[tuple[Check, ...], tuple[Series, ...]]:
-    """How well forces on the feet and motion fit in phases that were not fitted."""
+    """Return errors of the forces on the feet in held-out phases."""
     kept = standing.during("nod back", uses=("check",))
     if not kept.any():
         return (), ()
@@ -164,72 +166,72 @@ def _check(
 
 
 def fit_contact(
-    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], report: FitProgress
+    robot: RobotDescription, recording: Recording, prior: PhysicalParams, sensors: dict[str, Any], report: FitProgress
 ) -> Identification:
-    """What the contact experiment tells; see `Experiment.fit`."""
-    standing = ground_motion(robot, recording, known, sensors)
-    dynamics = InverseDynamics(robot, known)
+    """Return the result of the contact experiment; see `Experiment.fit`."""
+    standing = ground_motion(robot, recording, prior, sensors)
+    dynamics = InverseDynamics(robot, prior)
     forces = dynamics.forces(standing.motion)
     check_feet(standing, forces, dynamics)
-    friction, points = _friction(robot, standing, forces, known)
-    stiffness, damping, sunk = _compliance(robot, standing, forces)
+    friction, points = _friction(robot, standing, forces, prior)
+    stiffness, damping, deflection = _compliance(robot, standing, forces)
     notes = ["feet are taken to be as stiff along the ground as into it; that is not measured"]
     if not friction.identifiable:
         notes.insert(0, "feet that were dragged did not slide: their friction is not identifiable")
-    found = (friction, stiffness, damping)
-    return Identification("contact", robot.name, found, notes=tuple(notes), series=(*points, sunk))
+    estimates = (friction, stiffness, damping)
+    return Identification("contact", robot.name, estimates, notes=tuple(notes), series=(*points, deflection))
 
 
 def _friction(
-    robot: RobotDescription, standing: GroundMotion, forces: Forces, known: PhysicalParams
+    robot: RobotDescription, standing: GroundMotion, forces: Forces, prior: PhysicalParams
 ) -> tuple[ParameterEstimate, tuple[Series, ...]]:
-    """Coulomb's law on feet that slide along x: F_x = -mu F_z sign(v) + c, c from errors of the torque reports."""
-    speed = _sliding_speed(robot, standing, forces)
+    """Fit Coulomb's law to feet that slide along x: F_x = -mu F_z sign(v) + c, c from errors of the torque reports."""
+    speed, light = _sliding_speed(robot, standing, forces), _dragged_legs(robot, standing)
     dragged = standing.during("drag")
-    found, weights, along, down = [], [], [], []
+    coefficients, variances, along, down = [], [], [], []
     for leg in range(forces.force.shape[1]):
-        slides = dragged & _light(robot, standing)[:, leg]
-        slides &= (np.abs(speed[:, leg]) > SLIDING) & (forces.force[:, leg, 1] > LEAST)
-        if slides.sum() < FEWEST:
+        slides = dragged & light[:, leg] & (np.abs(speed[:, leg]) > SLIDING_SPEED)
+        slides &= forces.force[:, leg, 1] > MIN_CONTACT_FORCE
+        if slides.sum() < MIN_SAMPLES:
             continue
         columns = np.stack([forces.force[slides, leg, 1] * -np.sign(speed[slides, leg]), np.ones(slides.sum())], axis=1)
-        values, covariance = regress(columns, forces.force[slides, leg, 0], standing.blocks[slides])
-        found.append(float(values[0]))
-        weights.append(float(covariance[0, 0]))
-        along += (forces.force[slides, leg, 0] - values[1]).tolist()
+        solution, covariance = regress(columns, forces.force[slides, leg, 0], standing.blocks[slides])
+        coefficients.append(float(solution[0]))
+        variances.append(float(covariance[0, 0]))
+        along += (forces.force[slides, leg, 0] - solution[1]).tolist()
         down += columns[:, 0].tolist()
-    if not found:
-        before, (low, high) = float(known.contact_friction[0]), robot.allowed["contact_friction"]
+    if not coefficients:
+        before, (low, high) = float(prior.contact_friction[0]), robot.allowed["contact_friction"]
         return ParameterEstimate.within_bounds(robot, "contact_friction", before, high - low, identifiable=False), ()
-    value = float(np.mean(found))
-    spread = float(np.std(found, ddof=1)) if len(found) > 1 else SURE * value * 2
-    own = float(np.sqrt(np.mean(weights)))
-    deviation = float(np.hypot(np.hypot(spread, own) / np.sqrt(len(found)), SURE * value))
+    value, count = float(np.mean(coefficients)), len(coefficients)
+    spread = float(np.std(coefficients, ddof=1)) if count > 1 else RELATIVE_ACCURACY * value * 2
+    own = float(np.sqrt(np.mean(variances)))
+    deviation = float(np.hypot(np.hypot(spread, own) / np.sqrt(count), RELATIVE_ACCURACY * value))
     x = np.array(down)
     order = np.argsort(x)[:: max(len(x) // 400, 1)]
     labels = "dragged feet", "weight on the foot, against its motion [N]", "force along the ground [N]"
-    nothing = np.full(len(order), np.nan)
-    series = Series(*labels, x[order], np.array(along)[order], nothing, value * x[order], points=True)
-    return ParameterEstimate.within_bounds(robot, "contact_friction", value, deviation), (series,)
+    curves = x[order], np.array(along)[order], np.full(len(order), np.nan), value * x[order]
+    return ParameterEstimate.within_bounds(robot, "contact_friction", value, deviation), (
+        Series(*labels, *curves, points=True),
+    )
 
 
-def _light(robot: RobotDescription, standing: GroundMotion) -> NDArray[np.bool_]:
-    """Legs (T, L) that are dragged: the first phase of that name drags one diagonal, the second the other."""
+def _dragged_legs(robot: RobotDescription, standing: GroundMotion) -> NDArray[np.bool_]:
+    """Return the legs (T, L) that are dragged: one diagonal in the first phase of the name, the other in the second."""
     phases = [k for k, name in enumerate(standing.names) if name == "drag"]
-    dragged = np.where(standing.phase == phases[0], 1.0, np.where(standing.phase == phases[-1], -1.0, 0.0))
-    light: NDArray[np.bool_] = dragged[:, None] == ends(robot) * sides(robot)
-    return light
+    diagonal = np.where(standing.phase == phases[0], 1.0, np.where(standing.phase == phases[-1], -1.0, 0.0))
+    return np.asarray(diagonal[:, None] == ends(robot) * sides(robot))
 
 
 def _sliding_speed(robot: RobotDescription, standing: GroundMotion, forces: Forces) -> Array:
-    """Speed of each foot along x (T, L) [m/s], beside that of the feet that are not dragged, which stand.
+    """Return the speed of each foot along x (T, L) [m/s], relative to the feet that are not dragged, which stand.
 
-    The base turns meanwhile: at a foot at (x, y, z) of it that adds w_y z - w_z y.
+    The base's turning adds w_y z - w_z y at a foot at (x, y, z).
     """
     rate = standing.motion.angular_velocity
-    own = np.gradient(forces.foot[:, :, 0], STEP * THIN, axis=0)
+    own = np.gradient(forces.foot[:, :, 0], STEP * SUBSAMPLE_STRIDE, axis=0)
     own = own + rate[:, 1:2] * forces.foot[:, :, 1] - rate[:, 2:3] * robot.leg_mounts[:, 1]
-    stands = ~_light(robot, standing)
+    stands = ~_dragged_legs(robot, standing)
     speed: Array = own - np.sum(own * stands, axis=1, keepdims=True) / np.sum(stands, axis=1, keepdims=True)
     return speed
 
@@ -237,10 +239,9 @@ def _sliding_speed(robot: RobotDescription, standing: GroundMotion, forces: Forc
 def _compliance(
     robot: RobotDescription, standing: GroundMotion, forces: Forces
 ) -> tuple[ParameterEstimate, ParameterEstimate, Series]:
-    """F = k d + b dd/dt for differences of front and back feet: the base's own height is not known, and not needed.
+    """Fit F = k d + b dd/dt to differences of front and back feet, which do not depend on the base's height.
 
-    How much deeper front feet are than back feet follows from the base's pitch, which the gyro tells, and the legs'
-    lengths.
+    The difference of depth follows from the base's pitch, by the gyro, and the legs' lengths.
     """
     roll, pitch = standing.motion.roll_pitch.T
     across, lift = robot.leg_mounts[:, 1], forces.foot[:, :, 1]
@@ -250,31 +251,30 @@ def _compliance(
     front = ends(robot) > 0
     deeper = height[:, ~front].mean(axis=1) - height[:, front].mean(axis=1)
     more = forces.force[:, front, 1].mean(axis=1) - forces.force[:, ~front, 1].mean(axis=1)
-    step = STEP * THIN
-    columns = np.stack([_quick(deeper, step), _quick(np.gradient(deeper, step), step)], axis=1)
-    used = standing.during("nod") & (forces.force[:, :, 1].min(axis=1) > LEAST)
-    if used.sum() < FEWEST:
+    step = STEP * SUBSAMPLE_STRIDE
+    columns = np.stack([_detrend(deeper, step), _detrend(np.gradient(deeper, step), step)], axis=1)
+    used = standing.during("nod") & (forces.force[:, :, 1].min(axis=1) > MIN_CONTACT_FORCE)
+    if used.sum() < MIN_SAMPLES:
         raise SurefootError(
-            f"all feet touch the ground in only {used.sum()} of the values while the robot nods; at least {FEWEST} are "
-            "needed: run it again"
+            f"all feet touch the ground in only {used.sum()} of the values while the robot nods; at least "
+            f"{MIN_SAMPLES} are needed: run it again"
         )
-    values, covariance = regress(columns[used], _quick(more, step)[used], standing.blocks[used])
-    spread = np.sqrt(np.diag(covariance))
-    stiffness, damping = (float(np.hypot(s, SURE * v)) for s, v in zip(spread, values, strict=True))
+    columns, measured = columns[used], _detrend(more, step)[used]
+    values, covariance = regress(columns, measured, standing.blocks[used])
+    spread = np.hypot(np.sqrt(np.diag(covariance)), RELATIVE_ACCURACY * values)
+    (k, b), (k_spread, b_spread) = values.tolist(), spread.tolist()
     time = standing.time[used] - standing.time[used][0]
-    sheet, fitted = columns[used] @ [robot.contact.stiffness, robot.contact.damping], columns[used] @ values
+    sheet, fitted = columns @ [robot.contact.stiffness, robot.contact.damping], columns @ values
     labels = "difference of front and back feet, nodding", "time [s]", "force [N]"
-    series = Series(*labels, time, _quick(more, step)[used], sheet, fitted)
-    told = bool(stiffness < 0.3 * values[0])
     return (
-        ParameterEstimate.within_bounds(robot, "contact_stiffness", float(values[0]), stiffness, identifiable=told),
-        ParameterEstimate("contact_damping", float(values[1]), damping, "N s/m", None, bool(damping < 0.5 * values[1])),
-        series,
+        ParameterEstimate.within_bounds(robot, "contact_stiffness", k, k_spread, identifiable=k_spread < 0.3 * k),
+        ParameterEstimate("contact_damping", b, b_spread, "N s/m", None, b_spread < 0.5 * b),
+        Series(*labels, time, measured, sheet, fitted),
     )
 
 
-def _quick(values: Array, step: float) -> Array:
-    """Values (T,) less their moving average."""
+def _detrend(values: Array, step: float) -> Array:
+    """Return values (T,) less their moving average."""
     half = round(TREND / step)
     kernel = np.ones(2 * half + 1) / (2 * half + 1)
     slow: Array = np.convolve(np.pad(values, half, mode="edge"), kernel, "valid")

@@ -1,4 +1,4 @@
-"""From what motors gave and how a standing robot moved to the forces on its feet, without a model of the ground.
+"""Forces on the feet of a standing robot from its motors' torques and its motion, without a model of the ground.
 
 With the base's velocity v (6) and the motors' speeds w (M) all joints of closed legs move as u = T (v, w). Newton's law
 for the whole robot, M du/dt + c = tau + sum of J_foot' F, multiplied by T', has no loop forces any more:
@@ -6,9 +6,8 @@ for the whole robot, M du/dt + c = tau + sum of J_foot' F, multiplied by T', has
     A d(v, w)/dt + b = (0, tau) + sum over feet of J' F,    A = T' M T,    b = T' (c + M dT/dt (v, w))
 
 A leg of two motors moves in a plane, x forward and z up of the base. Its two rows of motors give both forces in the
-plane once the base's acceleration is known; the base's rows then tell that of the base, and what is left over, its
-turning about y. Forces across the legs' planes do no work on the motors: they are not seen, and do not turn the base
-about y.
+plane for an acceleration of the base; the base's rows give this acceleration, and a residual moment about y. Forces
+across the legs' planes do no work on the motors: they are not seen, and do not turn the base about y.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ _STEP = 1e-6
 
 @dataclass(frozen=True)
 class Motion:
-    """A standing robot at T times, as it truly was then. Velocities of the base are in its own frame."""
+    """True motion of a standing robot at T times. Velocities of the base are in its own frame."""
 
     motor_angle: Array
     """(T, M) [rad]"""
@@ -37,7 +36,7 @@ class Motion:
     motor_acceleration: Array
     """(T, M) [rad/s2]"""
     motor_torque: Array
-    """On the motors' shafts, friction taken away (T, M) [N m]."""
+    """On the motors' shafts, less friction (T, M) [N m]."""
     roll_pitch: Array
     """(T, 2) [rad]"""
     angular_velocity: Array
@@ -48,20 +47,20 @@ class Motion:
 
 @dataclass(frozen=True)
 class Forces:
-    """What the ground did to a robot with L legs, in the base's frame, and how the robot answered."""
+    """Forces of the ground on a robot with L legs, and those that its motion needs, in the base's frame."""
 
     foot: Array
     """Position of each foot's end from the base's origin (T, L, 2), x and z [m]."""
     force: Array
     """Force of the ground on each foot (T, L, 2), x and z [N]."""
     needed: Array
-    """Forces and moment that its motion takes, gravity left out: rows x, z, about y (T, 3)."""
+    """Forces and moment that the motion needs, without gravity: rows x, z, about y (T, 3)."""
     turning: Array
     """Part of `needed[:, 2]` that is the base's own rotational inertia (T,) [N m]."""
 
 
 class InverseDynamics:
-    """Feet forces of a robot with the masses and inertias of one row of parameters."""
+    """Forces on the feet of a robot with the masses and inertias of one row of parameters."""
 
     def __init__(self, robot: RobotDescription, params: PhysicalParams) -> None:
         self.robot = robot
@@ -91,11 +90,11 @@ class InverseDynamics:
         self._pairs = robot.leg_motor_index
 
     def _knees(self, angles: Array) -> Array:
-        """Knee angles (T, L, 2) [rad] at motor angles (T, M)."""
+        """Return knee angles (T, L, 2) [rad] at motor angles (T, M)."""
         return self.robot.leg_geometry.knee_angles(angles[:, self._pairs])
 
     def _knee_rates(self, angles: Array) -> Array:
-        """Derivatives (T, L, 2 knees, 2 motors) of knee angles by those of the leg's motors."""
+        """Return derivatives (T, L, 2 knees, 2 motors) of knee angles by those of the leg's motors."""
         rates = np.empty((*angles.shape[:1], len(self._pairs), 2, 2))
         for which in range(2):
             moved = np.zeros(angles.shape[1])
@@ -104,10 +103,10 @@ class InverseDynamics:
         return rates
 
     def forces(self, motion: Motion) -> Forces:
-        """Forces on all feet at all times."""
+        """Return the forces on all feet at all times."""
         angles, speeds = motion.motor_angle, motion.motor_velocity
         knees, rates = self._knees(angles), self._knee_rates(angles)
-        # How T changes along the motion, as the knees' accelerations that need no acceleration of motors.
+        # Change of T along the motion: accelerations of the knees without acceleration of the motors.
         ahead, behind = (self._knee_rates(angles + side * _STEP * 10 * speeds) for side in (1.0, -1.0))
         pair_speed = speeds[:, self._pairs]
         curving = np.einsum("tlkm,tlm->tlk", (ahead - behind) / (20 * _STEP), pair_speed)
@@ -154,8 +153,8 @@ class InverseDynamics:
         turn = data.xmat[self.base].reshape(3, 3)
         # Directions of the legs' planes, in the world: forward and up of the base.
         plane = turn[:, [0, 2]]
-        known = np.concatenate([motion.angular_acceleration[t], motion.motor_acceleration[t]])
-        fixed = reduced[:, 3:] @ known + still
+        measured = np.concatenate([motion.angular_acceleration[t], motion.motor_acceleration[t]])
+        fixed = reduced[:, 3:] @ measured + still
         fixed[6:] -= motion.motor_torque[t]
         # Unknown: acceleration of the base's origin in the plane (2), and two forces a leg.
         legs = len(jacobians)
@@ -167,20 +166,20 @@ class InverseDynamics:
             left[:2, 2 + 2 * leg : 4 + 2 * leg] = -(plane.T @ force[:3])
             left[2:, 2 + 2 * leg : 4 + 2 * leg] = -force[6:]
         right = -np.concatenate([plane.T @ fixed[:3], fixed[6:]])
-        found = np.linalg.solve(left, right)
-        acceleration, forces = plane @ found[:2], found[2:].reshape(legs, 2)
+        solution = np.linalg.solve(left, right)
+        acceleration, forces = plane @ solution[:2], solution[2:].reshape(legs, 2)
         feet = [
             (turn.T @ (data.geom_xpos[geom] - data.xpos[self.base]))[[0, 2]] - [0.0, self.robot.five_bar.foot_radius]
             for geom in self._feet
         ]
-        whole = reduced[:, :3] @ acceleration + reduced[:, 3:] @ known + still
+        whole = reduced[:, :3] @ acceleration + reduced[:, 3:] @ measured + still
         pushed = sum(jacobian.T @ (plane @ force) for jacobian, force in zip(jacobians, forces, strict=True))
         down = np.zeros(model.nv)
         data.qvel[:] = 0.0
         mujoco.mj_comVel(model, data)
         mujoco.mj_rne(model, data, 0, down)
         weight = transform.T @ down
-        # What the base's rows lack: about y of the base it is the base's own turning that may be wrong.
+        # The residual about y is due to the base's own inertia.
         needed = [*(plane.T @ (whole[:3] - weight[:3])), whole[4] - pushed[4]]
         rate = motion.angular_velocity[t]
         turning = self.base_inertia @ motion.angular_acceleration[t] + np.cross(rate, self.base_inertia @ rate)

@@ -1,4 +1,4 @@
-"""A robot on the ground as motion and forces on its feet: readings put to one time, smoothed, differentiated."""
+"""Motion of a robot on the ground: readings at common times, smoothed and differentiated."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.ground.inverse_dynamics import Forces, InverseDynamics, Motion
 from surefoot.identify.plan import Use
-from surefoot.identify.recording import CLOCK, Recording, read_at
+from surefoot.identify.recording import CLOCK_RESOLUTION, Recording, read_at
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 STEP = 0.002
-"""Time between two values [s], before thinning."""
-THIN = 5
-"""Only every so manieth is looked at: smoothed values next to each other tell the same."""
-SMOOTH = 15
+"""Time between two values [s], before subsampling."""
+SUBSAMPLE_STRIDE = 5
+"""One value of so many is kept: smoothed values next to each other are alike."""
+SMOOTHING = 15
 """Values that a cubic is fitted to, for smoothing and derivatives (Savitzky and Golay 1964): 30 ms, up to 20 Hz."""
 LEVELLING = 2.0
-"""Time constant [s] with which the angles that the gyro adds up are drawn to those of the IMU, whose noise is large."""
-_USES: tuple[Use, ...] = ("fit", "check")
-STANDS = 0.3
+"""Time constant [s] of the filter that draws the gyro's angles to those of the IMU, whose noise is large."""
+MAX_TILT = 0.3
 """Roll or pitch [rad] beyond which a robot does not stand."""
 BLOCK = 0.5
-"""Length [s] of the blocks of time within which errors may hang together."""
+"""Length [s] of the blocks of time within which errors may correlate."""
+_USES: tuple[Use, ...] = ("fit", "check")
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class GroundMotion:
     motion: Motion
     names: tuple[str, ...]
     uses: tuple[str, ...]
-    """Names of the phases, and their uses: fit, check or way."""
+    """Names of the phases, and their uses: fit, check or transition."""
 
     @property
     def blocks(self) -> NDArray[np.int64]:
@@ -49,16 +49,15 @@ class GroundMotion:
         return (self.time / BLOCK).astype(np.int64)
 
     def during(self, *names: str, uses: tuple[Use, ...] = ("fit",)) -> NDArray[np.bool_]:
-        """Values in phases of these names, of all if none is given, and these uses (T,)."""
-        wanted = [k for k, name in enumerate(self.names) if name in (names or self.names) and self.uses[k] in uses]
-        inside: NDArray[np.bool_] = np.isin(self.phase, wanted)
-        return inside
+        """Return which values (T,) are in phases of these names, of all if none is given, and uses."""
+        phases = [k for k, name in enumerate(self.names) if name in (names or self.names) and self.uses[k] in uses]
+        return np.isin(self.phase, phases)
 
 
 def ground_motion(
     robot: RobotDescription, recording: Recording, params: PhysicalParams, sensors: dict[str, Any]
 ) -> GroundMotion:
-    """Put what was recorded on the ground to one time, with the parameters (one row) and sensors that are known.
+    """Return the motion of a recording on the ground, with the prior parameters (one row) and sensors.
 
     Raises:
         SurefootError: a robot that fell or never stood up, with its tilt.
@@ -68,44 +67,42 @@ def ground_motion(
     first, last = recording.arrival[fitted][[0, -1]]
     grid = np.arange(max(first, times[0]), min(last, times[-1] - age - STEP), STEP)
 
-    def at(values: Array, shift: float) -> Array:
+    def at(values: Array, shift: float = age) -> Array:
         return read_at(grid + shift, times, values)
 
     gains = 1 + np.asarray(sensors.get("torque_gain", np.zeros(robot.num_motors)))
-    velocity = at(recording.motor_velocity, age)
-    torque = at(recording.motor_torque / gains + _since_command(robot, recording, params, age), recording.period / 2)
+    velocity = at(recording.motor_velocity)
+    torque = at(recording.motor_torque / gains + _torque_excess(robot, recording, params, age), recording.period / 2)
     torque = torque + motor_friction(velocity, params.motor_friction[0], params.motor_viscous_friction[0])
-    resting = slice(0, max(int(recording.meta["resting_states"]), 1))
-    rate = at(recording.angular_velocity_base, age) - recording.angular_velocity_base[resting].mean(axis=0)
-    tilt = _levelled(at(recording.roll_pitch_yaw[:, :2], age) - params.imu_bias[0], rate[:, :2])
+    rate = at(recording.angular_velocity_base) - recording.angular_velocity_base[recording.resting].mean(axis=0)
     motion = Motion(
-        motor_angle=_smooth(at(recording.motor_angle, age)),
+        motor_angle=_smooth(at(recording.motor_angle)),
         motor_velocity=_smooth(velocity),
         motor_acceleration=_smooth(velocity, 1),
         motor_torque=_smooth(torque),
-        roll_pitch=tilt,
+        roll_pitch=_filter_tilt(at(recording.roll_pitch_yaw[:, :2]) - params.imu_bias[0], rate[:, :2]),
         angular_velocity=_smooth(rate),
         angular_acceleration=_smooth(rate, 1),
     )
     place = np.clip(np.searchsorted(recording.arrival, grid, side="right") - 1, 0, None)
     phases = recording.meta["phases"]
     standing = GroundMotion(
-        grid[::THIN],
-        recording.sent_phase[place][::THIN].astype(np.int64),
-        Motion(**{name: values[::THIN] for name, values in vars(motion).items()}),
+        grid[::SUBSAMPLE_STRIDE],
+        recording.sent_phase[place][::SUBSAMPLE_STRIDE].astype(np.int64),
+        Motion(**{name: values[::SUBSAMPLE_STRIDE] for name, values in vars(motion).items()}),
         tuple(phase["name"] for phase in phases),
         tuple(phase["use"] for phase in phases),
     )
-    tilted = float(np.percentile(np.abs(standing.motion.roll_pitch[standing.during(uses=_USES)]), 99))
-    if tilted > STANDS:
+    tilt = float(np.percentile(np.abs(standing.motion.roll_pitch[standing.during(uses=_USES)]), 99))
+    if tilt > MAX_TILT:
         raise SurefootError(
-            f"the robot tilts by {tilted:.2f} rad; one that stands stays within {STANDS:g}: run it again"
+            f"the robot tilts by {tilt:.2f} rad; one that stands stays within {MAX_TILT:g}: run it again"
         )
     return standing
 
 
 def check_feet(standing: GroundMotion, forces: Forces, dynamics: InverseDynamics) -> None:
-    """Refuse, with what the feet carry, a robot that something else holds."""
+    """Refuse a robot that does not stand on its feet alone."""
     carried = float(forces.force[standing.during(uses=_USES), :, 1].sum(axis=1).mean()) / GRAVITY
     legs = dynamics.mass - dynamics.base_mass
     if not carried > legs:
@@ -115,23 +112,22 @@ def check_feet(standing: GroundMotion, forces: Forces, dynamics: InverseDynamics
         )
 
 
-def _since_command(robot: RobotDescription, recording: Recording, params: PhysicalParams, age: float) -> Array:
-    """By how much torques were larger, on average since the state before, than those reported (T, M) [N m].
+def _torque_excess(robot: RobotDescription, recording: Recording, params: PhysicalParams, age: float) -> Array:
+    """Return the mean torques since the last state, less those reported (T, M) [N m].
 
-    A state tells the torque of the last servo step. When a command has come, torques jump, and then fall as the motor
-    follows: the last step has the least of it, always to the same side. The servo's own law tells the difference.
+    A state has the torque of the last servo step. When a command arrives, torques jump, and fall as the motor follows:
+    the last step has the least of it, always to the same side. The servo's own law gives the difference.
     """
     dt, times = float(recording.meta["servo_period"]), recording.time
-    count = max(round(recording.period / dt), 1)
     steps = []
-    for back in range(count, 0, -1):
+    for back in range(max(round(recording.period / dt), 1), 0, -1):
         begins = times - back * dt
-        order = np.clip(np.searchsorted(recording.arrival, begins + CLOCK, side="right") - 1, 0, None)
-        seen = begins - params.servo_latency[0] + age
+        order = np.clip(np.searchsorted(recording.arrival, begins + CLOCK_RESOLUTION, side="right") - 1, 0, None)
+        read = begins - params.servo_latency[0] + age
         duty = servo_duty(
             recording.sent_value[order],
-            read_at(seen, times, recording.motor_angle),
-            read_at(seen, times, recording.motor_velocity),
+            read_at(read, times, recording.motor_angle),
+            read_at(read, times, recording.motor_velocity),
             params.servo_kp[0],
             params.servo_kd[0],
         )
@@ -148,11 +144,11 @@ def _since_command(robot: RobotDescription, recording: Recording, params: Physic
 
 
 def _smooth(values: Array, derivative: int = 0) -> Array:
-    return np.asarray(savgol_filter(values, SMOOTH, 3, deriv=derivative, delta=STEP, axis=0))
+    return np.asarray(savgol_filter(values, SMOOTHING, 3, deriv=derivative, delta=STEP, axis=0))
 
 
-def _levelled(tilt: Array, rate: Array) -> Array:
-    """Roll and pitch (T, 2) [rad] of small angles: the gyro's rates added up, and slowly drawn to the IMU's angles."""
+def _filter_tilt(tilt: Array, rate: Array) -> Array:
+    """Return small roll and pitch angles (T, 2) [rad] by a complementary filter of the IMU's angles and gyro rates."""
     out = np.empty_like(tilt)
     now = tilt[: max(int(0.2 / STEP), 1)].mean(axis=0)
     for k in range(len(tilt)):
@@ -164,7 +160,7 @@ def _levelled(tilt: Array, rate: Array) -> Array:
 
 
 def block_deviation(values: Array, blocks: NDArray[np.int64]) -> float:
-    """Standard deviation of the mean of values (T,), those of a block taken to hang together."""
+    """Return the standard deviation of the mean of values (T,) that correlate within blocks."""
     numbers = np.unique(blocks)
     if len(numbers) < 2:
         return float("inf")
@@ -173,11 +169,11 @@ def block_deviation(values: Array, blocks: NDArray[np.int64]) -> float:
 
 
 def regress(columns: Array, values: Array, blocks: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Least squares of values (T,) on columns (T, n), and the coefficients' covariance by blocks (n, n)."""
+    """Return the least squares solution (n,) of values (T,) on columns (T, n), and its covariance by blocks (n, n)."""
     inverse = np.linalg.pinv(columns.T @ columns, hermitian=True)
-    found = inverse @ (columns.T @ values)
-    left = values - columns @ found
+    solution = inverse @ (columns.T @ values)
+    left = values - columns @ solution
     numbers = np.unique(blocks)
     gradients = np.array([columns[blocks == n].T @ left[blocks == n] for n in numbers])
-    grown = len(numbers) / max(len(numbers) - columns.shape[1], 1)
-    return found, inverse @ (gradients.T @ gradients * grown) @ inverse
+    factor = len(numbers) / max(len(numbers) - columns.shape[1], 1)
+    return solution, inverse @ (gradients.T @ gradients * factor) @ inverse

@@ -6,7 +6,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.deploy.poses import minimum_jerk, sitting_pose
-from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, Use, go_to, hold, sweep
+from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, Use, hold, sweep, transition
 from surefoot.robot import RobotDescription
 
 DROP = 1.4
@@ -16,20 +16,20 @@ DRAG, STROKE, DRAGGING = 0.3, 0.7, 4.0
 
 
 def ends(robot: RobotDescription) -> Array:
-    """+1 for front legs, -1 for back legs (L,)."""
+    """Return +1 for front legs, -1 for back legs (L,)."""
     return np.where(robot.leg_mounts[:, 0] > 0, 1.0, -1.0)
 
 
 def sides(robot: RobotDescription) -> Array:
-    """+1 for left legs, -1 for right legs (L,)."""
+    """Return +1 for left legs, -1 for right legs (L,)."""
     return np.where(robot.leg_mounts[:, 1] > 0, 1.0, -1.0)
 
 
 def standing_up(robot: RobotDescription) -> list[Phase]:
-    """From however a damped robot lies to standing.
+    """Return the phases from any pose of a damped robot to standing.
 
-    Folded legs are swung out beside the body first, then unfolded there, then drawn in: legs that unfold under the body
-    on a floor that holds them tip it over.
+    Folded legs swing out beside the body first, unfold there, and are drawn in: legs that unfold under the body on a
+    rough floor tip it over.
     """
 
     def swing_out(t: float, start: Array) -> Array:
@@ -46,33 +46,26 @@ def standing_up(robot: RobotDescription) -> list[Phase]:
     return [
         Phase("swing legs out", "legs beside the body, as folded as they are", 1.0, swing_out, use="transition"),
         Phase("unfold", "legs beside the body, unfolded", 1.0, unfold, use="transition"),
-        Phase("draw in", "legs under the body", 1.0, go_to(sit, 1.0), use="transition"),
+        transition("draw in", "legs under the body", 1.0, sit),
         Phase("sit", "the robot sits", 0.3, hold(sit), use="transition"),
-        Phase("stand up", "the robot stands up", 1.5, go_to(stand, 1.5), use="transition"),
+        transition("stand up", "the robot stands up", 1.5, stand),
         Phase("stand", "the robot stands still", 0.5, hold(stand), use="transition"),
     ]
 
 
 def ground_plan(robot: RobotDescription, name: str, *phases: Phase) -> Plan:
     """Return the plan of an experiment on the ground: stand up, go through the phases, sit down."""
-    sit = Phase("sit down", "the robot sits down", 1.5, go_to(sitting_pose(robot), 1.5), use="transition")
+    sit = transition("sit down", "the robot sits down", 1.5, sitting_pose(robot))
     low, high = robot.pose_angles(0.0, 0.0), robot.pose_angles(0.0, 1.2 * robot.experiments.high)
-    reach = 1.5  # a robot that lies has its legs far to a side
-    return Plan(
-        name,
-        False,
-        (*standing_up(robot), *phases, sit),
-        low - reach,
-        high + reach,
-        0.0,
-        ExperimentLimits(robot.experiments.torque),
-    )
+    reach = 1.5  # legs of a robot that lies are far to a side
+    limits = ExperimentLimits(robot.experiments.torque)
+    return Plan(name, False, (*standing_up(robot), *phases, sit), low - reach, high + reach, 0.0, limits)
 
 
 def drop(robot: RobotDescription, use: Use = "fit") -> Phase:
-    """The robot rises and lets itself fall by drawing its legs in at once; motors and soft feet catch it."""
-    asked = robot.experiments
-    stand, high, low = (robot.pose_angles(0.0, extension) for extension in (asked.stance, asked.high, asked.low))
+    """Return a phase in which the robot rises and drops by drawing its legs in at once; motors and feet catch it."""
+    heights = robot.experiments
+    stand, high, low = (robot.pose_angles(0.0, extension) for extension in (heights.stance, heights.high, heights.low))
 
     def signal(t: float, start: Array) -> Array:
         if t < 0.5:
@@ -85,51 +78,49 @@ def drop(robot: RobotDescription, use: Use = "fit") -> Phase:
 def rocking(
     robot: RobotDescription, share: Array, amplitude: float, first: float, last: float, duration: float
 ) -> Signal:
-    """Legs longer and shorter around standing, as `chirps` of the extension [rad]; each leg by its `share` (L,)."""
+    """Return `chirps` of the extension [rad] around standing; each leg moves by its `share` (L,)."""
 
     def signal(t: float, start: Array) -> Array:
-        turned, faded = sweep(t, first, last, duration)
-        return robot.pose_angles(0.0, robot.experiments.stance + faded * amplitude * share * np.sin(turned))
+        angle, fade = sweep(t, first, last, duration)
+        return robot.pose_angles(0.0, robot.experiments.stance + fade * amplitude * share * np.sin(angle))
 
     return signal
 
 
+def _nod(robot: RobotDescription, name: str, amplitude: float, first: float, last: float, duration: float,
+         use: Use = "fit") -> Phase:  # fmt: skip
+    what = f"front and back legs {amplitude:g} rad against each other, from {first:g} to {last:g} Hz"
+    return Phase(name, what, duration, rocking(robot, ends(robot), amplitude, first, last, duration), use=use)
+
+
 def mass_plan(robot: RobotDescription) -> Plan:
-    """Still and slowly for mass and centre of mass, fast for the base's inertia."""
+    """Return the plan of the mass experiment: still and slow for mass and its centre, fast for the base's inertia."""
     use = robot.experiments
-    legs, stand = np.ones(len(robot.legs)), robot.pose_angles(0.0, use.stance)
+    legs = np.ones(len(robot.legs))
+    still = Phase("stand still", "the robot stands still", 1.0, hold(robot.pose_angles(0.0, use.stance)))
     squat = rocking(robot, legs, use.squat, 0.5, 0.5, 4.0)
-    least, back = use.part("squat", 2 / 3), use.part("nod", 5 / 6)
-    fast = rocking(robot, legs, least, 1.0, 3.0, 3.0)
-    nod = rocking(robot, ends(robot), use.nod, 1.0, 5.0, 5.0)
-    other = rocking(robot, ends(robot), back, 4.0, 1.5, 3.0)
+    small = use.part("squat", 2 / 3)
+    fast = rocking(robot, legs, small, 1.0, 3.0, 3.0)
     return ground_plan(
         robot,
         "mass",
         drop(robot),
-        Phase("stand still", "the robot stands still", 1.0, hold(stand)),
+        still,
         Phase("squat slowly", f"every leg {use.squat:g} rad longer and shorter, twice", 4.0, squat),
-        Phase("squat fast", f"every leg {least:g} rad longer and shorter, from 1 to 3 Hz", 3.0, fast),
+        Phase("squat fast", f"every leg {small:g} rad longer and shorter, from 1 to 3 Hz", 3.0, fast),
         drop(robot),
-        Phase("nod", f"front and back legs {use.nod:g} rad against each other, from 1 to 5 Hz", 5.0, nod),
+        _nod(robot, "nod", use.nod, 1.0, 5.0, 5.0),
         drop(robot),
-        Phase("stand still", "the robot stands still", 1.0, hold(stand)),
+        still,
         drop(robot, use="check"),
-        Phase(
-            "nod back",
-            f"front and back legs {back:g} rad against each other, from 4 to 1.5 Hz",
-            3.0,
-            other,
-            use="check",
-        ),
+        _nod(robot, "nod back", use.part("nod", 5 / 6), 4.0, 1.5, 3.0, use="check"),
     )
 
 
 def contact_plan(robot: RobotDescription) -> Plan:
-    """Drag one diagonal pair of feet, then the other; drop and nod."""
+    """Return the plan of the contact experiment: drag one diagonal pair of feet, then the other; drop and nod."""
     use = robot.experiments
     small = use.part("nod", 2 / 3)
-    nod = rocking(robot, ends(robot), use.nod, 1.0, 5.0, 4.0)
     roll = rocking(robot, sides(robot), small, 1.0, 4.0, 3.0)
     what = f"two feet, made light, are dragged {DRAG:g} rad to and fro"
     return ground_plan(
@@ -140,21 +131,21 @@ def contact_plan(robot: RobotDescription) -> Plan:
         drop(robot),
         Phase("drag", what, DRAGGING, _dragging(robot, -1.0)),
         drop(robot),
-        Phase("nod", f"front and back legs {use.nod:g} rad against each other, from 1 to 5 Hz", 4.0, nod),
+        _nod(robot, "nod", use.nod, 1.0, 5.0, 4.0),
         drop(robot),
         Phase("rock", f"left and right legs {small:g} rad against each other, from 1 to 4 Hz", 3.0, roll),
     )
 
 
 def _dragging(robot: RobotDescription, diagonal: float) -> Signal:
-    """The legs of one diagonal get shorter and swing, front against back; the others stand."""
+    """Return a motion in which the legs of one diagonal get shorter and swing, front against back; the others stand."""
     use = robot.experiments
     light = ends(robot) * sides(robot) == diagonal
 
     def signal(t: float, start: Array) -> Array:
-        lifted = np.clip(min(t, DRAGGING - t) / 0.5, 0.0, 1.0)
-        swings = np.clip(min(t - 0.5, DRAGGING - 0.5 - t) / 0.3, 0.0, 1.0)
-        swing = np.where(light, ends(robot) * DRAG * swings * np.sin(2 * np.pi * (t - 0.5) / STROKE), 0.0)
-        return robot.pose_angles(swing, use.stance - np.where(light, use.lift * lifted, 0.0))
+        lift = np.clip(min(t, DRAGGING - t) / 0.5, 0.0, 1.0)
+        fade = np.clip(min(t - 0.5, DRAGGING - 0.5 - t) / 0.3, 0.0, 1.0)
+        swing = np.where(light, ends(robot) * DRAG * fade * np.sin(2 * np.pi * (t - 0.5) / STROKE), 0.0)
+        return robot.pose_angles(swing, use.stance - np.where(light, use.lift * lift, 0.0))
 
     return signal

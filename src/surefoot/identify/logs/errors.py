@@ -1,4 +1,4 @@
-"""How far simulated robots are from a log that they replay."""
+"""Errors of simulated robots that replay a log."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.logs.robot_log import IMU, SKIPPED, RobotLog
+from surefoot.identify.recording import read_at
 from surefoot.identify.replay import ReplayedReadings, Replayer, segment_from_log
 from surefoot.robot import PhysicalParams, RobotDescription
 
 
 @dataclass(frozen=True)
 class LogErrors:
-    """Simulated less recorded, over the rows of a log."""
+    """Simulated less recorded readings of the rows of a log."""
 
     log: RobotLog
     motor_angle: Array
@@ -40,13 +41,13 @@ class LogErrors:
 
 
 def _rms(errors: Array) -> float:
-    known = errors[np.isfinite(errors)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+    finite = errors[np.isfinite(errors)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
-def imu_of(replayed: ReplayedReadings) -> Array:
+def imu_channels(readings: ReplayedReadings) -> Array:
     """Return the channels of `IMU` (N, T, 4)."""
-    return replayed.imu[:, :, [0, 1, 3, 4]]
+    return readings.imu[:, :, [0, 1, 3, 4]]
 
 
 def replay_log(log: RobotLog, robot: RobotDescription, params: PhysicalParams, replayer: Replayer) -> LogErrors:
@@ -57,22 +58,19 @@ def replay_log(log: RobotLog, robot: RobotDescription, params: PhysicalParams, r
     """
     if not log.counted.any():
         raise SurefootError(f"log {log.name} is {np.ptp(log.time):.2f} s long; errors count after {SKIPPED:g} s")
-    told = replayer.run(segment_from_log(log, robot), params)
-    if not np.isfinite(told.motor_angle).all():
+    readings = replayer.run(segment_from_log(log, robot), params)
+    if not np.isfinite(readings.motor_angle).all():
         raise SurefootError(f"the simulated robot breaks down in the replay of {log.name}; check its parameters")
-    return LogErrors(log, told.motor_angle[0] - log.motor_angle, imu_of(told)[0] - log.imu)
+    return LogErrors(log, readings.motor_angle[0] - log.motor_angle, imu_channels(readings)[0] - log.imu)
 
 
-def errors_of_recorded(log: RobotLog, other: RobotLog) -> LogErrors:
-    """Return how far another recording of the same commands is from a log, from the start of both to the shorter's end.
+def compare_logs(log: RobotLog, other: RobotLog) -> LogErrors:
+    """Return the errors of another record of the same commands, from both starts to the end of the shorter one.
 
-    The other's readings are read on straight lines between its rows.
+    The other's readings are interpolated linearly.
     """
-    end = other.time[-1] - other.time[0]
-    part = log.until(float(end))
+    times = other.time - other.time[0]
+    part = log.until(float(times[-1]))
     moments = part.time - part.time[0]
-
-    def at(values: Array) -> Array:
-        return np.stack([np.interp(moments, other.time - other.time[0], column) for column in values.T], axis=1)
-
-    return LogErrors(part, at(other.motor_angle) - part.motor_angle, at(other.imu) - part.imu)
+    angle, imu = (read_at(moments, times, values) for values in (other.motor_angle, other.imu))
+    return LogErrors(part, angle - part.motor_angle, imu - part.imu)

@@ -1,4 +1,4 @@
-"""Logs of other people as traces, by a mapping that says which column is what.
+"""Import of foreign logs as traces, by a mapping of columns.
 
     # mapping.yaml; all but motors may be left out
     time: {column: time, unit: s}                # s, ms, us, ns; the recorder's own times of a bag, if left out
@@ -7,8 +7,8 @@
       rightFrontLegMotor: {command: "command[0]", angle: "motor_angle[0]", sign: 1, offset: 0.0}
     imu: {roll: "imu[0]", pitch: "imu[1]", roll_rate: "imu[2]", pitch_rate: "imu[3]", unit: rad, sign: 1}
 
-A motor's angle is sign x column + offset, its command too; `velocity` and `torque` may be given beside them. What has
-no column is missing in the trace: NaN. Times and rows stay as they are, uneven and repeated ones too.
+A motor's angle is sign x column + offset, its command too; `velocity` and `torque` may be mapped beside them. Readings
+without a column are NaN in the trace. Times and rows stay as they are, uneven and repeated ones too.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors
-from surefoot.identify.logs.table import Table, read_table
+from surefoot.identify.logs.robot_log import check_rising
+from surefoot.identify.logs.table import ColumnTable, read_table
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import LOG, EpisodeTrace
 
@@ -33,7 +34,7 @@ _SHOWN = 30
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """The clock."""
+    """The column of times."""
 
     column: str
     unit: Literal["s", "ms", "us", "ns"] = "s"
@@ -68,7 +69,7 @@ class ImuColumns:
 
 @dataclass(frozen=True)
 class LogMapping:
-    """What stands in which column."""
+    """The columns of a log."""
 
     motors: dict[str, Any]
     time: TimeColumn | None = None
@@ -76,115 +77,97 @@ class LogMapping:
     imu: ImuColumns = field(default_factory=ImuColumns)
 
 
-def usual_mapping(robot: RobotDescription) -> LogMapping:
+def default_mapping(robot: RobotDescription) -> LogMapping:
     """Return the mapping of a file with arrays time, command, motor_angle and imu, all in the robot's own order."""
     motors = {
         name: {"command": f"command[{k}]", "angle": f"motor_angle[{k}]"} for k, name in enumerate(robot.motor_names)
     }
-    imu = ImuColumns("imu[0]", "imu[1]", None, "imu[2]", "imu[3]")
-    return LogMapping(motors, TimeColumn("time"), imu=imu)
+    return LogMapping(motors, TimeColumn("time"), imu=ImuColumns("imu[0]", "imu[1]", None, "imu[2]", "imu[3]"))
 
 
 def import_log(path: Path, robot: RobotDescription, mapping: Path | None = None) -> EpisodeTrace:
-    """Return somebody's log as a trace.
+    """Return a foreign log as a trace.
 
     Args:
         path: NPZ, CSV, pickle, MCAP, or folder or file of a ROS bag.
         robot: whose log it is.
-        mapping: YAML file; arrays have the usual names and the robot's order, if not given.
+        mapping: YAML file; if not given, that of `default_mapping`.
 
     Raises:
         SurefootError: a file that can't be read, a mapping that does not fit the robot or the file, time that goes
             backwards, or commands that are missing in a row.
     """
-    if mapping is None:
-        columns = usual_mapping(robot)
-    else:
+    columns = default_mapping(robot)
+    if mapping is not None:
         data = read_yaml(mapping)
         with prefix_errors(mapping):
             columns = from_mapping(LogMapping, data)
-            _check_motors(columns, robot)
+            for name in columns.motors:
+                if name not in robot.motor_names:
+                    raise SurefootError(
+                        f"motors names '{name}', which {robot.name} does not have; it has {choices(robot.motor_names)}"
+                    )
+            if missing := [name for name in robot.motor_names if name not in columns.motors]:
+                raise SurefootError(f"motors lacks {choices(missing)}; every motor has a command")
     with prefix_errors(f"log {path}"):
         return _trace(read_table(path), columns, robot, mapping is None, path.name)
 
 
-def _check_motors(columns: LogMapping, robot: RobotDescription) -> None:
-    for name in columns.motors:
-        if name not in robot.motor_names:
-            raise SurefootError(
-                f"motors names '{name}', which {robot.name} does not have; it has {choices(robot.motor_names)}"
-            )
-    if missing := [name for name in robot.motor_names if name not in columns.motors]:
-        raise SurefootError(f"motors lacks {choices(missing)}; every motor has a command")
-
-
-def _trace(table: Table, columns: LogMapping, robot: RobotDescription, usual: bool, name: str) -> EpisodeTrace:
-    motors = {key: from_mapping(MotorColumns, value, f"motors.{key}") for key, value in columns.motors.items()}
-    if usual and (extra := f"command[{robot.num_motors}]") in table.columns:
+def _trace(table: ColumnTable, columns: LogMapping, robot: RobotDescription, default: bool, name: str) -> EpisodeTrace:
+    motors = [from_mapping(MotorColumns, columns.motors[key], f"motors.{key}") for key in robot.motor_names]
+    if default and (extra := f"command[{robot.num_motors}]") in table.columns:
         raise SurefootError(f"has a column '{extra}'; {robot.name} has {robot.num_motors} motors")
+    steps = table.rows
+    missing = np.full(steps, np.nan)
 
-    def column(key: str, optional: bool = False) -> Array:
-        if key in table.columns:
-            return table.columns[key]
-        if optional:
-            return np.full(table.rows, np.nan)
-        raise SurefootError(f"has no column '{key}'; columns: {choices(list(table.columns)[:_SHOWN])}")
+    def column(key: str | None, optional: bool = False) -> Array:
+        if key is None or (optional and key not in table.columns):
+            return missing
+        if key not in table.columns:
+            raise SurefootError(f"has no column '{key}'; columns: {choices(list(table.columns)[:_SHOWN])}")
+        return table.columns[key]
+
+    def of_motors(key: str, unit: float = 1.0, offset: bool = False) -> Array:
+        optional = default and key != "command"
+        return np.stack(
+            [column(getattr(m, key), optional) * (m.sign * unit) + (m.offset if offset else 0.0) for m in motors],
+            axis=1,
+        )
+
+    def of_imu(*keys: str) -> Array:
+        factor = columns.imu.sign * ANGLE_UNITS[columns.imu.unit]
+        return np.stack([column(getattr(columns.imu, key), default) * factor for key in keys], axis=1)
 
     time = table.time if columns.time is None else column(columns.time.column) * TIME_UNITS[columns.time.unit]
     if time is None:
-        raise SurefootError("has no clock of its own; the mapping must say which column is time")
+        raise SurefootError("has no clock of its own; the mapping must name the column of time")
     if not np.isfinite(time).all():
         raise SurefootError(f"time is not finite in row {int(np.argmin(np.isfinite(time)))}")
-    if (back := np.flatnonzero(np.diff(time) < 0)).size:
-        raise SurefootError(
-            f"time goes backwards in row {back[0] + 1}, from {time[back[0]]:g} to {time[back[0] + 1]:g} s"
-        )
-    steps, count, scale = table.rows, robot.num_motors, ANGLE_UNITS[columns.unit]
-
-    def of_motors(key: str, offset: bool) -> Array:
-        values = np.full((steps, count), np.nan)
-        for place, motor in enumerate(robot.motor_names):
-            what = motors[motor]
-            if (source := getattr(what, key)) is not None:
-                factor = what.sign * (1.0 if key == "torque" else scale)
-                values[:, place] = column(source, usual and key != "command") * factor + (
-                    what.offset if offset else 0.0
-                )
-        return values
-
-    def of_imu(*keys: str) -> Array:
-        sources = [getattr(columns.imu, key) for key in keys]
-        factor = columns.imu.sign * ANGLE_UNITS[columns.imu.unit]
-        return np.stack([np.full(steps, np.nan) if s is None else column(s, usual) * factor for s in sources], axis=1)
-
-    command = of_motors("command", True)
+    check_rising(time)
+    angle = ANGLE_UNITS[columns.unit]
+    command = of_motors("command", angle, True)
     if not np.isfinite(command).all():
         row, motor = (int(k) for k in np.argwhere(~np.isfinite(command))[0])
         raise SurefootError(f"row {row} has no command of {robot.motor_names[motor]}; every row needs its command")
     gaps = np.diff(time)
-    step = float(np.median(gaps[gaps > 0])) if (gaps > 0).any() else 1.0
-
-    def unknown(*shape: int) -> Array:
-        return np.full(shape, np.nan)
-
     return EpisodeTrace(
         time=time,
-        base_position_world=unknown(steps + 1, 3),
-        base_quat_world=unknown(steps + 1, 4),
+        base_position_world=np.full((steps + 1, 3), np.nan),
+        base_quat_world=np.full((steps + 1, 4), np.nan),
         roll_pitch_yaw=of_imu("roll", "pitch", "yaw"),
         angular_velocity_base=of_imu("roll_rate", "pitch_rate", "yaw_rate"),
-        motor_angle=of_motors("angle", True),
-        motor_velocity=of_motors("velocity", False),
-        motor_torque=of_motors("torque", False),
+        motor_angle=of_motors("angle", angle, True),
+        motor_velocity=of_motors("velocity", angle),
+        motor_torque=of_motors("torque"),
         observation=np.empty((steps, 0)),
-        feedback=unknown(steps, 2 * len(robot.legs)),
+        feedback=np.full((steps, 2 * len(robot.legs)), np.nan),
         target=command,
-        energy=unknown(steps),
-        foot_contact=unknown(steps, len(robot.legs)),
+        energy=missing,
+        foot_contact=np.full((steps, len(robot.legs)), np.nan),
         meta={
             "robot": robot.name,
             "world": LOG,
-            "control_step": step,
+            "control_step": float(np.median(gaps[gaps > 0])) if (gaps > 0).any() else 1.0,
             "leg_names": robot.leg_names,
             "motor_names": robot.motor_names,
             "observation_names": [],

@@ -1,15 +1,15 @@
-"""What a robot was told and what it told, row by row, whoever recorded it.
+"""Commands and readings of a robot, row by row, from any recorder.
 
-A row has the time at which a command was sent, the command, and the readings that were last received. The robot
-sends them at a rate of its own: rows that come faster repeat a reading, and one that is new in a row came at some
-moment since the row before, at most as long ago as readings are apart. The middle of this is taken for its time.
+A row has the time at which a command was sent, the command, and the newest readings. Robots send readings at their own
+rate: rows that come faster repeat a reading. A new reading was taken since the row before, at most as long ago as
+readings are apart; the middle of this interval is taken as its time.
 """
 
 from __future__ import annotations
 
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +22,15 @@ from surefoot.npz import read_npz
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
-MOVES = 0.02
-"""Range of its commands [rad] from which on a joint counts as moving."""
+MIN_MOTION = 0.02
+"""Range of its commands [rad] from which a joint counts as moving."""
 SKIPPED = 0.3
-"""Time [s] at the start that errors do not count: nobody recorded how the robot came to stand as it does."""
+"""Time [s] at the start in which errors do not count: the robot's motion before the log is unknown."""
 IMU = ("roll", "pitch", "roll_rate", "pitch_rate")
 """Channels of the IMU: angles [rad] of the base, yaw about z, then pitch, then roll, and rates [rad/s] in its frame."""
-_MOST_ROWS = 5_000_000
-_LONGEST = 3600.0
-_GREATEST = 1e3
+_MAX_ROWS = 5_000_000
+_MAX_LENGTH = 3600.0
+_MAX_ANGLE = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class RobotLog:
 
     name: str
     time: Array
-    """When commands were sent (T,) [s]; it may repeat."""
+    """When commands were sent (T,) [s]; times may repeat."""
     command: Array
     """Motor angles (T, M) [rad]."""
     read_time: Array
@@ -50,30 +50,28 @@ class RobotLog:
     """Channels of `IMU` (T, 4)."""
 
     def __post_init__(self) -> None:
-        """Refuse rows that are none, time that goes backwards, and commands that never move."""
-        if not 2 <= len(self.time) <= _MOST_ROWS:
-            raise SurefootError(f"has {len(self.time)} rows; a log has 2 to {_MOST_ROWS}")
+        """Refuse too few rows, time that goes backwards, and commands that never move."""
+        if not 2 <= len(self.time) <= _MAX_ROWS:
+            raise SurefootError(f"has {len(self.time)} rows; a log has 2 to {_MAX_ROWS}")
         for name in ("time", "command"):
             if not np.isfinite(getattr(self, name)).all():
                 raise SurefootError(f"{name} has values that are not finite; every row needs its time and command")
-        if (back := np.flatnonzero(np.diff(self.time) < 0.0)).size:
-            first, then = self.time[back[0]], self.time[back[0] + 1]
-            raise SurefootError(f"time goes backwards in row {back[0] + 1}, from {first:g} to {then:g} s")
-        if self.time[-1] - self.time[0] > _LONGEST:
-            raise SurefootError(f"is {self.time[-1] - self.time[0]:g} s long; at most {_LONGEST:g} s are replayed")
-        if (most := float(np.abs(self.command).max())) > _GREATEST:
-            raise SurefootError(f"has a command of {most:g} rad; angles are within {_GREATEST:g} rad")
+        check_rising(self.time)
+        if self.time[-1] - self.time[0] > _MAX_LENGTH:
+            raise SurefootError(f"is {self.time[-1] - self.time[0]:g} s long; at most {_MAX_LENGTH:g} s are replayed")
+        if (most := float(np.abs(self.command).max())) > _MAX_ANGLE:
+            raise SurefootError(f"has a command of {most:g} rad; angles are within {_MAX_ANGLE:g} rad")
         if not self.moving.any():
-            raise SurefootError(f"its commands never move: no joint by {MOVES:g} rad; there is nothing to compare")
+            raise SurefootError(f"its commands never move: no joint by {MIN_MOTION:g} rad; there is nothing to compare")
 
     @property
     def moving(self) -> NDArray[np.bool_]:
         """Joints (M,) whose commands move."""
-        return np.asarray(np.ptp(self.command, axis=0) > MOVES)
+        return np.asarray(np.ptp(self.command, axis=0) > MIN_MOTION)
 
     @property
     def counted(self) -> NDArray[np.bool_]:
-        """Rows (T,) that errors count."""
+        """Rows (T,) whose errors count."""
         return self.time >= self.time[0] + SKIPPED
 
     @property
@@ -82,7 +80,7 @@ class RobotLog:
         return np.diff(self.read_time, prepend=-np.inf) > 0
 
     def timing(self) -> dict[str, float]:
-        """Return how regular its times are: steps [s], and shares of repeated times and readings."""
+        """Return the regularity of its times: steps [s], and shares of repeated times and readings."""
         steps = np.diff(self.time)
         return {
             "rows": len(self.time),
@@ -97,24 +95,31 @@ class RobotLog:
     def until(self, seconds: float) -> RobotLog:
         """Return the rows of the first seconds."""
         rows = self.time <= self.time[0] + seconds
-        arrays = {name: getattr(self, name)[rows] for name in ("time", "command", "read_time", "motor_angle", "imu")}
-        return RobotLog(self.name, **arrays)
+        names = ("time", "command", "read_time", "motor_angle", "imu")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
-def log_of(name: str, time: Array, command: Array, motor_angle: Array, imu: Array) -> RobotLog:
+def check_rising(time: Array) -> None:
+    """Refuse time (T,) [s] that goes backwards."""
+    if (back := np.flatnonzero(np.diff(time) < 0.0)).size:
+        first, then = time[back[0]], time[back[0] + 1]
+        raise SurefootError(f"time goes backwards in row {back[0] + 1}, from {first:g} to {then:g} s")
+
+
+def log_from_rows(name: str, time: Array, command: Array, motor_angle: Array, imu: Array) -> RobotLog:
     """Return a log whose readings are of their rows' time, or of an earlier row's that they repeat."""
     read = np.concatenate([motor_angle, imu], axis=1)
     new = np.flatnonzero([True, *np.any((np.diff(read, axis=0) != 0) & ~np.isnan(read[1:]), axis=1)])
     apart = float(np.median(np.diff(time[new]))) if len(new) > 1 else 0.0
-    came = time[new] - np.minimum(np.diff(time, prepend=time[:1])[new], apart) / 2
-    return RobotLog(name, time, command, np.repeat(came, np.diff([*new, len(time)])), motor_angle, imu)
+    taken = time[new] - np.minimum(np.diff(time, prepend=time[:1])[new], apart) / 2
+    return RobotLog(name, time, command, np.repeat(taken, np.diff([*new, len(time)])), motor_angle, imu)
 
 
-def log_of_trace(name: str, trace: EpisodeTrace) -> RobotLog:
-    """Return an episode as a log: imported ones row by row; of others each row's command was sent a row before."""
+def log_from_trace(name: str, trace: EpisodeTrace) -> RobotLog:
+    """Return the log of a trace: imported ones row by row; of others each row's command was sent a row before."""
     imu = np.concatenate([trace.roll_pitch_yaw[:, :2], trace.angular_velocity_base[:, :2]], axis=1)
     if trace.imported:
-        return log_of(name, trace.time, trace.target, trace.motor_angle, imu)
+        return log_from_rows(name, trace.time, trace.target, trace.motor_angle, imu)
     sent = np.concatenate([[max(trace.time[0] - trace.meta["control_step"], 0.0)], trace.time[:-1]])
     return RobotLog(name, sent, trace.target, trace.time, trace.motor_angle, imu)
 
@@ -133,8 +138,8 @@ def read_log(path: Path, robot: RobotDescription) -> RobotLog:
             trace = EpisodeTrace.load(path)
             if trace.meta["robot"] != robot.name or tuple(trace.meta["motor_names"]) != robot.motor_names:
                 raise SurefootError(f"is of robot '{trace.meta['robot']}', not of '{robot.name}' with its motors")
-            return log_of_trace(path.name, trace)
-        return log_of_arrays(path.name, arrays, robot)
+            return log_from_trace(path.name, trace)
+        return _log_from_arrays(path.name, arrays, robot)
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -152,8 +157,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         raise SurefootError(f"is no file of arrays (.npz): {' '.join(str(error).split())}") from error
 
 
-def log_of_arrays(name: str, arrays: dict[str, NDArray[Any]], robot: RobotDescription) -> RobotLog:
-    """Return the log of arrays by name, see `read_log`."""
+def _log_from_arrays(name: str, arrays: dict[str, NDArray[Any]], robot: RobotDescription) -> RobotLog:
     missing = [key for key in ("time", "command") if key not in arrays]
     if missing or not {"motor_angle", "imu"} & set(arrays):
         lacks = missing or ["motor_angle and imu"]
@@ -163,7 +167,7 @@ def log_of_arrays(name: str, arrays: dict[str, NDArray[Any]], robot: RobotDescri
         )
     steps, motors = np.shape(arrays["time"])[:1] or (0,), robot.num_motors
     shapes = {"time": steps, "command": (*steps, motors), "motor_angle": (*steps, motors), "imu": (*steps, len(IMU))}
-    given = {}
+    columns = {}
     for key, shape in shapes.items():
         array = arrays.get(key, np.full(shape, np.nan))
         if array.dtype.kind not in "iuf":
@@ -171,5 +175,5 @@ def log_of_arrays(name: str, arrays: dict[str, NDArray[Any]], robot: RobotDescri
         if array.shape != shape:
             rule = f"{robot.name} has {motors} motors" if key in ("command", "motor_angle") else "a row for each time"
             raise SurefootError(f"{key} has shape {array.shape}; it must have {shape}: {rule}")
-        given[key] = array.astype(float)
-    return log_of(name, given["time"], given["command"], given["motor_angle"], given["imu"])
+        columns[key] = array.astype(float)
+    return log_from_rows(name, **columns)

@@ -1,7 +1,7 @@
-"""Tables of numbers in files of other people's making: NPZ, CSV, pickle, MCAP and ROS bags.
+"""Tables of numbers in foreign files: NPZ, CSV, pickle, MCAP and ROS bags.
 
 An array of several dimensions is one column for each of its places: `name[3]`, `name[1,2]`. A message's field is
-`topic.field[3]`. All files are hostile: of pickles nothing is built but numbers, texts, lists, tables and arrays.
+`topic.field[3]`. Files are not trusted: of pickles nothing is built but numbers, texts, lists, tables and arrays.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from surefoot.identify.logs.robot_log import read_arrays
 
 FILE_BYTES = 1 << 28
 """Size of the largest file that is read."""
-MOST_COLUMNS = 4096
-MOST_NUMBERS = 1 << 27
-MOST_ITEMS = 1 << 24
+MAX_COLUMNS = 4096
+MAX_NUMBERS = 1 << 27
+MAX_ITEMS = 1 << 24
 """Numbers, texts, lists and tables of a pickle: a few bytes of it can name a list many times over."""
-_DEPTH = 8
+_MAX_DEPTH = 8
 
 
 @dataclass(frozen=True)
-class Table:
+class ColumnTable:
     """Columns of numbers (T,) by name."""
 
     columns: dict[str, Array]
@@ -48,8 +48,8 @@ class Table:
         return len(next(iter(self.columns.values())))
 
 
-def read_table(path: Path) -> Table:
-    """Read a file by the kind that its name tells.
+def read_table(path: Path) -> ColumnTable:
+    """Read a file by the suffix of its name.
 
     Raises:
         SurefootError: no such file, another kind, or one that holds no table; without its path.
@@ -57,54 +57,57 @@ def read_table(path: Path) -> Table:
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in (".mcap", ".bag", ".db3"):
         return _read_bag(path)
-    readers = {".npz": _read_npz, ".csv": _read_csv, ".pkl": _read_pickle, ".pickle": _read_pickle}
+    readers = {".npz": _read_npz, ".csv": read_csv, ".pkl": _read_pickle, ".pickle": _read_pickle}
     if suffix not in readers:
         raise SurefootError(f"is of kind '{suffix}'; kinds: {', '.join(readers)}, .mcap, .bag, or the folder of a bag")
     with describe_os_errors("it"):
         check_readable(path, FILE_BYTES)
-    return readers[suffix](path)
+        return readers[suffix](path)
 
 
-def _read_npz(path: Path) -> Table:
-    return _table(read_arrays(path))
+def _read_npz(path: Path) -> ColumnTable:
+    return _table_from_arrays(read_arrays(path))
 
 
-def _table(arrays: Mapping[Any, Any]) -> Table:
+def _table_from_arrays(arrays: Mapping[Any, Any]) -> ColumnTable:
     """Return arrays by name as a table; those that are not a row for each time are left out."""
-    numbers = {str(k): np.asarray(v) for k, v in arrays.items() if np.asarray(v).dtype.kind in "biuf"}
-    lengths = [len(array) for array in numbers.values() if array.ndim and array.size]
+    numbers = {str(key): np.asarray(value) for key, value in arrays.items()}
+    numbers = {key: array for key, array in numbers.items() if array.dtype.kind in "biuf" and array.ndim and array.size}
+    lengths = [len(array) for array in numbers.values()]
     if not lengths:
         raise SurefootError("holds no arrays of numbers")
     rows = max(lengths, key=lengths.count)
     columns: dict[str, Array] = {}
     for name, array in numbers.items():
-        if not array.ndim or not array.size or len(array) != rows:
+        if len(array) != rows:
             continue
-        if array.size > rows * MOST_COLUMNS or array.size > MOST_NUMBERS:
+        if array.size > rows * MAX_COLUMNS or array.size > MAX_NUMBERS:
             raise SurefootError(f"{name} has shape {array.shape}; it is too large")
         flat = array.reshape(rows, -1).astype(float)
-        for k, place in enumerate(np.ndindex(array.shape[1:])):
-            columns[name + (f"[{','.join(map(str, place))}]" if place else "")] = flat[:, k]
-    return Table(columns)
+        columns |= {_place_name(name, place): flat[:, k] for k, place in enumerate(np.ndindex(array.shape[1:]))}
+    return ColumnTable(columns)
 
 
-def _read_csv(path: Path) -> Table:
-    with describe_os_errors("it"):
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
-    lines = csv.reader(io.StringIO(text))
+def _place_name(name: str, place: tuple[int, ...]) -> str:
+    return name + (f"[{','.join(map(str, place))}]" if place else "")
+
+
+def read_csv(path: Path) -> ColumnTable:
+    """Read a CSV file whose first line names the columns; texts that are no numbers are NaN."""
+    lines = csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig", errors="replace")))
     try:
         names = [name.strip() for name in next(lines, [])]
         rows = [line for line in lines if line]
     except csv.Error as error:
         raise SurefootError(f"is no CSV file: {error}") from error
-    if not names or not rows or len(names) > MOST_COLUMNS:
-        raise SurefootError(f"has {len(names)} columns and {len(rows)} rows; the first line names 1 to {MOST_COLUMNS}")
+    if not names or not rows or len(names) > MAX_COLUMNS:
+        raise SurefootError(f"has {len(names)} columns and {len(rows)} rows; the first line names 1 to {MAX_COLUMNS}")
     if len(set(names)) != len(names):
         raise SurefootError("has columns of one name; names must differ")
     for number, row in enumerate(rows, 2):
         if len(row) != len(names):
             raise SurefootError(f"line {number} has {len(row)} values; the first line names {len(names)}")
-    return Table({name: np.array([_number(row[k]) for row in rows]) for k, name in enumerate(names)})
+    return ColumnTable({name: np.array([_number(row[k]) for row in rows]) for k, name in enumerate(names)})
 
 
 def _number(text: str) -> float:
@@ -114,11 +117,11 @@ def _number(text: str) -> float:
         return float("nan")
 
 
-class _Blank:
+class _ArrayClass:
     """Stands for numpy's ndarray class in a pickle, which only names it."""
 
 
-class _Array:
+class _PickledArray:
     """An array of a pickle, filled by its state: version, shape, dtype, order, bytes."""
 
     def __init__(self, *_: Any) -> None:
@@ -131,11 +134,10 @@ class _Array:
         self.value = np.frombuffer(content, kind).reshape(shape, order="F" if fortran else "C")
 
 
-def _buffered(content: Any, kind: Any, shape: Any, order: Any) -> _Array:
-    made = _Array()
-    content = bytes(content) if isinstance(content, bytearray) else content
-    made.__setstate__((1, shape, kind, order == "F", content))
-    return made
+def _from_buffer(content: Any, kind: Any, shape: Any, order: Any) -> _PickledArray:
+    array = _PickledArray()
+    array.__setstate__((1, shape, kind, order == "F", bytes(content) if isinstance(content, bytearray) else content))
+    return array
 
 
 def _scalar(kind: Any, content: Any = b"") -> float:
@@ -150,17 +152,11 @@ def _dtype(name: Any, *_: Any) -> Any:
     return np.dtype(name)
 
 
-_SAFE: dict[tuple[str, str], Any] = {
-    **{
-        (f"numpy.{core}.{module}", name): value
-        for core in ("core", "_core")
-        for module, name, value in (
-            ("multiarray", "_reconstruct", _Array),
-            ("multiarray", "scalar", _scalar),
-            ("numeric", "_frombuffer", _buffered),
-        )
-    },
-    ("numpy", "ndarray"): _Blank,
+_SAFE_CLASSES: dict[tuple[str, str], Any] = {
+    **{(f"numpy.{core}.multiarray", "_reconstruct"): _PickledArray for core in ("core", "_core")},
+    **{(f"numpy.{core}.multiarray", "scalar"): _scalar for core in ("core", "_core")},
+    **{(f"numpy.{core}.numeric", "_frombuffer"): _from_buffer for core in ("core", "_core")},
+    ("numpy", "ndarray"): _ArrayClass,
     ("numpy", "dtype"): _dtype,
     ("_codecs", "encode"): lambda text, kind="latin1": str(text).encode("latin1"),
     ("collections", "OrderedDict"): dict,
@@ -171,61 +167,96 @@ class _Unpickler(pickle.Unpickler):
     """Builds numbers, texts, lists, tables and arrays, and nothing else."""
 
     def find_class(self, module: str, name: str) -> Any:
-        if (module, name) not in _SAFE:
-            raise pickle.UnpicklingError(f"it asks for {module}.{name}, which is not read")
-        return _SAFE[module, name]
+        if (module, name) not in _SAFE_CLASSES:
+            raise pickle.UnpicklingError(f"it names {module}.{name}, which is not read")
+        return _SAFE_CLASSES[module, name]
 
 
-def _read_pickle(path: Path) -> Table:
-    with describe_os_errors("it"):
-        content = path.read_bytes()
+def _read_pickle(path: Path) -> ColumnTable:
+    content = path.read_bytes()
     try:
         data = _plain(_Unpickler(io.BytesIO(content)).load(), itertools.count())
-    except Exception as error:  # a pickle is a program: whatever it does is its fault
+    except Exception as error:  # a pickle is a program: any error is possible
         raise SurefootError(f"is no pickle of numbers: {' '.join(str(error).split())}") from error
     if isinstance(data, list) and data and all(isinstance(row, dict) for row in data):
-        rows = [dict(_flat(row)) for row in data]
-        names = list(dict.fromkeys(name for row in rows for name in row))[:MOST_COLUMNS]
+        rows = [dict(_flatten(row)) for row in data]
+        names = list(dict.fromkeys(name for row in rows for name in row))[:MAX_COLUMNS]
         if not names:
             raise SurefootError("holds no numbers")
-        return Table({name: np.array([row.get(name, np.nan) for row in rows]) for name in names})
+        return ColumnTable({name: np.array([row.get(name, np.nan) for row in rows]) for name in names})
     try:
-        return _table(data if isinstance(data, dict) else {"data": np.asarray(data, float)})
+        return _table_from_arrays(data if isinstance(data, dict) else {"data": np.asarray(data, float)})
     except (TypeError, ValueError) as error:
         raise SurefootError(f"is no table: {' '.join(str(error).split())}") from error
 
 
 def _plain(data: Any, items: Iterator[int], depth: int = 0) -> Any:
-    if depth > _DEPTH or next(items) >= MOST_ITEMS:
-        raise ValueError("it is nested too deeply" if depth > _DEPTH else f"it holds more than {MOST_ITEMS} items")
-    if isinstance(data, _Array):
+    """Return a pickle's data with numpy's arrays in place of `_PickledArray`; refuse too deep and too large ones."""
+    if depth > _MAX_DEPTH or next(items) >= MAX_ITEMS:
+        raise ValueError("it is nested too deeply" if depth > _MAX_DEPTH else f"it holds more than {MAX_ITEMS} items")
+    if isinstance(data, _PickledArray):
         return data.value
     if isinstance(data, dict):
         return {key: _plain(value, items, depth + 1) for key, value in data.items()}
     return [_plain(value, items, depth + 1) for value in data] if isinstance(data, list | tuple) else data
 
 
-def _flat(data: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
+def _flatten(data: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
     """Yield the numbers in a table, message or array, by name."""
-    if depth > _DEPTH:
+    if depth > _MAX_DEPTH:
         return
     if isinstance(data, bool | int | float | np.number):
         yield name, float(data)
-    elif isinstance(data, Mapping):
-        for key, value in data.items():
-            yield from _flat(value, f"{name}.{key}" if name else str(key), depth + 1)
-    elif isinstance(data, np.ndarray) and data.dtype.kind in "biuf" and data.size <= MOST_COLUMNS:
-        for place in np.ndindex(data.shape):
-            yield f"{name}[{','.join(map(str, place))}]", float(data[place])
-    elif isinstance(data, list | tuple) and len(data) <= MOST_COLUMNS:
+    elif isinstance(data, np.ndarray) and data.dtype.kind in "biuf" and data.size <= MAX_COLUMNS:
+        yield from ((_place_name(name, place), float(data[place])) for place in np.ndindex(data.shape))
+    elif isinstance(data, list | tuple) and len(data) <= MAX_COLUMNS:
         for k, value in enumerate(data):
-            yield from _flat(value, f"{name}[{k}]", depth + 1)
-    elif is_dataclass(data):
-        yield from _flat({item.name: getattr(data, item.name) for item in fields(data)}, name, depth)
+            yield from _flatten(value, f"{name}[{k}]", depth + 1)
+    elif isinstance(data, Mapping) or is_dataclass(data):
+        items = {item.name: getattr(data, item.name) for item in fields(data)} if is_dataclass(data) else data
+        for key, value in items.items():
+            yield from _flatten(value, f"{name}.{key}" if name else str(key), depth + 1)
+
+
+def _read_bag(path: Path) -> ColumnTable:
+    """Read a bag: a row for each time of a message, each column with its newest value; NaN before its first message."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    rows: list[tuple[float, dict[str, float]]] = []
+    with describe_os_errors("it"):
+        if not path.exists():
+            raise SurefootError("does not exist")
+        if path.is_file():
+            check_readable(path, FILE_BYTES)
+    try:
+        with ExitStack() as stack:
+            folder = Path(stack.enter_context(TemporaryDirectory()))
+            bag = _folder_of_mcap(path, folder) if path.suffix.lower() == ".mcap" else path
+            reader = stack.enter_context(AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
+            for connection, stamp, raw in reader.messages():
+                message = reader.deserialize(raw, connection.msgtype)
+                rows.append((stamp * 1e-9, dict(_flatten(message, connection.topic.strip("/")))))
+                if len(rows) * len(rows[-1][1]) > MAX_NUMBERS:
+                    raise SurefootError("has too many messages")
+    except SurefootError:
+        raise
+    except Exception as error:  # the reader has errors of many kinds, not all of them its own
+        raise SurefootError(f"is no bag: {' '.join(str(error).split())}") from error
+    names = list(dict.fromkeys(name for _, row in rows for name in row))
+    if not names or len(names) > MAX_COLUMNS:
+        raise SurefootError(f"has {len(names)} columns of numbers; 1 to {MAX_COLUMNS} are read")
+    newest = dict.fromkeys(names, float("nan"))
+    values = np.empty((len(rows), len(names)))
+    for k, (_, row) in enumerate(rows):
+        newest |= row
+        values[k] = list(newest.values())
+    time = np.array([time for time, _ in rows])
+    return ColumnTable(dict(zip(names, values.T, strict=True)), time - time[0])
 
 
 def _folder_of_mcap(path: Path, folder: Path) -> Path:
-    """Make the folder of a ROS 2 bag around one MCAP file, which has all that stands in the folder's own file."""
+    """Make the folder of a ROS 2 bag around one MCAP file, which contains what the folder's own file states."""
     from rosbags.rosbag2.storage_mcap import McapReader
 
     mcap = McapReader(path)
@@ -239,7 +270,7 @@ def _folder_of_mcap(path: Path, folder: Path) -> Path:
     ]
     mcap.close()
     (folder / "log.mcap").symlink_to(path.resolve())
-    about = {
+    info = {
         "version": 5,
         "storage_identifier": "mcap",
         "relative_file_paths": ["log.mcap"],
@@ -248,44 +279,5 @@ def _folder_of_mcap(path: Path, folder: Path) -> Path:
         "message_count": sum(one["message_count"] for one in topics),
         "topics_with_message_count": topics,
     }
-    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": about}), encoding="utf-8")
+    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": info}), encoding="utf-8")
     return folder
-
-
-def _read_bag(path: Path) -> Table:
-    """Read a bag: a row for each time of a message, each column with what came last; NaN before its first message."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    found: list[tuple[float, dict[str, float]]] = []
-    with describe_os_errors("it"):
-        if not path.exists():
-            raise SurefootError("does not exist")
-        if path.is_file():
-            check_readable(path, FILE_BYTES)
-    try:
-        with ExitStack() as stack:
-            folder = Path(stack.enter_context(TemporaryDirectory()))
-            bag = _folder_of_mcap(path, folder) if path.suffix.lower() == ".mcap" else path
-            reader = stack.enter_context(AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
-            for connection, stamp, raw in reader.messages():
-                message = reader.deserialize(raw, connection.msgtype)
-                found.append((stamp * 1e-9, dict(_flat(message, connection.topic.strip("/")))))
-                if len(found) * len(found[-1][1]) > MOST_NUMBERS:
-                    raise SurefootError("has too many messages")
-    except SurefootError:
-        raise
-    except Exception as error:  # the reader has errors of many kinds, not all of them its own
-        raise SurefootError(f"is no bag: {' '.join(str(error).split())}") from error
-    names = list(dict.fromkeys(name for _, row in found for name in row))
-    if not names or len(names) > MOST_COLUMNS:
-        raise SurefootError(f"has {len(names)} columns of numbers; 1 to {MOST_COLUMNS} are read")
-    place = {name: k for k, name in enumerate(names)}
-    values = np.full((len(found), len(names)), np.nan)
-    for k, (_, row) in enumerate(found):
-        if k:
-            values[k] = values[k - 1]
-        for name, number in row.items():
-            values[k, place[name]] = number
-    start = found[0][0]
-    return Table(dict(zip(names, values.T, strict=True)), np.array([time - start for time, _ in found]))

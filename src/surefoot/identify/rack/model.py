@@ -1,33 +1,34 @@
-"""A robot on its rack as a model to be fitted: servo, motors, friction, legs' mass and inertia, both latencies."""
+"""Fit of a replay to a recording on the rack: servo, motors, friction, legs' mass and inertia, both latencies."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.identify.fitting import BLOCK, GAIN, TORQUE_GAIN, Fit, Unknown, fit_least_squares, params_of
+from surefoot.identify.fitting import Fit, fit_least_squares
+from surefoot.identify.model import GAIN_DEVIATION, TORQUE_GAIN, Nuisance, Observations, ReplayModel, Unknown
 from surefoot.identify.recording import Recording
-from surefoot.identify.registry import FitProgress
 from surefoot.identify.replay import ReplayedReadings, Replayer, Segment
-from surefoot.identify.result import ParameterEstimate, with_floor
+from surefoot.identify.result import FitProgress, ParameterEstimate, with_floor
 from surefoot.robot import PhysicalParams, RobotDescription
 
 NOISE = np.array([2e-4, 0.05, 0.02])
 """Standard deviations of readings of angles [rad], speeds [rad/s] and torques [N m]."""
 LATENCIES = np.arange(0.0, 0.081, 0.002)
-"""Control latencies [s] from which the best one is where the fit begins: fits with sines have several valleys."""
-_TINY = 1e-6
+"""Control latencies [s] that are tried as a start: fits with sines have several local minima."""
+MAX_STARTS = 3
+"""Local minima from which fits start, at most."""
+GOOD_ANGLE_ERROR = 0.002
+"""Error of angles [rad] below which no other start is tried: ten times an encoder's, a hundredth of that in a wrong
+local minimum."""
+_RELATIVE_STEP = 1e-6
 """Steps of finite differences, in shares of a parameter's usual size; simulations on the rack are that smooth."""
-STARTS = 3
-"""Valleys of the latency from which fits are begun, at most."""
-GOOD = 0.002
-"""Error of angles [rad] below which a fit is not tried from another start: ten times an encoder's, a hundredth of what
-a wrong valley leaves."""
-_ROUNDS = 3
+_MAX_ROUNDS = 3
 _SIZES = {
     "torque_constant": 0.1,
     "resistance": 0.2,
@@ -42,108 +43,97 @@ _MOTOR_SIZES = {"motor_strength": 1.0, "motor_friction": 0.1, "motor_viscous_fri
 
 
 def moving_legs(robot: RobotDescription, recording: Recording) -> NDArray[np.int64]:
-    """Motors of legs both of whose motors move: beside one that stands still the other one does something else too."""
+    """Return the motors of legs whose motors all move: a motor that stands still changes what the other one does."""
     still = recording.still_motors
     kept = [motor for pair in robot.leg_motor_index.tolist() if still.isdisjoint(pair) for motor in pair]
     if not kept:
-        raise SurefootError("every leg has a motor that never moves: the data tell nothing")
+        raise SurefootError("every leg has a motor that never moves: nothing can be identified")
     return np.array(sorted(kept))
 
 
-class RackModel:
-    """Residuals of angles, speeds and torques of a robot on its rack; legs with a motor that never moves are left out.
+def replay_errors(
+    readings: ReplayedReadings, recording: Recording, segment: Segment, every: int = 1, gain: Array | float = 1.0
+) -> Array:
+    """Return angles [rad], speeds [rad/s], torques [N m] of K robots less those recorded (K, 3, T, M).
 
-    Args:
-        robot: its description.
-        recording: of an experiment on the rack.
-        segment: which part of it.
-        unknowns: what is to be found.
-        base: all that is not, one row.
-        replayer: simulated robots.
-        every: only every so manieth state is looked at.
-        noise: standard deviations of angles, speeds and torques (3,).
+    One state of `every` is compared. Torque reports are multiplied by a gain (K, 1, M).
     """
-
-    def __init__(
-        self,
-        robot: RobotDescription,
-        recording: Recording,
-        segment: Segment,
-        unknowns: Sequence[Unknown],
-        base: PhysicalParams,
-        replayer: Replayer,
-        every: int = 3,
-        noise: Array = NOISE,
-    ) -> None:
-        self.robot, self.recording, self.segment, self.base = robot, recording, segment, base
-        self.unknowns, self.replayer, self.every, self.noise = unknowns, replayer, every, noise
-        self.kept = moving_legs(robot, recording)
-        times = segment.state_time[::every]
-        shape = (3, len(times), len(self.kept))
-        self.blocks = np.broadcast_to((times / BLOCK).astype(np.int64)[None, :, None], shape).ravel()
-        self._motor = np.broadcast_to(self.kept, shape).ravel()
-        self._leg = np.empty(robot.num_motors, np.int64)
-        for leg, pair in enumerate(robot.leg_motor_index):
-            self._leg[pair] = leg
-
-    def touched(self, unknown: int) -> NDArray[np.bool_] | None:
-        """Residuals of the leg to which a motor belongs: on a rack legs do not feel each other."""
-        index = self.unknowns[unknown].index
-        return None if index is None else self._leg[self._motor] == self._leg[index]
-
-    def residuals(self, values: Array) -> Array:
-        """Residuals (K, m) of K candidates."""
-        size = self.replayer.num_envs
-        errors = np.concatenate([self._errors(values[k : k + size]) for k in range(0, len(values), size)])
-        return (errors / self.noise[:, None, None]).reshape(len(values), -1)
-
-    def _errors(self, values: Array) -> Array:
-        gain = np.ones((len(values), 1, self.robot.num_motors))
-        for i, unknown in enumerate(self.unknowns):
-            if unknown.name == TORQUE_GAIN:
-                gain[:, 0, unknown.index] += values[:, i]
-        return self.errors(self.replayer.run(self.segment, params_of(self.base, self.unknowns, values)), gain)
-
-    def errors(self, told: ReplayedReadings, gain: Array | float = 1.0) -> Array:
-        """Angles [rad], speeds [rad/s], torques [N m] that K robots told, less those recorded (K, 3, T, kept motors).
-
-        Torque reports are multiplied by a gain (K, 1, M).
-        """
-        recording, kept, every = self.recording, self.segment.states[:: self.every], self.every
-        errors = [
-            told.motor_angle[:, ::every] - recording.motor_angle[kept],
-            told.motor_velocity[:, ::every] - recording.motor_velocity[kept],
-            told.motor_torque[:, ::every] * gain - recording.motor_torque[kept],
-        ]
-        return np.stack(errors, axis=1)[..., self.kept]
-
-    def latency_valleys(self, latencies: Array) -> list[float]:
-        """Control latencies [s] whose readings are nearer than those of their neighbours, the nearest one first.
-
-        All else is as in `base`: only the reading differs, so that one simulation serves for all.
-        """
-        angles = self.replayer.read_late(self.segment, self.base, latencies)[:, :: self.every]
-        errors = (angles - self.recording.motor_angle[self.segment.states[:: self.every]])[..., self.kept]
-        costs = np.mean(errors**2, axis=(1, 2))
-        padded = np.pad(costs, 1, constant_values=np.inf)
-        lowest = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
-        return latencies[lowest[np.argsort(costs[lowest])]].tolist()
+    states = segment.states[::every]
+    errors = [
+        readings.motor_angle[:, ::every] - recording.motor_angle[states],
+        readings.motor_velocity[:, ::every] - recording.motor_velocity[states],
+        readings.motor_torque[:, ::every] * gain - recording.motor_torque[states],
+    ]
+    return np.stack(errors, axis=1)
 
 
-def motor_unknowns(
-    robot: RobotDescription, known: PhysicalParams, latency: float, motors: NDArray[np.int64]
+def rack_observations(
+    robot: RobotDescription,
+    recording: Recording,
+    segment: Segment,
+    replayer: Replayer,
+    every: int = 3,
+    noise: Array = NOISE,
+) -> Observations:
+    """Return the observations of a segment, of one state of `every`; legs with a motor that never moves are left out.
+
+    Noise is of angles, speeds and torques (3,). On a rack legs do not affect each other: the label is the leg.
+    """
+    motors = moving_legs(robot, recording)
+
+    def errors(params: PhysicalParams, nuisance: Nuisance) -> Array:
+        gain = np.ones((params.num_envs, 1, robot.num_motors))
+        for (_, motor), column in nuisance.items():
+            gain[:, 0, motor] += column
+        return replay_errors(replayer.run(segment, params), recording, segment, every, gain)[..., motors]
+
+    time = segment.state_time[::every]
+    return Observations(
+        errors,
+        np.broadcast_to(noise[:, None, None], (3, len(time), len(motors))),
+        time[:, None],
+        {"leg": _leg_of_motor(robot)[motors]},
+    )
+
+
+def _leg_of_motor(robot: RobotDescription) -> NDArray[np.int64]:
+    legs = np.empty(robot.num_motors, np.int64)
+    for leg, motors in enumerate(robot.leg_motor_index):
+        legs[motors] = leg
+    return legs
+
+
+def rank_latencies(
+    robot: RobotDescription, recording: Recording, segment: Segment, prior: PhysicalParams, every: int
+) -> list[float]:
+    """Return the local minima of the angles' error over `LATENCIES` [s], best first.
+
+    All else is as in `prior`: only the reading differs, so that one simulation serves for all.
+    """
+    angles = Replayer(robot, 1).angles_with_latencies(segment, prior, LATENCIES)[:, ::every]
+    errors = (angles - recording.motor_angle[segment.states[::every]])[..., moving_legs(robot, recording)]
+    costs = np.mean(errors**2, axis=(1, 2))
+    padded = np.pad(costs, 1, constant_values=np.inf)
+    lowest = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
+    return LATENCIES[lowest[np.argsort(costs[lowest])]].tolist()
+
+
+def rack_unknowns(
+    robot: RobotDescription, prior: PhysicalParams, latency: float, motors: NDArray[np.int64]
 ) -> list[Unknown]:
-    """What there is to find of motors of legs that moved, from what was known (one row) and a control latency [s]."""
+    """Return the unknowns of motors, around the prior (one row) and a control latency [s]."""
     unknowns = []
     for name, size in _SIZES.items():
-        start = latency if name == "control_latency" else float(np.mean(getattr(known, name)[0]))
-        unknowns.append(Unknown(name, start, *robot.allowed[name], _TINY * size))
+        start = latency if name == "control_latency" else float(np.mean(getattr(prior, name)[0]))
+        unknowns.append(Unknown(name, start, *robot.allowed[name], _RELATIVE_STEP * size))
     for motor in motors.tolist():
-        which = int(np.argwhere(robot.leg_motor_index == motor)[0][1])
-        for colour, (name, size) in enumerate(_MOTOR_SIZES.items()):
-            start = float(getattr(known, name)[0, motor])
-            unknowns.append(Unknown(name, start, *robot.allowed[name], _TINY * size, motor, colour=2 * colour + which))
-        unknowns.append(Unknown(TORQUE_GAIN, 0.0, -0.5, 0.5, 1e-4, motor, GAIN, colour=6 + which))
+        leg, place = np.argwhere(robot.leg_motor_index == motor)[0].tolist()
+        of_motor = partial(Unknown, index=motor, affects=("leg", leg))
+        for number, (name, size) in enumerate(_MOTOR_SIZES.items()):
+            start = float(getattr(prior, name)[0, motor])
+            step, colour = _RELATIVE_STEP * size, 2 * number + place
+            unknowns.append(of_motor(name, start, *robot.allowed[name], step, colour=colour))
+        unknowns.append(of_motor(TORQUE_GAIN, 0.0, -0.5, 0.5, 1e-4, prior=GAIN_DEVIATION, colour=6 + place))
     return unknowns
 
 
@@ -151,61 +141,57 @@ def fit_on_rack(
     robot: RobotDescription,
     recording: Recording,
     segment: Segment,
-    known: PhysicalParams,
+    prior: PhysicalParams,
     report: FitProgress,
     every: int = 5,
-) -> tuple[Fit, RackModel]:
-    """Fit everything that a robot on its rack tells to a segment of a recording."""
-    scan = RackModel(robot, recording, segment, [], known, Replayer(robot, 1), 3 * every)
+) -> Fit:
+    """Fit all parameters that are identifiable on a rack to one state of `every` of a segment."""
+    motors = moving_legs(robot, recording)
     fits = []
-    for latency in scan.latency_valleys(LATENCIES)[:STARTS]:
+    for latency in rank_latencies(robot, recording, segment, prior, 3 * every)[:MAX_STARTS]:
         report(f"starting from a control latency of {1e3 * latency:.0f} ms", float("nan"))
-        unknowns = motor_unknowns(robot, known, latency, scan.kept)
-        fits.append(_fit_rounds(robot, recording, segment, known, unknowns, report, every))
-        if fits[-1][1].noise[0] < GOOD:
+        unknowns = rack_unknowns(robot, prior, latency, motors)
+        replayer = Replayer(robot, len({u.colour for u in unknowns if u.colour is not None}) + 10)
+        observe = partial(rack_observations, robot, recording, segment, replayer, every)
+        fits.append(_fit_rounds(observe, prior, unknowns, replayer.num_envs, report))
+        if fits[-1][1] < GOOD_ANGLE_ERROR:
             break
-    return min(fits, key=lambda found: float(found[1].noise[0]))
+    return min(fits, key=lambda one: one[1])[0]
 
 
 def _fit_rounds(
-    robot: RobotDescription,
-    recording: Recording,
-    segment: Segment,
-    known: PhysicalParams,
-    unknowns: list[Unknown],
+    observe: partial[Observations],
+    prior: PhysicalParams,
+    unknowns: Sequence[Unknown],
+    batch: int,
     report: FitProgress,
-    every: int,
-) -> tuple[Fit, RackModel]:
-    """Fit from one start, again with as much noise as the fit before has left, until that holds."""
-    replayer = Replayer(robot, len({u.colour for u in unknowns if u.colour is not None}) + 10)
+) -> tuple[Fit, float]:
+    """Fit from one start, again with the noise that the last fit has left, until it holds; return the angles' noise."""
     noise, start = NOISE, None
-    for _ in range(_ROUNDS):
-        model = RackModel(robot, recording, segment, unknowns, known, replayer, every, noise)
-        fit = fit_least_squares(model, start, report=lambda k, cost: report(f"iteration {k}", cost))
-        # What the model can't explain counts as noise, or it would be taken for knowledge.
-        left = np.sqrt(np.mean(fit.residuals.reshape(3, -1) ** 2, axis=1))
+    for _ in range(_MAX_ROUNDS):
+        model = ReplayModel(unknowns, prior, [observe(noise=noise)], batch)
+        fit = fit_least_squares(model, start, lambda k, cost: report(f"iteration {k}", cost))
+        # Errors of the model count as noise, or intervals would be too narrow.
+        left, used = np.sqrt(np.mean(fit.residuals.reshape(3, -1) ** 2, axis=1)), noise
         if np.all(left < 1.15):
             break
         noise, start = np.maximum(left, 1.0) * noise, fit.values
-    return fit, model
+    return fit, float(used[0])
 
 
-def rack_estimates(robot: RobotDescription, fit: Fit, known: PhysicalParams) -> list[ParameterEstimate]:
-    """Estimates of physical parameters from a fit on the rack; motors that were not fitted are not identifiable."""
+def rack_estimates(robot: RobotDescription, fit: Fit, prior: PhysicalParams) -> list[ParameterEstimate]:
+    """Return estimates of physical parameters; those of motors that were not fitted are not identifiable."""
     estimates = []
-    for u, value, deviation, told in zip(fit.unknowns, fit.values, fit.deviation, fit.identifiable, strict=True):
+    for u, value, deviation, identifiable in zip(
+        fit.unknowns, fit.values.tolist(), fit.deviation.tolist(), fit.identifiable.tolist(), strict=True
+    ):
         if u.name != TORQUE_GAIN:
-            deviation = with_floor(u.name, float(value), float(deviation))
-            estimates.append(
-                ParameterEstimate.within_bounds(robot, u.name, float(value), deviation, u.index, bool(told))
-            )
-    fitted = {(e.name, e.index) for e in estimates}
-    for motor in range(robot.num_motors):
+            deviation = with_floor(u.name, value, deviation)
+            estimates.append(ParameterEstimate.within_bounds(robot, u.name, value, deviation, u.index, identifiable))
+    fitted = {u.index for u in fit.unknowns}
+    for motor in sorted(set(range(robot.num_motors)) - fitted):
         for name in _MOTOR_SIZES:
-            if (name, motor) not in fitted:
-                low, high = robot.allowed[name]
-                value = float(getattr(known, name)[0, motor])
-                estimates.append(
-                    ParameterEstimate.within_bounds(robot, name, value, (high - low) / 4, motor, identifiable=False)
-                )
+            low, high = robot.allowed[name]
+            value = float(getattr(prior, name)[0, motor])
+            estimates.append(ParameterEstimate.within_bounds(robot, name, value, (high - low) / 4, motor, False))
     return estimates

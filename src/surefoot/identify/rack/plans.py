@@ -1,4 +1,4 @@
-"""The experiments on a rack, motor and latency: legs in the air do not feel each other, so all motors move at once."""
+"""The experiments on a rack, motor and latency: legs in the air are independent, so all motors move at once."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode
-from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, chirps, go_to, hold, steps
+from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, chirps, hold, steps, transition
 from surefoot.robot import RobotDescription
 from surefoot.seeding import generator
 
@@ -16,50 +16,47 @@ PULSE = 0.014
 """Length of a PWM pulse [s]."""
 BURST = 0.24
 """Length of a PWM phase [s]: pulses, then motors without duty."""
-SPIKE_EVERY, SPIKES = 0.12, 2
-"""Time between spikes [s], and how many there are in a phase."""
-GROUPS = 6
-_SHORT = 0.001
+SPIKE_PERIOD, SPIKES = 0.12, 2
+"""Time between spikes [s], and their number in a phase."""
+SPIKE_PHASES = 6
+_SPIKE_LENGTH = 0.001
 """Less than any time between two commands [s]: the first command of a spike is its only one."""
 
 
+def _to_middle(middle: Array, duration: float) -> Phase:
+    return transition("centre", "all legs back to the middle", duration, middle, 0.3)
+
+
 def motor_plan(robot: RobotDescription) -> Plan:
-    """Move all motors at once, each in its own way: legs on a rack do not feel each other."""
+    """Return the plan of the motor experiment: slow sines, chirps, steps and PWM pulses."""
     motors, use = robot.num_motors, robot.experiments
     draw = generator(0, "motor experiment")
     middle = robot.pose_angles(0.0, use.stance)
-    turned = np.zeros(motors)
-    # A leg's motors a quarter turn apart: swing and extension are both excited; legs differ, so that a look tells them.
+    shift = np.zeros(motors)
+    # A leg's motors a quarter turn apart excite swing and extension; legs differ so that they can be told apart by eye.
     for leg, (first, second) in enumerate(robot.leg_motor_index):
-        turned[first], turned[second] = 0.4 * leg, 0.4 * leg + np.pi / 2
+        shift[first], shift[second] = 0.4 * leg, 0.4 * leg + np.pi / 2
     all_motors = np.ones(motors)
-    wide = chirps(middle, use.chirp * all_motors, 0.5, 10.0, 8.0, turned)
+    wide = chirps(middle, use.chirp * all_motors, 0.5, 10.0, 8.0, shift)
     small, back = use.part("chirp", 4 / 15), use.part("chirp", 2 / 3)
-    narrow = chirps(middle, small * all_motors, 8.0, 25.0, 3.0, turned)
-    slow = chirps(middle, use.sweep * all_motors, 0.25, 0.5, 4.0, turned)
-    other = chirps(middle, back * all_motors, 7.0, 1.5, 3.0, turned[::-1])
+    narrow = chirps(middle, small * all_motors, 8.0, 25.0, 3.0, shift)
+    slow = chirps(middle, use.sweep * all_motors, 0.25, 0.5, 4.0, shift)
+    other = chirps(middle, back * all_motors, 7.0, 1.5, 3.0, shift[::-1])
     jumps = middle + draw.uniform(-use.step, use.step, (16, motors))
     phases = [
-        Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), use="transition"),
+        transition("unfold", "all legs to the middle of their reach", 1.5, middle),
         Phase("hold", "all legs held", 0.6, hold(middle)),
         Phase("sweep slowly", f"every motor {use.sweep:g} rad to both sides, three strokes", 4.0, slow),
         Phase("chirp", f"every motor {use.chirp:g} rad to both sides, from 0.5 to 10 Hz", 8.0, wide),
         Phase("fast chirp", f"every motor {small:g} rad to both sides, from 8 to 25 Hz", 3.0, narrow),
         Phase("steps", f"every motor jumps by up to {use.step:g} rad to both sides, 16 times", 4.0, steps(jumps, 0.25)),
     ]
+    what = f"motors without servo: pulses of {1e3 * PULSE:g} ms and up to {use.duty:g} duty there and back"
     for height in np.concatenate([draw.permutation([use.part("duty", share) for share in HEIGHTS]) for _ in range(2)]):
-        phases += [
-            Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="transition"),
-            Phase(
-                "PWM pulses",
-                f"motors without servo: pulses of {1e3 * PULSE:g} ms and up to {use.duty:g} duty there and back",
-                BURST,
-                _pulses(height * draw.choice([-1.0, 1.0], motors) * draw.uniform(0.7, 1.0, motors)),
-                Mode.PWM,
-            ),
-        ]
+        pulses = _pulses(height * draw.choice([-1.0, 1.0], motors) * draw.uniform(0.7, 1.0, motors))
+        phases += [_to_middle(middle, 0.5), Phase("PWM pulses", what, BURST, pulses, Mode.PWM)]
     phases += [
-        Phase("centre", "all legs back to the middle", 0.7, go_to(middle, 0.3), use="transition"),
+        _to_middle(middle, 0.7),
         Phase("chirp back", f"every motor {back:g} rad to both sides, from 7 to 1.5 Hz", 3.0, other, use="check"),
         Phase("hold", "all legs held", 0.3, hold(middle), use="check"),
     ]
@@ -68,40 +65,31 @@ def motor_plan(robot: RobotDescription) -> Plan:
 
 
 def _pulses(height: Array) -> Signal:
-    """There, back for twice as long, and there again: the motor ends near where it began."""
+    """Return pulses there, back for twice as long, and there again: the motor ends near where it began."""
 
     def signal(t: float, start: Array) -> Array:
-        part = int(t / PULSE + 1e-9)
-        sign = {0: 1.0, 1: -1.0, 2: -1.0, 3: 1.0}.get(part, 0.0)
-        return sign * height
+        return {0: 1.0, 1: -1.0, 2: -1.0, 3: 1.0}.get(int(t / PULSE + 1e-9), 0.0) * height
 
     return signal
 
 
 def latency_plan(robot: RobotDescription) -> Plan:
-    """Spikes of a single command, the shortest that a robot takes; then motions that the servo follows."""
+    """Return the plan of the latency experiment: spikes of a single command, then motions that the servo follows."""
     motors, use = robot.num_motors, robot.experiments
     draw = generator(0, "latency experiment")
     middle = robot.pose_angles(0.0, use.stance)
-    turned = np.where(np.arange(motors) % 2 == 0, 0.0, np.pi / 2)
+    shift = np.where(np.arange(motors) % 2 == 0, 0.0, np.pi / 2)
     small, most = use.part("chirp", 0.4), use.part("step", 5 / 7)
-    fast = chirps(middle, np.full(motors, small), 2.0, 20.0, 3.0, turned)
+    fast = chirps(middle, np.full(motors, small), 2.0, 20.0, 3.0, shift)
     jumps = middle + draw.uniform(-most, most, (8, motors))
     phases = [
-        Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), use="transition"),
+        transition("unfold", "all legs to the middle of their reach", 1.5, middle),
         Phase("hold", "all legs held", 0.5, hold(middle)),
     ]
-    for _ in range(GROUPS):
-        phases += [
-            Phase(
-                "spikes",
-                f"motors without servo: {SPIKES} spikes of {use.spike:g} duty, one command long, to and fro",
-                SPIKES * SPIKE_EVERY,
-                _spikes(use.spike * draw.choice([-1.0, 1.0], motors)),
-                Mode.PWM,
-            ),
-            Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="transition"),
-        ]
+    what = f"motors without servo: {SPIKES} spikes of {use.spike:g} duty, one command long, to and fro"
+    for _ in range(SPIKE_PHASES):
+        spikes = _spikes(use.spike * draw.choice([-1.0, 1.0], motors))
+        phases += [Phase("spikes", what, SPIKES * SPIKE_PERIOD, spikes, Mode.PWM), _to_middle(middle, 0.5)]
     phases += [
         Phase("chirp", f"every motor {small:g} rad to both sides, from 2 to 20 Hz", 3.0, fast),
         Phase("steps", f"every motor jumps by up to {most:g} rad to both sides, 8 times", 2.0, steps(jumps, 0.25)),
@@ -113,10 +101,10 @@ def latency_plan(robot: RobotDescription) -> Plan:
 
 
 def _spikes(height: Array) -> Signal:
-    """A spike in the first command after each multiple of `SPIKE_EVERY`, turned round each time."""
+    """Return spikes of one command every `SPIKE_PERIOD`, with alternating sign."""
 
     def signal(t: float, start: Array) -> Array:
-        which, since = divmod(t + 1e-9, SPIKE_EVERY)
-        return height * (1.0 if which % 2 == 0 else -1.0) if since < _SHORT else np.zeros_like(height)
+        number, since = divmod(t + 1e-9, SPIKE_PERIOD)
+        return height * (1.0 if number % 2 == 0 else -1.0) if since < _SPIKE_LENGTH else np.zeros_like(height)
 
     return signal

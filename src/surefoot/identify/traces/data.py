@@ -1,4 +1,4 @@
-"""Segments of recorded runs that can be fitted: which rows, when their torques were given, how motors moved between.
+"""Segments of recorded runs that can be fitted: usable rows, times of their torques, motion between readings.
 
 A trace's row of the time t holds, with control latency L_c, servo latency L_s and an age a of its torque:
 
@@ -24,30 +24,30 @@ from surefoot.task.trace import EpisodeTrace
 Rows = NDArray[np.int64]
 
 MIN_LENGTH = 2.0
-"""Least length of all traces together that is fitted [s]."""
+"""Least length of all traces together [s]."""
 MAX_LENGTH = 40.0
-"""Length [s] beyond which rows are left out evenly."""
+"""Length [s] beyond which rows are subsampled."""
 HELD_OUT = 0.25
-"""Share of the traces, or of the one trace's time, that is not fitted."""
+"""Share of the traces, or of the one trace's time, that is held out."""
 REAL_TIME_SPREAD = 5e-4
-"""Standard deviation of times in real time [s]: half a servo step either way, and what commands come early or late. In
-runs of an emulator in real time latencies were found up to 1.1 ms off."""
+"""Standard deviation of times in real time [s]: half a servo step either way, and jitter of commands. In runs of an
+emulator in real time estimates of latencies were up to 1.1 ms off."""
 _READINGS = 4
 """Readings of one polynomial."""
 
 
 @dataclass(frozen=True)
 class TorqueTiming:
-    """When the torque of a row was given."""
+    """When the torque of a row acted."""
 
     age: float
     """Time from then to the row's [s]."""
     spread: float
-    """Standard deviation of what is not known about it, and so about latencies [s]."""
+    """Its standard deviation, and so that of latencies [s]."""
 
 
 def torque_timings(robot: RobotDescription, trace: EpisodeTrace) -> tuple[TorqueTiming, ...]:
-    """Return what is possible for a trace.
+    """Return the possible timings of a trace.
 
     A simulation, and a robot in lockstep, report at the control step's end the torque of the servo step that ended
     then. A robot in real time reports the torque of the servo step that ended last, one to two servo steps after it
@@ -62,7 +62,7 @@ def torque_timings(robot: RobotDescription, trace: EpisodeTrace) -> tuple[Torque
 
 
 class MotorMotion:
-    """How a trace's motors moved between its readings.
+    """Motion of a trace's motors between its readings.
 
     Between two readings the angle is the polynomial of degree 7 that has the angles and speeds of four, two before and
     two after, as Hermite's of degree 3 has those of two. A speed is the last servo step's difference of angles over its
@@ -80,8 +80,8 @@ class MotorMotion:
         powers = np.arange(2 * _READINGS)
         angles = at[:, :, None] ** powers
         slopes = powers * (at[:, :, None] - self.half_servo_step) ** np.maximum(powers - 1, 0)
-        given = np.concatenate([trace.motor_angle[readings], trace.motor_velocity[readings] * self.step], axis=1)
-        self.coefficients = np.linalg.solve(np.concatenate([angles, slopes], axis=1), given)
+        conditions = np.concatenate([trace.motor_angle[readings], trace.motor_velocity[readings] * self.step], axis=1)
+        self.coefficients = np.linalg.solve(np.concatenate([angles, slopes], axis=1), conditions)
         """Of rising powers of the time since an interval's start, in control steps (T - 3, 8, M)."""
 
     def at(self, time: Array) -> tuple[Array, Array]:
@@ -104,7 +104,7 @@ class TraceSegment:
     """Rows of one trace."""
 
     trace: EpisodeTrace
-    moved: MotorMotion
+    motors: MotorMotion
     rows: Rows
     """Which of them are compared (n,)."""
     number: int
@@ -113,7 +113,7 @@ class TraceSegment:
 
     @property
     def target(self) -> Array:
-        """Motor angles that were asked for when the torques were given (n, M) [rad]."""
+        """Motor angles that were commanded when the torques acted (n, M) [rad]."""
         late = int(np.floor(self.timing.age / self.trace.meta["control_step"] + 1e-6))
         return self.trace.target[self.rows - late]
 
@@ -123,18 +123,18 @@ class TraceSegment:
         return self.trace.motor_torque[self.rows]
 
     def motion(self, age: float, control_latency: float) -> tuple[Array, Array]:
-        """Return angles [rad] and speeds [rad/s] (n, M) `age` [s] before the torques were given."""
-        return self.moved.at(self.trace.time[self.rows] + control_latency - self.timing.age - age)
+        """Return angles [rad] and speeds [rad/s] (n, M) `age` [s] before the torques acted."""
+        return self.motors.at(self.trace.time[self.rows] + control_latency - self.timing.age - age)
 
 
 def time_jumps(trace: EpisodeTrace) -> NDArray[np.bool_]:
-    """Return the rows (T - 1,) after which time does not go on by a control step."""
+    """Return the rows (T - 1,) after which time does not advance by a control step."""
     step = float(trace.meta["control_step"])
     return np.abs(np.diff(trace.time) - step) > 0.25 * step
 
 
 def usable_rows(trace: EpisodeTrace, earliest: float, latest: float) -> Rows:
-    """Return rows of a trace around which readings follow each other without a gap.
+    """Return the rows of a trace without gaps in the readings around them.
 
     A row is compared with readings from `earliest` [s] before it to `latest` [s] after it.
     """
@@ -155,17 +155,19 @@ def usable_rows(trace: EpisodeTrace, earliest: float, latest: float) -> Rows:
 
 
 def check_traces(robot: RobotDescription, traces: Sequence[EpisodeTrace]) -> None:
-    """Refuse no traces, and traces of another robot, a dry run, or motors of another kind."""
+    """Refuse an empty sequence, and traces of another robot, a dry run, or motors of another kind."""
     if not traces:
         raise SurefootError("there are no traces; give one or more")
     for number, trace in enumerate(traces):
-        meta, who = trace.meta, f"trace {number + 1} of {len(traces)}"
+        meta, where = trace.meta, f"trace {number + 1} of {len(traces)}"
         if meta["robot"] != robot.name or tuple(meta["motor_names"]) != robot.motor_names:
-            raise SurefootError(f"{who}: is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
+            raise SurefootError(f"{where}: is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
         if meta.get("dry_run"):
-            raise SurefootError(f"{who}: is of a dry run: its targets were never sent; give runs of an armed robot")
+            raise SurefootError(f"{where}: is of a dry run: its targets were never sent; give runs of an armed robot")
         if meta.get("actuator", "dc") != "dc":
-            raise SurefootError(f"{who}: has motors of kind '{meta['actuator']}'; only DC motors ('dc') can be fitted")
+            raise SurefootError(
+                f"{where}: has motors of kind '{meta['actuator']}'; only DC motors ('dc') can be fitted"
+            )
 
 
 def make_segments(
@@ -195,7 +197,7 @@ def make_segments(
 
 
 def split_segments(segments: Sequence[TraceSegment]) -> tuple[list[TraceSegment], list[TraceSegment]]:
-    """Return what is fitted, thinned out if it is long, and what is kept back."""
+    """Return the fitted segments, subsampled if they are long, and the held-out ones."""
     segments = [segment for segment in segments if len(segment.rows)]
     if len(segments) == 1:
         (whole,) = segments
@@ -204,11 +206,11 @@ def split_segments(segments: Sequence[TraceSegment]) -> tuple[list[TraceSegment]
     else:
         last = max(round(HELD_OUT * len(segments)), 1)
         fitted, held = segments[:-last], segments[-last:]
-    return thinned(fitted, max(int(np.ceil(_length(fitted) / MAX_LENGTH)), 1)), held
+    return subsample(fitted, max(int(np.ceil(_length(fitted) / MAX_LENGTH)), 1)), held
 
 
-def thinned(segments: Sequence[TraceSegment], every: int) -> list[TraceSegment]:
-    """Return segments with one row of so many."""
+def subsample(segments: Sequence[TraceSegment], every: int) -> list[TraceSegment]:
+    """Return segments with one row of `every`."""
     return [replace(segment, rows=segment.rows[::every]) for segment in segments]
 
 

@@ -1,6 +1,6 @@
-"""The picture of an identification: intervals beside what was known, correlations, measured and simulated.
+"""The picture of an identification: intervals beside prior values, correlations, measured and simulated.
 
-The report's page calls and writes its numbers as the picture does.
+The report's page has the same names and numbers.
 """
 
 from __future__ import annotations
@@ -26,41 +26,41 @@ _PAPER: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
 _BAR: dict[str, Any] = {"fmt": "o", "markersize": 4.5, "capsize": 3.0, "linewidth": 1.6}
 _SMALL: dict[str, Any] = {"va": "center", "ha": "center", "fontsize": 7.5, "bbox": _PAPER}
 _COLUMNS = 3
-_MOST = 2000
+_MAX_POINTS = 2000
 """Points of a series that are drawn: more can't be seen."""
-_DIGITS = 6
+_MAX_DIGITS = 6
 """Most digits behind the point; numbers that need more are written with powers of ten."""
 
 
 def identification_figure(
-    found: Identification, robot: RobotDescription, known: PhysicalParams, path: str | Path
+    result: Identification, robot: RobotDescription, prior: PhysicalParams, path: str | Path
 ) -> Path:
-    """Draw what was found.
+    """Draw an identification.
 
-    Single numbers have their intervals in percent of what was `known` before (one row); numbers of motors have a panel
-    each, in their own unit. Below stand what was measured and what is simulated, before and after.
+    Single numbers have their intervals in percent of the `prior` values (one row); numbers of motors have a panel each,
+    in their own unit. Below stand measured and simulated series, before and after.
     """
-    single, several = _sorted(found.estimates)
+    single, several = _group(result.estimates)
     rows: list[tuple[float, list[float], list[Callable[[Axes], None]]]] = []
-    if single or found.correlations:
-        drawn: list[Callable[[Axes], None]] = (
-            [partial(_intervals, items=single, robot=robot, known=known)] if single else []
-        )
-        if found.correlations:
-            drawn.append(partial(_correlations, found=found, robot=robot))
-        height = max(1.1 + 0.25 * len(single), 1.1 + 0.62 * max(len(found.correlations), 2))
-        rows.append((height, [1.5, 1.0][: len(drawn)], drawn))
+    panels: list[Callable[[Axes], None]] = []
+    if single:
+        panels.append(partial(_intervals, items=single, robot=robot, prior=prior))
+    if result.correlations:
+        panels.append(partial(_correlations, result=result, robot=robot))
+    if panels:
+        height = 1.1 + max(0.25 * len(single), 0.62 * max(len(result.correlations), 2))
+        rows.append((height, [1.5, 1.0][: len(panels)], panels))
     for i in range(0, len(several), _COLUMNS):
-        groups = several[i : i + _COLUMNS]
-        rows.append((2.7, [1.0] * len(groups), [partial(_motors, items=g, robot=robot, known=known) for g in groups]))
-    for i in range(0, len(found.series), 2):
-        pair = found.series[i : i + 2]
-        rows.append((3.0, [1.0] * len(pair), [partial(_series, series=one) for one in pair]))
+        panels = [partial(_motors, items=group, robot=robot, prior=prior) for group in several[i : i + _COLUMNS]]
+        rows.append((2.7, [1.0] * len(panels), panels))
+    for i in range(0, len(result.series), 2):
+        panels = [partial(_series, series=one) for one in result.series[i : i + 2]]
+        rows.append((3.0, [1.0] * len(panels), panels))
     with new_figure(path, (WIDTH, sum(height for height, _, _ in rows) + 0.5)) as (figure, (unused,)):
         unused.remove()
-        figure.suptitle(f"{found.experiment}: {found.robot}", x=0.01, ha="left", fontweight="bold")
+        figure.suptitle(f"{result.experiment}: {result.robot}", x=0.01, ha="left", fontweight="bold")
         if rows:
-            # Rows of their own: what needs room at the side in one takes none from another.
+            # A subfigure for each row: labels at the side of one take no room from another.
             parts = figure.subfigures(len(rows), 1, squeeze=False, height_ratios=[height for height, _, _ in rows])
             for part, (_, widths, panels) in zip(parts[:, 0], rows, strict=True):
                 axes = part.subplots(1, len(panels), squeeze=False, width_ratios=widths)
@@ -69,8 +69,8 @@ def identification_figure(
     return Path(path)
 
 
-def _sorted(estimates: Sequence[ParameterEstimate]) -> tuple[list[ParameterEstimate], list[list[ParameterEstimate]]]:
-    """Single numbers, those of axes among them, and groups of motors."""
+def _group(estimates: Sequence[ParameterEstimate]) -> tuple[list[ParameterEstimate], list[list[ParameterEstimate]]]:
+    """Return single numbers, those of axes among them, and groups of motors."""
     groups: dict[str, list[ParameterEstimate]] = {}
     for item in estimates:
         groups.setdefault(item.name, []).append(item)
@@ -79,62 +79,62 @@ def _sorted(estimates: Sequence[ParameterEstimate]) -> tuple[list[ParameterEstim
     return single, several
 
 
-def _intervals(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescription, known: PhysicalParams) -> None:
-    """Draw intervals in percent of what was known; what was 0 or unknown has its numbers only."""
+def _intervals(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescription, prior: PhysicalParams) -> None:
+    """Draw intervals in percent of the prior values; numbers whose prior is 0 or missing are not drawn."""
     reach = 1.0
     for place, item in enumerate(items):
-        before, (low, high) = prior_value(item, known), item.interval
+        before, (low, high) = prior_value(item, prior), item.interval
         unit = "" if item.unit == "1" else f" {item.unit}"
         width = high - low
         if not item.identifiable:
             ax.text(0.5, place, "not identifiable", transform=ax.get_yaxis_transform(), **_SMALL, color=QUIET)
-            said = ""
+            text = ""
         else:
-            said = f"{number(item.value, width)}  ({number(low, width)} to {number(high, width)}){unit}"
+            text = f"{number(item.value, width)}  ({number(low, width)} to {number(high, width)}){unit}"
             if before is None or before == 0:
-                was = "no parameter" if before is None else "was 0"
+                was = "no parameter" if before is None else "prior is 0"
                 ax.text(0.5, place, was, transform=ax.get_yaxis_transform(), **_SMALL, color=QUIET)
             else:
                 low, value, high = (100 * (x / before - 1) for x in (low, item.value, high))
                 low, high = min(low, high), max(low, high)
                 ax.errorbar(value, place, xerr=[[value - low], [high - value]], **_BAR, color=BLUE)
                 reach = max(reach, abs(low), abs(high))
-        ax.text(1.02, place, said, transform=ax.get_yaxis_transform(), va="center", fontsize=8.0, color=INK)
+        ax.text(1.02, place, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8.0, color=INK)
     ax.axvline(0.0, color=QUIET, linewidth=0.9, linestyle=(0, (4, 3)), zorder=0.5)
     ax.set_xlim(-1.12 * reach, 1.12 * reach)
     ax.set_ylim(len(items) - 0.4, -0.6)
     ax.set_yticks(range(len(items)), [spoken(full_name(item.label, robot)) for item in items])
     ax.tick_params(axis="y", length=0)
     ax.grid(visible=False, axis="y")
-    ax.set_xlabel("difference from what was known before (%), 95 % interval")
+    ax.set_xlabel("difference from the prior value (%), 95 % interval")
     ax.set_title("Single numbers", fontweight="bold")
 
 
-def _correlations(ax: Axes, found: Identification, robot: RobotDescription) -> None:
-    """Draw how far pairs of numbers can't be told apart: at +1 or -1 not at all."""
-    pairs = found.correlations
+def _correlations(ax: Axes, result: Identification, robot: RobotDescription) -> None:
+    """Draw the correlations of pairs of numbers: at +1 or -1 they are indistinguishable."""
+    pairs = result.correlations
     for place, (one, other, value) in enumerate(pairs):
         ax.barh(place, value, 0.3, color=ORANGE if value < 0 else BLUE, alpha=0.45, linewidth=0)
-        said = "\nand ".join(spoken(full_name(label, robot)) for label in (one, other))
-        ax.text(0.0, place - 0.42, said, **_SMALL, linespacing=1.0)
+        text = "\nand ".join(spoken(full_name(label, robot)) for label in (one, other))
+        ax.text(0.0, place - 0.42, text, **_SMALL, linespacing=1.0)
         ax.text(value / 2, place, f"{value:+.2f}", ha="center", va="center", fontsize=7.5, color=INK)
     ax.axvline(0.0, color=QUIET, linewidth=0.9, zorder=0.5)
     ax.set_xlim(-1.0, 1.0)
     ax.set_ylim(max(len(pairs), 2) - 0.6, -0.8)
     ax.set_yticks([])
     ax.grid(visible=False)
-    ax.set_xlabel("correlation of what is not known about them")
-    ax.set_title("Hardly told apart", fontweight="bold")
+    ax.set_xlabel("correlation of their errors")
+    ax.set_title("Hardly distinguishable", fontweight="bold")
 
 
-def _motors(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescription, known: PhysicalParams) -> None:
-    """Draw one number of each motor with its interval, over what was known."""
+def _motors(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescription, prior: PhysicalParams) -> None:
+    """Draw one number of each motor with its interval, over the prior value."""
     count = max(item.index or 0 for item in items) + 1
     names = index_names(items[0].name, robot)
     if len(names) < count:
         names = tuple(map(str, range(count)))
     for item in items:
-        place, before = item.index or 0, prior_value(item, known)
+        place, before = item.index or 0, prior_value(item, prior)
         if before is not None:
             ax.plot([place - 0.38, place + 0.38], [before, before], color=QUIET, linewidth=1.2, linestyle=(0, (2, 1.5)))
         if not item.identifiable:
@@ -152,13 +152,13 @@ def _motors(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescriptio
     ax.grid(visible=False, axis="x")
     unit = "" if items[0].unit == "1" else f" ({items[0].unit})"
     ax.set_title(f"{spoken(items[0].name).capitalize()}{unit}", fontweight="bold", pad=18.0)
-    ax.text(0.0, 1.03, "dashed: known before", transform=ax.transAxes, fontsize=7.5, color=QUIET)
+    ax.text(0.0, 1.03, "dashed: prior", transform=ax.transAxes, fontsize=7.5, color=QUIET)
     ax.margins(y=0.15)
 
 
 def _series(ax: Axes, series: Series) -> None:
-    """Draw what was measured, and what is simulated with what was known and with what was found."""
-    every = max(math.ceil(len(series.x) / _MOST), 1)
+    """Draw a measured series, and those simulated with the prior parameters and with the estimates."""
+    every = max(math.ceil(len(series.x) / _MAX_POINTS), 1)
     x = np.asarray(series.x, float)[::every]
     drawn: tuple[tuple[str, Any, dict[str, Any]], ...] = (
         ("before", series.before, {"color": ORANGE, "linewidth": 1.1, "linestyle": (0, (4, 2))}),
@@ -184,12 +184,12 @@ def _series(ax: Axes, series: Series) -> None:
 
 
 def _brackets(label: str) -> str:
-    """Units in round brackets, as in other figures."""
+    """Return a label with units in round brackets, as in other figures."""
     return label.replace("[", "(").replace("]", ")")
 
 
 def index_names(name: str, robot: RobotDescription) -> tuple[str, ...]:
-    """What the indices of a number stand for: motors, or axes; empty where that is not known."""
+    """Return the names of a number's indices: motors, or axes; empty if there are none."""
     motors = tuple(motor.removesuffix("_motor") for motor in robot.motor_names)
     if name not in PARAMETERS:
         return motors if name.startswith(("motor", "torque")) else ("x", "y", "z")
@@ -197,24 +197,24 @@ def index_names(name: str, robot: RobotDescription) -> tuple[str, ...]:
 
 
 def full_name(label: str, robot: RobotDescription) -> str:
-    """A number's label with the motor's or axis' name in place of its index."""
+    """Return a number's label with the motor's or axis' name in place of its index."""
     name, _, rest = label.partition("[")
     names = index_names(name, robot)
     index = int(rest.rstrip("]")) if rest.rstrip("]").isdigit() else -1
     return f"{name} {names[index]}" if 0 <= index < len(names) else label
 
 
-def prior_value(item: ParameterEstimate, known: PhysicalParams) -> float | None:
-    """What a physical parameter was before; None for other numbers."""
+def prior_value(item: ParameterEstimate, prior: PhysicalParams) -> float | None:
+    """Return the prior value of a physical parameter; None for other numbers."""
     if item.name not in PhysicalParams.names():
         return None
-    values = getattr(known, item.name)[0]
+    values = getattr(prior, item.name)[0]
     return float(np.mean(values) if item.index is None else np.atleast_1d(values)[item.index])
 
 
-def cells(item: ParameterEstimate, known: PhysicalParams) -> tuple[str, str, str]:
-    """What was known of a number, what was found and its interval, as texts; empty where there is none."""
-    before, (low, high) = prior_value(item, known), item.interval
+def cells(item: ParameterEstimate, prior: PhysicalParams) -> tuple[str, str, str]:
+    """Return the prior value of a number, the estimate and its interval, as texts; empty where there is none."""
+    before, (low, high) = prior_value(item, prior), item.interval
     width = high - low if item.identifiable else math.nan
     was = "" if before is None else number(before, width)
     if not item.identifiable:
@@ -223,8 +223,8 @@ def cells(item: ParameterEstimate, known: PhysicalParams) -> tuple[str, str, str
 
 
 def number(value: float, width: float) -> str:
-    """A number with as many digits as its interval is worth: two of half its width, which is NaN if there is none."""
+    """Return a number with two digits of half its interval's width, which is NaN if there is none."""
     if not (math.isfinite(width) and width > 0 and math.isfinite(value)):
         return f"{value:.4g}"
     digits = 1 - math.floor(math.log10(width / 2))
-    return f"{value:.{max(digits, 0)}f}" if digits <= _DIGITS else f"{value:.3g}"
+    return f"{value:.{max(digits, 0)}f}" if digits <= _MAX_DIGITS else f"{value:.3g}"

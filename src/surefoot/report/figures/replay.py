@@ -1,4 +1,4 @@
-"""The picture of a replay: what the joints that move were told and told, and how far simulators are from it."""
+"""The figure of a replay: commands and angles of the joints that move, and errors of simulators."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from surefoot.robot import RobotDescription
 
 SHOWN = 3.0
 """Length [s] of the log that is drawn, from its start."""
-_MOST_JOINTS = 8
+_MAX_JOINTS = 8
 _WIDTH, _HEIGHT = 11.0, 1.7
 
 
@@ -26,10 +26,10 @@ def draw_replay(
         robot: whose joints they are.
         errors: of surefoot.
         beside: of another record of the same commands.
-        label: what the other one is called.
+        label: name of the other record.
     """
     log = errors.log
-    joints = np.flatnonzero(log.moving)[:_MOST_JOINTS].tolist()
+    joints = np.flatnonzero(log.moving)[:_MAX_JOINTS].tolist()
     with new_figure(path, (_WIDTH, 0.8 + _HEIGHT * len(joints)), len(joints), 2, sharex=True) as (figure, axes):
         legend = f"surefoot {1e3 * errors.rms:.1f} mrad"
         legend += "" if beside is None else f", {label} {1e3 * beside.rms:.1f} mrad"

@@ -48,11 +48,11 @@ class ImportedRobot:
     axes: Array
     """Directions of the axes (4, m, 3), exactly along x or y."""
     limits: Array
-    """Least and greatest angles (4, m, 2) [rad]."""
+    """Ranges of the angles (4, m, 2) [rad]."""
     torque: Array
-    """Greatest torques (4, m) [N m]."""
+    """Torque limits (4, m) [N m]."""
     speed: Array
-    """Greatest speeds (4, m) [rad/s]."""
+    """Speed limits (4, m) [rad/s]."""
     damping: Array
     """Viscous friction (4, m) [N m s/rad]."""
     friction: Array
@@ -84,7 +84,7 @@ class ImportedRobot:
 
     @property
     def knee_bends(self) -> Array:
-        """Least and greatest bends beta (4, 2) [rad] of the knees (see `serial_leg`); NaN without limits."""
+        """Ranges of the bends beta (4, 2) [rad] of the knees (see `serial_leg`); NaN without limits."""
         upper, lower = np.arctan2(-self.links[..., 0], -self.links[..., 1])
         at_zero = (lower - upper + math.pi) % (2 * math.pi) - math.pi
         limits = np.where(np.ptp(self.limits[:, -1:], axis=-1) <= 2 * math.pi, self.limits[:, -1], np.nan)
