@@ -140,7 +140,7 @@ class GapCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; returns the exit code."""
+    """Run the command with the words after its name; return the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
     from surefoot.cli.helpers.policies import load_policies, run_policy
     from surefoot.world.registry import find_world
