@@ -65,9 +65,9 @@ def untimed(row: dict[str, object]) -> dict[str, object]:
 def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TASK)
     (tmp_path / "space.yaml").write_text(SPACE)
-    with cluster(tmp_path, cpus=1) as made:
-        second = made.join()
-        process = start(tmp_path, "--trials", "3", "--ray", made.address)
+    with cluster(tmp_path, cpus=1) as nodes:
+        second = nodes.join()
+        process = start(tmp_path, "--trials", "3", "--ray", nodes.address)
         # One trial on each computer, both well before their ends, whichever of the three they are.
         wait(lambda: sum(5 <= len(rows(tmp_path, number)) <= 2 * UPDATES // 3 for number in range(3)) == 2)
         second.kill()
@@ -81,7 +81,7 @@ def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> Non
         assert errors == ""
         journal = tmp_path / "out/trials.log"
         journal.write_bytes(journal.read_bytes()[:-3])
-        result = surefoot(*SEARCH, "--trials", "3", "--ray", made.address, "--resume", cwd=tmp_path)
+        result = surefoot(*SEARCH, "--trials", "3", "--ray", nodes.address, "--resume", cwd=tmp_path)
         assert result.returncode == 0, result.stderr
         assert result.stderr == ""
         assert "trials.log: the last record was cut off and is removed" in result.stdout

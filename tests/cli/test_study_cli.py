@@ -87,11 +87,11 @@ def test_a_study_goes_on_after_kills_and_interrupts(tmp_path: Path) -> None:
 
     # Ctrl-C saves.
     process.send_signal(signal.SIGINT)
-    shown, errors = process.communicate(timeout=300)
+    output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
-    assert re.search(r"drawn +seed 0 +lost ", shown)
-    assert re.search(r"drawn +seed 0 +stopped ", shown)
-    assert "The same command goes on" in shown
+    assert re.search(r"drawn +seed 0 +lost ", output)
+    assert re.search(r"drawn +seed 0 +stopped ", output)
+    assert "The same command goes on" in output
     assert errors == ""
     assert all((tmp_path / "runs/tiny" / g / "seed_0/checkpoints/latest.ckpt").exists() for g in groups)
 
@@ -219,9 +219,9 @@ def test_a_study_of_the_reality_gap(
     worlds.clear()
     before = (out / "episodes.csv").read_text()
     assert main(["study", "gaps.yaml"]) == 0
-    shown = capsys.readouterr().out
-    assert "all 2 trainings are finished" in shown
-    assert "return at home" not in shown
+    output = capsys.readouterr().out
+    assert "all 2 trainings are finished" in output
+    assert "return at home" not in output
     assert (out / "episodes.csv").read_text() == before
 
 
