@@ -79,7 +79,7 @@ def test_load_refuses_a_flipped_bit(recorded: Recording, robot: RobotDescription
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 16
     path.write_bytes(content)
-    assert "is no file of arrays" in refused(path, robot)
+    assert "no file of arrays" in refused(path, robot)
 
 
 def test_load_names_missing_and_unknown_entries(recorded: Recording, robot: RobotDescription, tmp_path: Path):
