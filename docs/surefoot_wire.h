@@ -57,7 +57,7 @@ enum surefoot_mode {
     SUREFOOT_MODE_DISARMED = 0, /* Motors are damped; commands are refused. */
     SUREFOOT_MODE_POSITION = 1, /* Servos follow position commands. */
     SUREFOOT_MODE_PWM = 2,      /* Motors get the duty that is sent, for identification. */
-    SUREFOOT_MODE_FAULT = 3     /* Motors are damped because something went wrong, and stay so until armed anew. */
+    SUREFOOT_MODE_FAULT = 3     /* Motors are damped because of a fault, and stay so until armed anew. */
 };
 
 /* Why a robot refuses something, or has damped its motors. */
@@ -88,7 +88,7 @@ typedef struct {
     uint64_t time;     /* [1e-6 s] when it was sent, on the sender's clock */
 } surefoot_header;
 
-/* Ask for the robot. Starts a session, or goes on with one; the answer is `Handshake`, or `Fault` with BUSY. */
+/* Start a session, or continue one; the answer is `Handshake`, or `Fault` with BUSY. */
 typedef struct {
     uint16_t session;      /* number of the session, drawn by the operator; not 0 */
     uint32_t state_period; /* [1e-6 s] time between two states while no command comes */
@@ -99,7 +99,7 @@ typedef struct {
     uint32_t token; /* comes back in the pong */
 } surefoot_ping;
 
-/* Let the motors follow commands of one kind; asked again it changes the times. */
+/* Let the motors follow commands of one kind; a repeated message changes the times. */
 typedef struct {
     uint16_t session;        /* the operator's session */
     uint8_t mode;            /* Mode.POSITION or Mode.PWM */
@@ -134,7 +134,7 @@ typedef struct {
     uint16_t session; /* the operator's session */
 } surefoot_bye;
 
-/* What the robot is. */
+/* Name, motors and limits of the robot. */
 typedef struct {
     uint16_t session;                      /* the session that it belongs to */
     char robot[24];                        /* name of the robot */
@@ -146,8 +146,8 @@ typedef struct {
     float servo_kd[SUREFOOT_MOTORS];       /* [s/rad] derivative gains, duty per speed; joint actuators: N m s/rad */
     uint32_t command_period_min;           /* [1e-6 s] shortest time between commands */
     uint32_t command_period_max;           /* [1e-6 s] longest time between commands */
-    float angle_low[SUREFOOT_MOTORS];      /* [rad] least motor angles that a command may ask for */
-    float angle_high[SUREFOOT_MOTORS];     /* [rad] greatest motor angles that a command may ask for */
+    float angle_low[SUREFOOT_MOTORS];      /* [rad] least motor angles that a command may request */
+    float angle_high[SUREFOOT_MOTORS];     /* [rad] greatest motor angles that a command may request */
     float tilt_limit;                      /* [rad] roll or pitch beyond which the robot damps itself */
     float voltage_min;                     /* [V] battery voltage below which the robot damps itself */
     float temperature_max;                 /* [degC] motor temperature beyond which the robot damps itself */
@@ -160,7 +160,7 @@ typedef struct {
     uint32_t token; /* the ping's */
 } surefoot_pong;
 
-/* What the robot's sensors tell; sent `report_after` each command, and by itself while none come. */
+/* Readings of the robot's sensors; sent `report_after` each command, and periodically while none come. */
 typedef struct {
     uint16_t session;                      /* operator that the robot obeys; 0: none */
     uint8_t mode;                          /* see Mode */
@@ -178,7 +178,7 @@ typedef struct {
     uint8_t temperature[SUREFOOT_MOTORS];  /* [degC] motors */
 } surefoot_state;
 
-/* Something was refused or went wrong. */
+/* A refusal or a fault. */
 typedef struct {
     uint16_t session; /* operator that it is meant for; 0: whoever listens */
     uint8_t reason;   /* see Reason */

@@ -34,12 +34,6 @@ def prefix_errors(where: object) -> Iterator[None]:
         raise SurefootError(f"{where}: {error}") from error.__cause__
 
 
-def check_at_least(name: str, number: float, least: int) -> None:
-    """Refuse a number that is too small, by its name."""
-    if number < least:
-        raise SurefootError(f"{name} is {number}; it must be {least} or more")
-
-
 def check_name(what: str, name: str) -> None:
     """Refuse a name that is not safe as the name of a file or folder; `what` says what is so called."""
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}", name):

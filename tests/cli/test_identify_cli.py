@@ -46,15 +46,15 @@ def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) 
     log, out = tmp_path / "motor.csv", tmp_path / "motor.png"
     words = ["motor-figure", "--out", out, "--json"]
     assert identify(*words, "--world", "bullet", "--record", log, "--duration", 0.5).returncode == 0
-    told = json.loads(identify(*words, "--log", log).stdout)
-    assert told["against"] == str(log)
+    output = json.loads(identify(*words, "--log", log).stdout)
+    assert output["against"] == str(log)
     # The same laws in another engine come out the same; another law does not.
-    assert told["rms_error"]["dc"] < 0.002
-    assert told["rms_error"]["constraint"] > 5 * told["rms_error"]["dc"]
+    assert output["rms_error"]["dc"] < 0.002
+    assert output["rms_error"]["constraint"] > 5 * output["rms_error"]["dc"]
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "output"),
     [
         (
             ["tail"],
@@ -84,17 +84,17 @@ def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) 
         (["motor-figure", "--world", "moon"], "world 'moon' does not exist"),
     ],
 )
-def test_what_does_not_fit_is_told_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], told: str
+def test_identify_refuses_invalid_options_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], output: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     done = identify(*words)
     done.stderr = "".join(line for line in done.stderr.splitlines(True) if "warning" not in line)
-    refused(done, told)
+    refused(done, output)
     assert not list(tmp_path.iterdir())
 
 
-def test_without_words_all_experiments_are_told():
+def test_identify_without_words_lists_the_experiments():
     done = identify()
     assert done.returncode == 2
     assert identify("--help").stdout == done.stderr
@@ -148,7 +148,7 @@ def run_bare(*words: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
-    """Folder of an experiment that was recorded on the robot's computer, and what was said."""
+    """Folder of an experiment that was recorded on the robot's computer, and what was message."""
     pytest.importorskip("mujoco")
     folder = tmp_path_factory.mktemp("contact")
     with emulators(EmulatorHere) as start:
@@ -157,15 +157,15 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
         return folder / "run", run_bare(*words)
 
 
-def test_recording_needs_the_bare_install_only(recorded: Recorded):
+def test_record_only_needs_the_bare_install(recorded: Recorded):
     folder, done = recorded
     assert done.returncode == 0, done.stderr
     assert [path.name for path in folder.iterdir()] == ["recording.npz"]
     assert done.stdout.startswith("contact experiment with minitaur on flat ground, ")
     phases = [phase.name for phase in EXPERIMENTS["contact"].plan(RobotDescription.load("minitaur")).phases]
     phases = [name for name in phases if name not in ("drop", "rock")]
-    for told in (phases[0], "drag x 2", "ends with damped motors when a motor leaves", "N m for 0.4 s"):
-        assert told in done.stdout
+    for output in (phases[0], "drag x 2", "ends with damped motors when a motor leaves", "N m for 0.4 s"):
+        assert output in done.stdout
     assert f"contact experiment recorded: {folder / 'recording.npz'}" in done.stdout
     assert f"to fit it: surefoot identify contact --recording {folder}" in done.stdout
     # A line a phase, where there is no terminal; nothing but plain text.
@@ -176,7 +176,7 @@ def test_recording_needs_the_bare_install_only(recorded: Recorded):
     assert "\x1b" not in done.stdout + done.stderr
 
 
-def test_a_recording_is_never_written_over(recorded: Recorded):
+def test_identify_never_overwrites_a_recording(recorded: Recorded):
     path = recorded[0] / "recording.npz"
     before = path.read_bytes()
     done = identify("contact", "--port", "/dev/none", "--yes", "--record-only", "--out", path.parent)
@@ -200,17 +200,17 @@ def test_a_recording_is_fitted(recorded: Recorded, robot: RobotDescription, tmp_
     low, high = found.tables["intervals"]["contact_friction"]
     assert low <= found.params.contact_friction[0] <= high
     assert found.params.contact_friction[0] == pytest.approx(0.7, abs=0.2)
-    told = found.tables["identified"]["contact"]
-    assert told["file"] == str(folder / "recording.npz")
+    output = found.tables["identified"]["contact"]
+    assert output["file"] == str(folder / "recording.npz")
     assert found.tables["identified_by"]["contact_friction"] == "contact"
     assert (out / "report.png").read_bytes().startswith(b"\x89PNG")
-    assert told["data"] in (out / "report.html").read_text()
+    assert output["data"] in (out / "report.html").read_text()
     # Once more, with what is known now, as one object; without --params beside the report.
     again = tmp_path / "again"
     done = identify("contact", "--recording", folder / "recording.npz", "--json", "--out", again)
     assert done.returncode == 0, done.stderr
     found_again: dict[str, Any] = json.loads(done.stdout)
-    assert found_again["digest"] == told["data"]
+    assert found_again["digest"] == output["data"]
     assert found_again["lacks"] == ["motor", "mass"]
     assert found_again["files"][0] == str(again / "robot.toml")
     (friction,) = (item for item in found_again["estimates"] if item["name"] == "contact_friction")
@@ -219,7 +219,7 @@ def test_a_recording_is_fitted(recorded: Recorded, robot: RobotDescription, tmp_
     assert "contact_friction" in tomllib.loads((again / "robot.toml").read_text())["params"]
 
 
-def test_a_computer_that_can_not_fit_says_so_before_anything_moves(tmp_path: Path):
+def test_identify_refuses_before_motion_without_fit_libraries(tmp_path: Path):
     done = run_bare("latency", "--port", "/dev/none", "--lockstep", "--yes", "--out", tmp_path / "out")
     assert done.returncode == 2
     assert "the fit needs mujoco, which is not installed: pip install 'surefoot[sim]'; surefoot identify latency" in (
@@ -229,7 +229,7 @@ def test_a_computer_that_can_not_fit_says_so_before_anything_moves(tmp_path: Pat
     assert not (tmp_path / "out").exists()
 
 
-def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: EmulatorHere, tmp_path: Path):
+def test_ctrl_c_ends_an_experiment_and_keeps_the_recording(hanging: EmulatorHere, tmp_path: Path):
     out = tmp_path / "out"
     phase = EXPERIMENTS["motor"].plan(RobotDescription.load("minitaur")).phases[3].name
     words = ["motor", "--port", hanging.port, "--lockstep", "--yes", "--out", out]
@@ -241,28 +241,28 @@ def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: EmulatorHere, tmp_p
         if f"surefoot: {phase}, 4 of " in line:
             process.send_signal(signal.SIGINT)
             break
-    said, errors = process.communicate(timeout=60)
+    message, errors = process.communicate(timeout=60)
     assert process.returncode == 3
     with np.load(out / "recording.npz") as file:
         ended = json.loads(str(file["meta"]))["ended"]
     assert ended == f"stopped by the operator (in phase '{phase}')"
     assert f": {ended}; recorded until then: {out / 'recording.npz'}" in errors
-    assert "to fit it" not in said
+    assert "to fit it" not in message
     assert [path.name for path in out.iterdir()] == ["recording.npz"]
     # What was stopped is not fitted later either.
     refused(identify("motor", "--recording", out), "did not come to its end: stopped by the operator")
 
 
 def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDescription):
-    said = make_handshake(robot, Limits.from_robot(robot), "", robot.timing.servo_step)
-    refuse_another_robot(said, robot)
-    signs = np.array(said.motor_signs, float)
+    message = make_handshake(robot, Limits.from_robot(robot), "", robot.timing.servo_step)
+    refuse_another_robot(message, robot)
+    signs = np.array(message.motor_signs, float)
     signs[3] *= -1
     for other, why in (
-        (replace(said, robot="cat"), "robot: it is 'cat', the data sheet is of 'minitaur'"),
-        (replace(said, motor_names=said.motor_names[::-1]), "motors: motor 0 is '"),
-        (replace(said, servo_period=0.002), "servo period: 2 ms; the data sheet says 1 ms"),
-        (replace(said, motor_signs=signs), f"motor signs: {robot.motor_names[3]} has "),
+        (replace(message, robot="cat"), "robot: it is 'cat', the data sheet is of 'minitaur'"),
+        (replace(message, motor_names=message.motor_names[::-1]), "motors: motor 0 is '"),
+        (replace(message, servo_period=0.002), "servo period: 2 ms; the data sheet says 1 ms"),
+        (replace(message, motor_signs=signs), f"motor signs: {robot.motor_names[3]} has "),
     ):
         with pytest.raises(SurefootError, match=re.escape(f"the robot is not as on its data sheet: {why}")):
             refuse_another_robot(other, robot)
@@ -276,7 +276,7 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize(("answer", "code"), [("n\n", 2), ("\n", 2), ("yes\n", 0)])
-def test_a_terminal_is_asked(
+def test_experiment_asks_at_a_terminal(
     hanging: EmulatorHere, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: str, code: int
 ):
     latency = EXPERIMENTS["latency"]
@@ -286,7 +286,7 @@ def test_a_terminal_is_asked(
     monkeypatch.setattr("sys.stdin", Terminal(answer))
     monkeypatch.chdir(tmp_path)
     done = identify("latency", "--port", hanging.port, "--lockstep", "--record-only", "--out", "out", "--json")
-    said, errors = done.stdout, done.stderr
+    message, errors = done.stdout, done.stderr
     assert done.returncode == code, errors
     # The plan comes first, then the question; stdout is the object's alone.
     question = errors.index("Motors will move. Does the robot hang free, its legs in the air? [y/N] ")
@@ -294,32 +294,32 @@ def test_a_terminal_is_asked(
     assert ("not begun; nothing has moved" in errors) == (code == 2)
     assert Path("out/recording.npz").exists() == (code == 0)
     if code == 0:
-        told = json.loads(said)
-        assert (told["experiment"], told["ended"]) == ("latency", "complete")
-        assert told["recording"] == "out/recording.npz"
+        output = json.loads(message)
+        assert (output["experiment"], output["ended"]) == ("latency", "complete")
+        assert output["recording"] == "out/recording.npz"
     else:
-        assert said == ""
+        assert message == ""
 
 
-def test_what_should_come_before_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_identify_warns_of_missing_experiments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("matplotlib")
     monkeypatch.chdir(tmp_path)
     Path("known.toml").write_text("[params]\n[identified.motor]\ndate = 2026-01-01\n")
-    for name, params, told in (
+    for name, params, output in (
         ("contact", (), "contact should come after motor and mass, and no --params FILE is given"),
         ("contact", ("--params", "known.toml"), "contact should come after mass, and known.toml has no results of it"),
         ("latency", ("--params", "new.toml"), ""),
     ):
         done = identify(name, "--port", "/dev/none", "--yes", *params)
         assert done.returncode == 2
-        assert told in done.stderr
-        assert ("warning" in done.stderr) == bool(told)
+        assert output in done.stderr
+        assert ("warning" in done.stderr) == bool(output)
 
 
 # --- recorded runs ----------------------------------------------------------------------------------------
 
 
-def test_runs_that_were_recorded_tell_too(tmp_path: Path):
+def test_identify_from_traces(tmp_path: Path):
     pytest.importorskip("mujoco")
     pytest.importorskip("matplotlib")
     traces, out = tmp_path / "traces", tmp_path / "out"
@@ -327,9 +327,9 @@ def test_runs_that_were_recorded_tell_too(tmp_path: Path):
     assert surefoot(*words).returncode == 0
     done = identify("--from-trace", traces, "--fit", "motor_strength", "--out", out, "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["experiment"] == "traces"
-    assert told["traces"] == [str(traces / f"episode_00{i}.npz") for i in range(2)]
+    output = json.loads(done.stdout)
+    assert output["experiment"] == "traces"
+    assert output["traces"] == [str(traces / f"episode_00{i}.npz") for i in range(2)]
     found = tomllib.loads((out / "robot.toml").read_text())
     assert set(found["params"]) == {"motor_strength"}
     assert np.mean(found["params"]["motor_strength"]) == pytest.approx(0.9, abs=0.03)
@@ -338,7 +338,7 @@ def test_runs_that_were_recorded_tell_too(tmp_path: Path):
     refused(done, "traces can't identify 'contact_friction'; choices: motor_strength")
 
 
-def test_logs_of_a_robot_with_joint_actuators_tell_and_one_is_held_out(tmp_path: Path):
+def test_identify_from_logs_with_one_held_out(tmp_path: Path):
     pytest.importorskip("mujoco")
     pytest.importorskip("matplotlib")
     from surefoot.identify.logs.robot_log import RobotLog
@@ -356,17 +356,17 @@ def test_logs_of_a_robot_with_joint_actuators_tell_and_one_is_held_out(tmp_path:
         command = np.tile(np.tile([0.0, 0.6, -1.2], 4), (len(time), 1))
         command[:, 1] += 0.3 * np.sin(rate * time)
         blank = RobotLog(name, time, command, read, np.full((71, 12), np.nan), np.full((71, 4), np.nan))
-        told = replayer.run(segment_from_log(blank, pupper), truth)
-        np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=told.motor_angle[0])
+        output = replayer.run(segment_from_log(blank, pupper), truth)
+        np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=output.motor_angle[0])
     refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick'; logs: fast, slow")
     refused(identify("--from-trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
     how = ("--rack", "fast", "slow", "--hold-out", "fast", "--fit", "control_latency", "--out", out)
     done = identify(*words, *how, "--json")
     assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
-    assert said["logs"] == [str(logs / name) for name in ("fast.npz", "slow.npz")]
+    message = json.loads(done.stdout)
+    assert message["logs"] == [str(logs / name) for name in ("fast.npz", "slow.npz")]
     found = tomllib.loads((out / "robot.toml").read_text())["params"]
     assert found["control_latency"] == pytest.approx(0.030, abs=0.001)
-    assert [check["what"] for check in said["checks"]] == ["slow.npz, fitted", "fast.npz, held out"]
-    for check in said["checks"]:
+    assert [check["what"] for check in message["checks"]] == ["slow.npz, fitted", "fast.npz, held out"]
+    for check in message["checks"]:
         assert check["after"] < 0.5 * check["before"], check

@@ -44,7 +44,7 @@ def edited(path: Path, changes: dict[str, Any]) -> Path:
             "column 1 is 'roll_rate' (policy), 'pitch' (data sheet)",
         ),
         ({"robot": "spot"}, "policy 'trot' must not run on minitaur: it is for robot 'spot'"),
-        ({"schema": 1}, "has schema 1; this surefoot reads schema 2: export the policy again"),
+        ({"schema": 1}, "has schema 1; this surefoot reads schema 2: use the version that wrote it"),
     ],
 )
 def test_load_policy_refuses_a_contract_of_another_robot(changes: dict[str, Any], why: str, tmp_path: Path):

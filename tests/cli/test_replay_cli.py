@@ -16,15 +16,15 @@ from surefoot.task.trace import EpisodeTrace
 DATA = Path(__file__).parents[2] / "data" / "pupper_v2"
 
 
-def test_the_identified_robot_hangs_as_the_real_one_did(capsys: pytest.CaptureFixture[str]):
+def test_replay_with_identified_parameters_has_small_errors(capsys: pytest.CaptureFixture[str]):
     words = [str(DATA / "one_hip_200hz.npz"), "--robot", "pupper_v2", "--rack", "--json"]
     assert main(["replay", *words, "--params", "identified"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["moving"] == ["rightFrontUpperLegMotor"]
-    assert told["rms"] == told["rms_by_motor"]["rightFrontUpperLegMotor"] < 0.021 / 5
-    assert set(told["rms_imu"]) == {"roll", "pitch", "roll_rate", "pitch_rate"}
+    output = json.loads(capsys.readouterr().out)
+    assert output["moving"] == ["rightFrontUpperLegMotor"]
+    assert output["rms"] == output["rms_by_motor"]["rightFrontUpperLegMotor"] < 0.021 / 5
+    assert set(output["rms_imu"]) == {"roll", "pitch", "roll_rate", "pitch_rate"}
     assert main(["replay", *words]) == 0
-    assert json.loads(capsys.readouterr().out)["rms"] > told["rms"]
+    assert json.loads(capsys.readouterr().out)["rms"] > output["rms"]
 
 
 def test_an_imported_log_replays_as_the_log_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -32,11 +32,11 @@ def test_an_imported_log_replays_as_the_log_itself(tmp_path: Path, capsys: pytes
     log, trace, figure = DATA / "one_hip_200hz.npz", tmp_path / "trace.npz", tmp_path / "figure.png"
     assert main(["trace", "import", str(log), "--robot", "pupper_v2", "--out", str(trace)]) == 0
     assert "missing: motor_velocity, motor_torque" in capsys.readouterr().out
-    told = []
+    output = []
     for path in (log, trace):
         assert main(["replay", str(path), "--robot", "pupper_v2", "--rack", "--json"]) == 0
-        told.append(json.loads(capsys.readouterr().out))
-    assert told[0]["rms_by_motor"] == told[1]["rms_by_motor"]
+        output.append(json.loads(capsys.readouterr().out))
+    assert output[0]["rms_by_motor"] == output[1]["rms_by_motor"]
     beside = str(DATA / "published_simulator" / "one_hip_200hz.npz")
     words = ["--robot", "pupper_v2", "--rack", "--beside", beside, "--out", str(figure)]
     assert main(["replay", str(log), *words]) == 0
@@ -44,24 +44,24 @@ def test_an_imported_log_replays_as_the_log_itself(tmp_path: Path, capsys: pytes
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
-def test_what_an_import_found_is_told_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_trace_import_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     np.savez(tmp_path / "log.npz", time=[0.0, 0.01, 0.01, 0.03], command=np.linspace(0, 1, 48).reshape(4, 12))
     words = ["trace", "import", str(tmp_path / "log.npz"), "--robot", "pupper_v2", "--out", str(tmp_path / "trace.npz")]
     assert main([*words, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["missing"][0] == "motor_angle"
-    assert (told["timing"]["rows"], told["timing"]["repeated_times"]) == (4, pytest.approx(1 / 3))
-    assert EpisodeTrace.load(told["trace"]).num_steps == 4
+    output = json.loads(capsys.readouterr().out)
+    assert output["missing"][0] == "motor_angle"
+    assert (output["timing"]["rows"], output["timing"]["repeated_times"]) == (4, pytest.approx(1 / 3))
+    assert EpisodeTrace.load(output["trace"]).num_steps == 4
     assert main(["trace", "export"]) == 2
     assert "'export' is not an action; choices: import" in capsys.readouterr().err
     assert (main(["trace"]), main(["trace", "--help"])) == (2, 0)
-    said = capsys.readouterr()
-    assert said.out == said.err
-    assert said.out.startswith("usage: surefoot trace ACTION")
+    message = capsys.readouterr()
+    assert message.out == message.err
+    assert message.out.startswith("usage: surefoot trace ACTION")
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--params", "nothing"], "params is 'nothing'; it must be a file (.toml), or a name; those of pupper_v2: id"),
         (["--world", "newton"], "world 'newton' does not exist; choices: mujoco, bullet"),
@@ -69,12 +69,12 @@ def test_what_an_import_found_is_told_as_json(tmp_path: Path, capsys: pytest.Cap
         (["--set", "mass=1"], "'mass' is not a physical parameter"),
     ],
 )
-def test_words_that_do_not_fit(words: list[str], said: str, capsys: pytest.CaptureFixture[str]):
+def test_replay_refuses_invalid_options(words: list[str], message: str, capsys: pytest.CaptureFixture[str]):
     assert main(["replay", str(DATA / "one_hip_200hz.npz"), "--robot", "pupper_v2", *words]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
-def test_a_log_that_is_too_short(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_replay_refuses_a_short_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     command = np.zeros((5, 12))
     command[:, 1] = np.arange(5) / 10
     np.savez(tmp_path / "log.npz", time=0.01 * np.arange(5), command=command, motor_angle=command)

@@ -1,4 +1,4 @@
-"""A robot for tests of the host's side: the true protocol, and a body whose motors go where they are sent at once."""
+"""A robot for tests of the host's side: the real protocol, and motors that reach their targets at once."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class ToyRobot:
 
     Attributes:
         sensors: called with the robot's time [s] and its readings, may return others.
-        heard: messages that came, oldest first.
+        received: received messages, oldest first.
         cut: the cable has been pulled.
-        silent: what the robot says is lost.
+        silent: what the robot sends is lost.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -37,7 +37,7 @@ class ToyRobot:
         self._decoder = Decoder(self.codec)
         self.angle = robot.pose_angles(np.zeros(4), np.full(4, 0.9))
         self.sensors: Callable[[float, Sensors], Sensors] = lambda time, readings: readings
-        self.heard: list[tuple[float, Message]] = []
+        self.received: list[tuple[float, Message]] = []
         self.cut = self.silent = False
         self._now = 0
         self._ticked = -1000
@@ -58,7 +58,7 @@ class ToyRobot:
         return self.sensors(now / 1e6, plain)
 
     def run_to(self, now: int) -> None:
-        """Let time go on, a millisecond at a time; states go out at their moments."""
+        """Run to a time in steps of a millisecond, and send states that are due."""
         firmware = self.firmware
         while self._ticked + 1000 <= now:
             self._ticked += 1000
@@ -76,9 +76,9 @@ class ToyRobot:
             due = max(firmware.next_state, 0)
             readings = self._readings(due)
             firmware.report(due, lambda readings=readings: readings)
-            self._say()
+            self._send()
 
-    def _say(self) -> None:
+    def _send(self) -> None:
         for frame in self.firmware.take():
             if not self.silent:
                 self._out += encode_frame(self.codec, frame.message, frame.sequence, frame.time)
@@ -88,17 +88,17 @@ class ToyRobot:
             raise LinkLostError("port toy is gone")
         for frame in self._decoder.feed(data):
             self.run_to(max(round(frame.time * 1e6), self._now))
-            self.heard.append((frame.time, frame.message))
+            self.received.append((frame.time, frame.message))
             self.firmware.receive(self._now, frame)
-            self._say()
+            self._send()
         return len(data)
 
     def read(self) -> bytes:
         if self.cut:
             raise LinkLostError("port toy is gone")
-        said = bytes(self._out)
+        data = bytes(self._out)
         self._out.clear()
-        return said
+        return data
 
     def wait(self, timeout: float) -> None:
         pass
@@ -107,19 +107,19 @@ class ToyRobot:
         pass
 
     def kinds(self) -> list[str]:
-        """Names of the messages that came, runs of the same one once."""
-        names = [type(message).__name__ for _, message in self.heard if type(message).__name__ != "Ping"]
+        """Return the names of the received messages, each once in a row, without pings."""
+        names = [type(message).__name__ for _, message in self.received if type(message).__name__ != "Ping"]
         return [name for k, name in enumerate(names) if k == 0 or names[k - 1] != name]
 
 
 @dataclass
 class MonitorLog(RunMonitor):
-    """Somebody who monitors, and remembers."""
+    """A monitor that keeps what it takes."""
 
     phases: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     snapshots: list[Snapshot] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
+    recordings: list[str] = field(default_factory=list)
 
     def phase(self, name: str, duration: float) -> None:
         self.phases.append(name)
@@ -128,7 +128,7 @@ class MonitorLog(RunMonitor):
         self.warnings.append(text)
 
     def recording(self, text: str) -> None:
-        self.said.append(text)
+        self.recordings.append(text)
 
     def tick(self, snapshot: Snapshot) -> None:
         self.snapshots.append(snapshot)

@@ -1,4 +1,4 @@
-"""What has to be right before a robot is armed, on a computer whose stalls the tests decide."""
+"""Checks before a robot is armed, on a computer whose stalls the tests decide."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from surefoot.deploy.clock import LockstepClock
@@ -22,7 +23,7 @@ STEP = 0.006
 
 
 class Computer:
-    """A computer's own clock: it is woken late as it pleases, and the robot does not wait for it."""
+    """A computer's own clock, which may wake late; the robot does not wait for it."""
 
     def __init__(self, lockstep: LockstepClock) -> None:
         self._clock = lockstep
@@ -66,17 +67,17 @@ def connect(deployment: Deployment) -> None:
     deployment.connect(lambda handshake: None)
 
 
-def test_a_punctual_computer_goes_through_so_many_steps_once_and_commands_nothing(deployment, toy, monitor):
+def test_a_punctual_computer_checks_its_timing_once_and_commands_nothing(deployment, toy, monitor):
     connect(deployment)
     assert monitor.phases == ["connect", "check timing"]
-    kinds = {type(message) for _, message in toy.heard}
+    kinds = {type(message) for _, message in toy.received}
     assert Ping in kinds
     assert not kinds & {Arm, Position}
-    spent = toy.heard[-1][0]
+    spent = toy.received[-1][0]
     assert PUNCTUAL * STEP < spent < (PUNCTUAL + 40) * STEP
 
 
-def test_what_is_slow_only_at_first_is_forgiven(deployment, computer, monitor):
+def test_a_computer_that_is_slow_at_first_passes(deployment, computer, monitor):
     begun: list[float] = []
 
     def late(moment: float) -> float:
@@ -92,7 +93,7 @@ def test_what_is_slow_only_at_first_is_forgiven(deployment, computer, monitor):
     assert monitor.phases.count("check timing") == 4
 
 
-def test_a_computer_that_stalls_again_and_again_arms_no_robot(deployment, computer, toy, monitor):
+def test_a_computer_that_keeps_stalling_arms_no_robot(deployment, computer, toy, monitor):
     last = [0.0]
 
     def late(moment: float) -> float:
@@ -105,23 +106,21 @@ def test_a_computer_that_stalls_again_and_again_arms_no_robot(deployment, comput
     with pytest.raises(SurefootError, match=r"not armed: \d+ control steps in a row were missed; at most 2"):
         connect(deployment)
     assert monitor.phases.count("check timing") == TRIES
-    assert Arm not in {type(message) for _, message in toy.heard}
+    assert Arm not in {type(message) for _, message in toy.received}
 
 
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [("voltage", 13.5, "the battery has 13.5 V, below 14 V"), ("temperature", 85.0, "a motor has 85 degC; at most 80")],
 )
-def test_a_battery_that_is_low_or_a_motor_that_is_hot_from_the_start(deployment, toy, name, value, text):
-    def worse(time, readings):
-        return replace(readings, **{name: readings.temperature * 0 + value if name == "temperature" else value})
-
-    toy.sensors = worse
+def test_a_low_battery_or_a_hot_motor_at_the_start_is_refused(deployment, toy, name, value, text):
+    reading = np.full(8, value) if name == "temperature" else value
+    toy.sensors = lambda time, readings: replace(readings, **{name: reading})
     with pytest.raises(SurefootError, match=f"the robot is not armed: {text}"):
         connect(deployment)
 
 
-def test_who_asks_to_stop_meanwhile_is_not_told_of_an_error(deployment, toy):
+def test_a_stop_while_timing_is_checked_is_no_error(deployment, toy):
     deployment.operator.stops = 1
     connect(deployment)
-    assert Arm not in {type(message) for _, message in toy.heard}
+    assert Arm not in {type(message) for _, message in toy.received}

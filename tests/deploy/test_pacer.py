@@ -1,4 +1,4 @@
-"""The beat of the control loop, on a clock that tests move; nothing comes between the loop and its moment."""
+"""Timing of the control loop, on a clock that tests move, and what keeps the process in time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from surefoot.deploy.pacer import LoopTiming, Pacer, undisturbed
 
 
 class HandClock:
-    """A clock that wakes late when it is told to."""
+    """A clock that wakes late once."""
 
     def __init__(self) -> None:
         self.time = 10.0
@@ -35,7 +35,7 @@ def test_steps_come_at_whole_periods():
 
 
 @pytest.mark.parametrize(("late", "missed"), [(0.001, 0), (0.0059, 0), (0.0061, 1), (0.0125, 2), (0.0181, 3)])
-def test_a_step_that_starts_a_period_late_is_missed_and_the_beat_stays(late, missed):
+def test_a_step_that_starts_a_period_late_is_missed_and_due_times_stay(late, missed):
     clock = HandClock()
     pacer = Pacer(clock, 0.006)
     pacer.next()
@@ -49,7 +49,7 @@ def test_a_step_that_starts_a_period_late_is_missed_and_the_beat_stays(late, mis
     assert following.due == pytest.approx(tick.due + 0.006)
 
 
-def test_a_new_count_takes_the_place_of_the_next_step():
+def test_a_restart_takes_the_place_of_the_next_step():
     clock = HandClock()
     pacer = Pacer(clock, 0.006)
     for _ in range(3):
@@ -65,6 +65,7 @@ def test_a_new_count_takes_the_place_of_the_next_step():
 
 def test_figures_are_in_milliseconds():
     timing = LoopTiming(100)
+    assert timing.figures()["lateness_median_ms"] is None
     for k in range(101):
         timing.add(k * 1e-5, 1e-3 + k * 1e-5, 2e-4 if k % 2 else float("nan"), 0, True)
     timing.add(0.0, 0.0, float("nan"), 2, False)
@@ -77,31 +78,23 @@ def test_figures_are_in_milliseconds():
     assert timing.last(2).tolist() == pytest.approx([0.98e-3, 0.99e-3])
 
 
-def test_figures_of_nothing_are_none():
-    assert LoopTiming(3).figures()["lateness_median_ms"] is None
-
-
-def test_nothing_is_collected_while_it_lasts():
+def test_undisturbed_collects_no_garbage_and_ends_also_after_an_exception():
     before = sys.getswitchinterval()
-    with undisturbed():
-        assert not gc.isenabled()
-        assert sys.getswitchinterval() < before
-    assert gc.isenabled()
-    assert sys.getswitchinterval() == pytest.approx(before)
 
-
-def test_it_ends_also_when_something_breaks():
-    def broken() -> None:
+    def fail() -> None:
         with undisturbed():
+            assert not gc.isenabled()
+            assert sys.getswitchinterval() < before
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        broken()
+        fail()
     assert gc.isenabled()
+    assert sys.getswitchinterval() == pytest.approx(before)
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
 
 
-def test_without_the_right_it_does_with_less(monkeypatch):
+def test_undisturbed_works_without_the_right_to_priority(monkeypatch):
     def refused(*_: object) -> None:
         raise PermissionError
 

@@ -1,4 +1,4 @@
-"""Poses and the way between them."""
+"""Poses, and the motion between them."""
 
 from __future__ import annotations
 
@@ -10,41 +10,32 @@ import pytest
 from surefoot.deploy.poses import lying_pose, minimum_jerk, sitting_pose
 
 
-def test_a_pose_is_the_same_for_all_legs(robot):
-    swing, extension = robot.to_pose(robot.pose_angles(0.1, 2.0))
-    assert swing == pytest.approx([0.1] * 4)
-    assert extension == pytest.approx([2.0] * 4)
+def test_a_robot_sits_with_all_legs_alike(robot):
     np.testing.assert_allclose(robot.to_pose(sitting_pose(robot)), [[0.0] * 4, [0.9] * 4], atol=1e-12)
 
 
-def test_the_way_starts_and_ends_at_rest():
+def test_minimum_jerk_starts_and_ends_at_rest():
     start, end = np.array([0.0, 1.0]), np.array([2.0, -1.0])
     assert minimum_jerk(start, end, 0.0).tolist() == [0.0, 1.0]
     assert minimum_jerk(start, end, 1.0).tolist() == [2.0, -1.0]
+    assert minimum_jerk(1.0, 2.0, -3.0) == 1.0
+    assert minimum_jerk(1.0, 2.0, 3.0) == 2.0
     assert minimum_jerk(start, end, 0.5) == pytest.approx([1.0, 0.0])
     # 10 s^3 - 15 s^4 + 6 s^5 at s = 1/4, by hand: 106/1024.
     assert minimum_jerk(start, end, 0.25) == pytest.approx([2 * 106 / 1024, 1 - 2 * 106 / 1024])
     share = np.linspace(0.0, 1.0, 1001)
-    way = np.array([minimum_jerk(0.0, 1.0, s) for s in share])
-    speed = np.gradient(way, share)
-    assert np.all(np.diff(way) >= 0.0)
+    path = np.array([minimum_jerk(0.0, 1.0, s) for s in share])
+    speed = np.gradient(path, share)
+    assert np.all(np.diff(path) >= 0.0)
     assert speed[[0, -1]] == pytest.approx(0.0, abs=1e-5)
     assert speed.max() == pytest.approx(15 / 8, rel=1e-5)
 
 
-def test_the_way_never_leaves_its_ends():
-    assert minimum_jerk(1.0, 2.0, -3.0) == 1.0
-    assert minimum_jerk(1.0, 2.0, 3.0) == 2.0
-
-
 def test_legs_that_lie_aside_are_laid_flat_on_their_side(robot):
-    found = robot.pose_angles(np.array([-0.8, 0.9, 0.1, -0.2]), np.array([0.1, 0.2, 0.9, 0.5]))
-    swing, extension = robot.to_pose(lying_pose(robot, found))
+    present = robot.pose_angles(np.array([-0.8, 0.9, 0.1, -0.2]), np.array([0.1, 0.2, 0.9, 0.5]))
+    swing, extension = robot.to_pose(lying_pose(robot, present))
     assert swing == pytest.approx([-1.2, 1.2, 0.0, 0.0])
     assert extension == pytest.approx(0.9)
-
-
-def test_all_legs_are_put_as_in_sitting_where_legs_do_not_slide_out(robot):
+    # A robot whose legs do not slide out puts all of them as in sitting.
     stiff = replace(robot, poses=replace(robot.poses, spread=None))
-    found = robot.pose_angles(np.array([-0.8, 0.9, 0.1, -0.2]), np.array([0.1, 0.2, 0.9, 0.5]))
-    np.testing.assert_array_equal(lying_pose(stiff, found), sitting_pose(robot))
+    np.testing.assert_array_equal(lying_pose(stiff, present), sitting_pose(robot))

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from surefoot.deploy.background_file import BackgroundFile
 from surefoot.deploy.recorder import Recorder
-from surefoot.deploy.run_saver import PartialFile, next_free
+from surefoot.deploy.run_saver import next_free
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import RowLayout, make_trace, recover
+from surefoot.task.partial_trace import RowLayout, head_line, make_trace, recover, row_bytes
 
 LAYOUT = RowLayout(motors=8, legs=4, observations=3, actions=8)
 STEP = 0.006
@@ -104,30 +104,29 @@ def test_what_the_robot_does_not_know_is_nan_in_the_trace(recorded):
         make_trace(LAYOUT, recorded[0].rows[:0], META)
 
 
-def test_a_partial_file_gives_the_same_trace(recorded, tmp_path):
-    path = tmp_path / "run.partial"
-    file = PartialFile(path, LAYOUT, META)
+@pytest.fixture
+def partial(recorded, tmp_path):
+    """The partial file of the recorder's rows."""
+    file = BackgroundFile(tmp_path / "run.partial", 0.1)
+    file.add(head_line(LAYOUT, META))
     for row in recorded[0].rows:
-        file.add(row[None])
+        file.add(row_bytes(row[None]))
     file.close()
     assert file.stopped == ""
-    trace = recover(path)
-    assert trace.meta["ended"] == "fault"
-    assert trace.meta["reason"] == "cut off"
+    return file.path
+
+
+def test_a_partial_file_gives_the_same_trace(recorded, partial):
+    trace = recover(partial)
+    assert (trace.meta["ended"], trace.meta["reason"]) == ("fault", "cut off")
     whole = make_trace(LAYOUT, recorded[0].rows, META)
     for name in ("time", "target", "observation", "energy", "roll_pitch_yaw"):
         assert getattr(trace, name).tolist() == getattr(whole, name).tolist()
-    file.remove()
-    assert not path.exists()
 
 
-def test_a_row_that_was_cut_is_left_out(recorded, tmp_path):
-    path = tmp_path / "run.partial"
-    file = PartialFile(path, LAYOUT, META)
-    file.add(recorded[0].rows)
-    file.close()
-    path.write_bytes(path.read_bytes()[:-5])
-    assert recover(path).num_steps == 2
+def test_a_row_that_was_cut_is_left_out(partial):
+    partial.write_bytes(partial.read_bytes()[:-5])
+    assert recover(partial).num_steps == 2
 
 
 @pytest.mark.parametrize(
@@ -156,22 +155,20 @@ def test_a_file_that_is_no_partial_trace_is_refused(content, match, tmp_path):
 
 
 def test_a_file_that_cannot_be_opened_stops_recording(tmp_path):
-    (tmp_path / "file").write_text("")
-    file = PartialFile(tmp_path / "file" / "run.partial", LAYOUT, META)
-    file.add(np.zeros((1, LAYOUT.width)))
+    file = BackgroundFile(tmp_path / "none" / "run.partial", 0.1)
+    file.add(b"row")
     file.close()
-    assert file.stopped
+    assert file.stopped == "No such file or directory"
 
 
-def test_a_run_without_rows_leaves_no_file(tmp_path):
-    file = PartialFile(tmp_path / "run.partial", LAYOUT, META)
-    file.close()
+def test_a_file_without_data_is_not_made(tmp_path):
+    BackgroundFile(tmp_path / "run.partial", 0.1).close()
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_disk_that_does_not_answer_keeps_nobody_waiting(tmp_path, monkeypatch):
-    file = PartialFile(tmp_path / "run.partial", LAYOUT, META)
-    monkeypatch.setattr(file._thread, "join", lambda patience: time.sleep(0))
+    file = BackgroundFile(tmp_path / "run.partial", 0.1)
+    monkeypatch.setattr(file._thread, "join", lambda patience: None)
     monkeypatch.setattr(file._thread, "is_alive", lambda: True)
     file.close()
     assert file.stopped == "the disk does not answer"

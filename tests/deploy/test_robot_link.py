@@ -1,4 +1,4 @@
-"""Greeting a robot, refusals, and what is known of it."""
+"""Connecting to a robot, refusals, and its newest state."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def operator_of(toy, session: int) -> RobotLink:
     return SerialLink(toy, toy.codec, clock, session)
 
 
-def test_a_greeting_is_answered_and_states_follow(link):
+def test_a_handshake_answers_and_states_follow(link):
     handshake = link.connect(state_period=0.006)
     assert handshake.session == 77
     assert handshake.robot == "minitaur"
@@ -28,7 +28,7 @@ def test_a_greeting_is_answered_and_states_follow(link):
     assert link.state_age() <= 0.006 + 1e-9
 
 
-def test_a_robot_can_be_greeted_again_after_it_was_switched_on_anew(toy, link):
+def test_a_robot_that_was_switched_on_anew_is_connected_again(toy, link):
     link.connect(state_period=0.006)
     link.wait_for(lambda: False, 0.1)
     toy.firmware = Firmware(toy.firmware.handshake, toy.firmware.limits)
@@ -38,7 +38,7 @@ def test_a_robot_can_be_greeted_again_after_it_was_switched_on_anew(toy, link):
     assert link.wait_for(lambda: link.states >= states + 3, 0.1)
 
 
-def test_what_a_robot_tells_another_operator_is_forgotten(toy, link):
+def test_states_for_another_operator_are_forgotten(toy, link):
     before = operator_of(toy, 5)
     before.connect(state_period=0.006)
     toy.run_to(50_000)
@@ -50,20 +50,20 @@ def test_what_a_robot_tells_another_operator_is_forgotten(toy, link):
     assert link.state is None
 
 
-def test_a_greeting_that_comes_twice_changes_nothing(toy, link):
-    said = []
-    say = toy._say
+def test_a_repeated_handshake_changes_nothing(toy, link):
+    sent = []
+    send = toy._send
 
     def keep():
         before = len(toy._out)
-        say()
-        said.append(bytes(toy._out[before:]))
+        send()
+        sent.append(bytes(toy._out[before:]))
 
-    toy._say = keep
+    toy._send = keep
     first = link.connect(state_period=0.006)
     link.wait_for(lambda: link.states > 3, 0.1)
     state, sync = link.state, link.sync.offset
-    for data in said:
+    for data in sent:
         toy._out += data
     link.update()
     assert link.handshake is first
@@ -71,7 +71,7 @@ def test_a_greeting_that_comes_twice_changes_nothing(toy, link):
     assert link.sync.offset == sync
 
 
-def test_silence_is_told_in_one_line(toy, monkeypatch):
+def test_a_robot_that_does_not_answer_is_an_error(toy, monkeypatch):
     link = operator_of(toy, 5)
     monkeypatch.setattr(link, "send", lambda message: 0)
     monkeypatch.setattr(link.clock, "wait_until", lambda moment: setattr(link.clock, "_now", moment))
@@ -95,22 +95,8 @@ def test_a_robot_of_another_protocol_is_named(toy, link):
         link.connect()
 
 
-def test_armed_states_come_when_the_next_command_is_due(link):
-    link.connect()
-    link.arm(Mode.POSITION, 0.006)
-    start = link.clock.now()
-    for k in range(10):
-        link.command(Mode.POSITION, np.full(8, 2.0))
-        before = link.states
-        link.clock.wait_until(start + (k + 1) * 0.006)
-        link.update()
-        assert link.states == before + 1
-        assert link.state.mode == Mode.POSITION
-        assert link.state_age() == pytest.approx(0.0, abs=1e-9)
-
-
 @pytest.mark.parametrize("period", [0.006, 0.005, 1 / 180, 0.0070001])
-def test_a_state_is_never_due_after_the_next_command(period, link):
+def test_an_armed_robot_sends_a_state_just_before_the_next_command(period, link):
     """Times of sending are whole microseconds; a period need not be."""
     link.connect()
     link.arm(Mode.POSITION, period)
@@ -121,17 +107,19 @@ def test_a_state_is_never_due_after_the_next_command(period, link):
         link.clock.wait_until(start + (k + 1) * period)
         link.update()
         assert link.states >= before + 1
+        assert link.state.mode == Mode.POSITION
+        assert link.state_age() <= 1.5e-6
 
 
-def test_the_lead_is_what_the_robot_is_asked_for(toy, link):
+def test_a_state_is_requested_the_lead_before_the_next_command(toy, link):
     link.connect()
     link.arm(Mode.POSITION, 0.006, lead=LEAD)
-    arm = next(message for _, message in toy.heard if isinstance(message, Arm))
+    arm = next(message for _, message in toy.received if isinstance(message, Arm))
     assert arm.command_period == pytest.approx(0.006)
     assert arm.report_after == pytest.approx(0.006 - LEAD)
 
 
-def test_the_newest_state_grows_old_when_the_robot_falls_silent(toy, link):
+def test_the_newest_state_ages_when_the_robot_is_silent(toy, link):
     link.connect(state_period=0.006)
     link.wait_for(lambda: link.states > 2, 0.1)
     toy.sensors = lambda time, readings: readings
@@ -140,7 +128,7 @@ def test_the_newest_state_grows_old_when_the_robot_falls_silent(toy, link):
     assert link.state_age() > 0.024
 
 
-def test_goodbye_frees_the_robot(toy, link):
+def test_closing_disarms_and_frees_the_robot(toy, link):
     link.connect()
     link.arm(Mode.POSITION, 0.006)
     link.close()

@@ -56,9 +56,8 @@ def test_a_file_that_cannot_be_written_is_told_at_once(plant, tmp_path):
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full disk here")
 def test_a_full_disk_ends_the_recording_and_not_the_robot(plant, tmp_path):
     capture = CaptureWriter(tmp_path / "a.csv", plant)
-    capture._file.close()
-    capture._file = Path("/dev/full").open("w", encoding="utf-8", buffering=1)  # noqa: SIM115
+    capture.file._file = Path("/dev/full").open("wb", buffering=0)  # noqa: SIM115
     run(capture, plant, 20)
-    assert capture.failed == "No space left on device"
+    assert capture.file.stopped == "No space left on device"
     assert plant.ticks == 20
     capture.close()

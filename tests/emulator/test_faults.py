@@ -1,6 +1,6 @@
 """Faults by name: how they are requested, and what some do to a running robot.
 
-What the others do is seen where they are found: `tests/deploy/test_fault_table.py`, `tests/cli/test_doctor_cli.py`.
+`tests/deploy/test_fault_table.py` and `tests/cli/test_doctor_cli.py` test the others.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ class Rig:
 
     def run(self, microseconds: int) -> list[Packet]:
         self.board.run_to(self.board.now + microseconds)
-        found = self.wire.decoder.feed(self.line.take(self.board.now))
-        self.frames += found
-        return found
+        faults = self.wire.decoder.feed(self.line.take(self.board.now))
+        self.frames += faults
+        return faults
 
     def arm(self) -> None:
         self.send(Hello(ME, 0.010))
@@ -91,19 +91,19 @@ def rig(robot, wire_bytes):
     return make
 
 
-def test_words_become_faults():
-    found = parse_faults(["drop=0.2", "unplug=1.5", "battery-low=13@3.5", "other-robot", "hang", "corrupt@2"])
-    assert list(found) == ["drop", "unplug", "battery-low", "other-robot", "hang", "corrupt"]
-    assert (found["drop"].value, found["drop"].start) == (0.2, 0.0)
-    assert found["unplug"].start == 1.5
-    assert (found["battery-low"].value, found["battery-low"].start) == (13.0, 3.5)
-    assert math.isnan(found["other-robot"].value)
-    assert (found["hang"].value, found["hang"].start) == (FAULTS["hang"].value, 1.0)
-    assert found["corrupt"].start == 2.0
+def test_faults_are_parsed_from_words():
+    faults = parse_faults(["drop=0.2", "unplug=1.5", "battery-low=13@3.5", "other-robot", "hang", "corrupt@2"])
+    assert list(faults) == ["drop", "unplug", "battery-low", "other-robot", "hang", "corrupt"]
+    assert (faults["drop"].value, faults["drop"].start) == (0.2, 0.0)
+    assert faults["unplug"].start == 1.5
+    assert (faults["battery-low"].value, faults["battery-low"].start) == (13.0, 3.5)
+    assert math.isnan(faults["other-robot"].value)
+    assert (faults["hang"].value, faults["hang"].start) == (FAULTS["hang"].value, 1.0)
+    assert faults["corrupt"].start == 2.0
 
 
 @pytest.mark.parametrize(
-    ("word", "said"),
+    ("word", "message"),
     [
         ("melt", "'melt' is no fault; choices: corrupt, drop"),
         ("drop=2", r"fault drop is 2; it must be 0 to 1 \(unit: chance a frame\)"),
@@ -120,8 +120,8 @@ def test_words_become_faults():
         ("flip-sign=0.5", "fault flip-sign is 0.5; it must be a whole number"),
     ],
 )
-def test_what_is_no_fault_is_told(word, said):
-    with pytest.raises(SurefootError, match=said):
+def test_a_fault_that_does_not_exist_or_a_number_out_of_range_is_refused(word, message):
+    with pytest.raises(SurefootError, match=message):
         parse_faults([word])
 
 
@@ -158,7 +158,7 @@ def test_states_come_in_batches_as_some_adapters_deliver_them(rig):
 
 
 @pytest.mark.parametrize(("way", "signs"), [("0", None), ("1", (-1, 1)), ("2", (1, -1)), ("3", (-1, -1))])
-def test_an_imu_that_is_mounted_otherwise(rig, way, signs):
+def test_a_flipped_imu_exchanges_or_negates_roll_and_pitch(rig, way, signs):
     bench = rig(f"imu-flip={way}")
     bench.board.plant.params.imu_bias[0] = [0.1, 0.2]
     bench.arm()
@@ -168,7 +168,7 @@ def test_an_imu_that_is_mounted_otherwise(rig, way, signs):
     np.testing.assert_allclose([roll, pitch], expected, rtol=1e-6)
 
 
-def test_a_microcontroller_that_starts_anew(rig):
+def test_a_reboot_forgets_the_operator(rig):
     bench = rig("reboot=0.1")
     bench.arm()
     bench.walk(16)
@@ -184,7 +184,7 @@ def test_a_microcontroller_that_starts_anew(rig):
     assert isinstance(bench.frames[-1].message, Handshake)
 
 
-def test_a_microcontroller_that_stands_still(rig):
+def test_a_hang_makes_commands_stale(rig):
     bench = rig("hang=0.2@0.1")
     bench.arm()
     bench.walk(16)

@@ -1,4 +1,4 @@
-"""The microcontroller's program: every rule of the protocol, on a clock of the test's own, wherever it runs."""
+"""The microcontroller's program: every rule of the protocol, on a clock of the test, whatever carries the messages."""
 
 from __future__ import annotations
 
@@ -10,24 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from surefoot.deploy.messages import (
-    Arm,
-    Bye,
-    Damp,
-    Disarm,
-    Fault,
-    Handshake,
-    Hello,
-    Message,
-    Mode,
-    Packet,
-    Ping,
-    Pong,
-    Position,
-    Pwm,
-    Reason,
-    State,
-)
+from surefoot.deploy import messages
+from surefoot.deploy.messages import Fault, Handshake, Hello, Message, Mode, Packet, Ping, Pong, Position, Reason, State
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.emulator.firmware import Firmware
@@ -47,11 +31,9 @@ class NoHosts:
 
 
 class Bench:
-    """A microcontroller on a bench: sensors are what the test sets, servo steps come every millisecond.
+    """A microcontroller whose sensors the test sets, with a servo step every millisecond.
 
-    Args:
-        robot: its description.
-        where: "messages" of a host reach the program as they are, or as bytes over a "serial line".
+    Messages of a host reach the program as they are (`where` is "messages"), or as bytes over a "serial line".
     """
 
     def __init__(self, robot: Any, where: str) -> None:
@@ -67,7 +49,7 @@ class Bench:
         self.sensors = Sensors(*(np.zeros(8),) * 3, np.zeros(3), np.zeros(3), 5.0, 16.0, np.full(8, 25.0))
 
     def take(self) -> list[Packet]:
-        """What the robot has sent since, as the host receives it."""
+        """Return what the robot has sent since, as the host receives it."""
         packets = self.firmware.take()
         if self.line is not None:
             for packet in packets:
@@ -77,7 +59,7 @@ class Bench:
         return packets
 
     def run(self, milliseconds: int) -> list[Packet]:
-        """Let time pass; what the robot sends meanwhile."""
+        """Let time pass; return what the robot sends meanwhile."""
         before = len(self.sent)
         for _ in range(milliseconds):
             self.order = self.firmware.tick(self.now, self.vitals)
@@ -87,7 +69,7 @@ class Bench:
         return self.sent[before:]
 
     def send(self, message: Message, sent: float | None = None, number: int | None = None) -> list[Message]:
-        """Send a message, by default now and with the next number; the answers."""
+        """Send a message, by default now and with the next number; return the answers."""
         sent = self.now / 1e6 + 100.0 if sent is None else sent
         if number is None:
             self.number = number = self.number + 1
@@ -100,14 +82,14 @@ class Bench:
     def put(self, data: bytes) -> None:
         """Put bytes on the line to the robot."""
         if self.line is None:
-            self.firmware.note_damage()
+            self.firmware.watch.note_damage()
             return
         self.line.inbound.send(self.now, data)
         while self.line.next_arrival <= self.now:
             self.line.receive(self.now, self.firmware)
 
     def arm(self, mode: Mode = Mode.POSITION, period: float = 0.006, after: float = 0.003) -> list[Message]:
-        return self.send(Arm(ME, int(mode), period, after))
+        return self.send(messages.Arm(ME, int(mode), period, after))
 
     def command(self, times: int, every: int = 6) -> None:
         """Commands in good order."""
@@ -121,7 +103,6 @@ class Bench:
 
 
 WHERE = ("messages", "serial line")
-"""Where the program runs; another firmware is one more."""
 
 
 @pytest.fixture(params=WHERE)
@@ -144,10 +125,6 @@ def armed(owned) -> Bench:
     return owned
 
 
-def kinds(frames: list[Packet]) -> list[str]:
-    return [type(frame.message).__name__ for frame in frames]
-
-
 def fault_of(messages: list[Message]) -> tuple[int, Reason]:
     (message,) = messages
     assert isinstance(message, Fault)
@@ -155,52 +132,51 @@ def fault_of(messages: list[Message]) -> tuple[int, Reason]:
     return message.session, Reason(message.reason)
 
 
-def test_it_tells_what_it_is_and_counts_its_frames_from_one(bench, robot):
-    (said,) = bench.send(Hello(ME, 0.010))
-    assert isinstance(said, Handshake)
-    assert (said.session, said.robot, said.motor_names) == (ME, "minitaur", robot.motor_names)
-    np.testing.assert_array_equal(said.motor_signs, robot.motor_sign)
-    assert said.servo_period == 0.001
-    np.testing.assert_allclose([said.servo_kp, said.servo_kd], [[1.0] * 8, [0.015] * 8])
-    assert (said.command_timeout, said.rearm_after) == (0.050, 0.5)
+def test_a_hello_is_answered_by_the_handshake_and_frames_are_counted_from_one(bench, robot):
+    (sent,) = bench.send(Hello(ME, 0.010))
+    assert isinstance(sent, Handshake)
+    assert (sent.session, sent.robot, sent.motor_names) == (ME, "minitaur", robot.motor_names)
+    np.testing.assert_array_equal(sent.motor_signs, robot.motor_sign)
+    assert sent.servo_period == 0.001
+    np.testing.assert_allclose([sent.servo_kp, sent.servo_kd], [[1.0] * 8, [0.015] * 8])
+    assert (sent.command_timeout, sent.rearm_after) == (0.050, 0.5)
     # Leg space: extension 0.6 to 2.7, swing up to 1; and 1 rad of room.
-    np.testing.assert_allclose([said.angle_low[0], said.angle_high[0]], [-1.4, 4.7])
+    np.testing.assert_allclose([sent.angle_low[0], sent.angle_high[0]], [-1.4, 4.7])
     bench.run(30)
     assert [frame.sequence for frame in bench.sent] == list(range(1, len(bench.sent) + 1))
 
 
 @pytest.mark.parametrize("room", [1.0, 1.01, 1.02, 1.03])
-def test_a_command_at_just_what_the_handshake_allows_is_obeyed(robot, monkeypatch, room):
+def test_a_command_at_the_limits_of_the_handshake_is_obeyed(robot, monkeypatch, room):
     monkeypatch.setattr("surefoot.emulator.limits.ANGLE_ROOM", room)
     bench = Bench(robot, "serial line")
-    (said,) = bench.send(Hello(ME, 0.010))
+    (sent,) = bench.send(Hello(ME, 0.010))
     bench.arm()
-    for angles in (said.angle_low, said.angle_high):
+    for angles in (sent.angle_low, sent.angle_high):
         target = angles.astype(np.float32).astype(np.float64)  # what the host is told
         assert bench.send(Position(ME, target)) == []
         bench.run(1)
         assert bench.firmware.mode == Mode.POSITION
         np.testing.assert_array_equal(bench.order.values, target)
-    bench.send(Position(ME, np.nextafter(said.angle_high.astype(np.float32), np.float32(9))))
+    bench.send(Position(ME, np.nextafter(sent.angle_high.astype(np.float32), np.float32(9))))
     assert bench.firmware.reason == Reason.COMMAND
 
 
-def test_states_come_at_the_period_asked_for_and_stop_with_the_session(owned):
-    said = owned.run(100)
-    assert kinds(said) == ["State"] * 10
-    assert [round(frame.time * 1e3) for frame in said] == list(range(10, 101, 10))
-    state = said[0].message
+def test_states_come_at_the_requested_period_and_stop_with_the_session(owned):
+    sent = owned.run(100)
+    assert [round(frame.time * 1e3) for frame in sent] == list(range(10, 101, 10))
+    state = sent[0].message
     assert isinstance(state, State)
     assert (state.session, state.mode, state.command, state.energy) == (ME, Mode.DISARMED, 0, 0.0)
     owned.send(Hello(ME, 0.020))
     assert len(owned.run(100)) == 5
-    owned.send(Bye(ME))
+    owned.send(messages.Bye(ME))
     assert owned.run(100) == []
 
 
 def test_nobody_owns_it_until_greeted(bench):
     assert bench.run(50) == []
-    assert fault_of(bench.send(Arm(ME, 1, 0.006, 0.003))) == (ME, Reason.SESSION)
+    assert fault_of(bench.send(messages.Arm(ME, 1, 0.006, 0.003))) == (ME, Reason.SESSION)
     assert fault_of(bench.send(Hello(0, 0.01))) == (0, Reason.SESSION)
     assert bench.mode == (Mode.DISARMED, Reason.NONE)
 
@@ -214,40 +190,37 @@ def test_pings_are_answered_for_anybody_whatever_their_number(armed):
     assert armed.firmware.watch.old_numbers == 0
 
 
-def test_damped_is_the_default_and_position_holds_the_angles_that_it_finds(owned):
+def test_armed_motors_hold_their_angles_or_have_no_duty_until_a_command(owned):
     assert owned.order.mode == Mode.DISARMED
     owned.arm()
     owned.vitals = replace(owned.vitals, motor_angle=np.linspace(1, 2, 8))
     owned.run(1)
     assert owned.order.mode == Mode.POSITION
-    np.testing.assert_array_equal(owned.order.values, np.linspace(1, 2, 8))
     owned.vitals = replace(owned.vitals, motor_angle=np.zeros(8))
     owned.run(3)
     np.testing.assert_array_equal(owned.order.values, np.linspace(1, 2, 8))
     owned.send(Position(ME, TARGET))
     owned.run(1)
     np.testing.assert_array_equal(owned.order.values, TARGET)
-
-
-def test_pwm_gets_no_duty_before_the_first_command(owned):
+    owned.send(messages.Disarm(ME))
     owned.arm(Mode.PWM)
     owned.run(1)
     assert owned.order.mode == Mode.PWM
     assert not owned.order.values.any()
-    owned.send(Pwm(ME, np.full(8, -0.5)))
+    owned.send(messages.Pwm(ME, np.full(8, -0.5)))
     owned.run(1)
     np.testing.assert_array_equal(owned.order.values, np.full(8, -0.5))
 
 
-def test_each_command_makes_a_state_due_and_silence_leaves_the_commands_rhythm(armed):
+def test_states_follow_each_command_and_keep_its_period_in_silence(armed):
     start = armed.now
     armed.send(Position(ME, TARGET))
     number = armed.number
-    said = armed.run(20)
+    sent = armed.run(20)
     # 3 ms after the command, and then every 6 ms.
-    assert [round(frame.time * 1e6) - start for frame in said] == [3 * MS, 9 * MS, 15 * MS]
-    assert [frame.message.command for frame in said] == [number] * 3
-    np.testing.assert_allclose([frame.message.command_age for frame in said], [0.003, 0.009, 0.015])
+    assert [round(frame.time * 1e6) - start for frame in sent] == [3 * MS, 9 * MS, 15 * MS]
+    assert [frame.message.command for frame in sent] == [number] * 3
+    np.testing.assert_allclose([frame.message.command_age for frame in sent], [0.003, 0.009, 0.015])
 
 
 def test_arming_again_changes_the_times_only(armed):
@@ -262,24 +235,25 @@ def test_arming_again_changes_the_times_only(armed):
     assert armed.mode == (Mode.POSITION, Reason.NONE)
 
 
-@pytest.mark.parametrize(("period", "after"), [(0.001, 0.001), (0.051, 0.01), (0.006, 0.007)])
-def test_periods_beyond_the_limits_are_refused(owned, period, after):
-    assert fault_of(owned.arm(period=period, after=after)) == (ME, Reason.COMMAND)
+@pytest.mark.parametrize(
+    ("mode", "period", "after", "reason"),
+    [
+        *((Mode.POSITION, *times, Reason.COMMAND) for times in ((0.001, 0.001), (0.051, 0.01), (0.006, 0.007))),
+        *((mode, 0.006, 0.003, Reason.MODE) for mode in (Mode.DISARMED, Mode.FAULT, 17)),
+    ],
+)
+def test_arming_in_another_mode_or_with_periods_beyond_the_limits_is_refused(owned, mode, period, after, reason):
+    assert fault_of(owned.arm(mode, period, after)) == (ME, reason)
     assert owned.mode == (Mode.DISARMED, Reason.NONE)
 
 
-@pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.FAULT, 17])
-def test_only_modes_that_move_can_be_armed(owned, mode):
-    assert fault_of(owned.arm(mode)) == (ME, Reason.MODE)
-
-
 def test_disarm_and_bye_damp_in_good_order(armed):
-    armed.send(Disarm(ME))
+    armed.send(messages.Disarm(ME))
     armed.run(1)
     assert armed.mode == (Mode.DISARMED, Reason.NONE)
     assert armed.order.mode == Mode.DISARMED
     assert armed.arm() == []  # without waiting
-    armed.send(Bye(ME))
+    armed.send(messages.Bye(ME))
     assert (armed.firmware.mode, armed.firmware.owner) == (Mode.DISARMED, 0)
 
 
@@ -288,16 +262,16 @@ def test_silence_damps_after_50_ms(armed):
     start = armed.now
     armed.run(50)
     assert armed.mode == (Mode.POSITION, Reason.NONE)
-    said = armed.run(1)
+    sent = armed.run(1)
     assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
     assert armed.order.mode == Mode.DISARMED
-    fault, state = (frame.message for frame in said)
+    fault, state = (frame.message for frame in sent)
     assert (fault.session, fault.reason) == (ME, Reason.TIMEOUT)
     assert (state.mode, state.reason) == (Mode.FAULT, Reason.TIMEOUT)
-    assert said[0].time * 1e6 - start == 50 * MS
+    assert sent[0].time * 1e6 - start == 50 * MS
 
 
-def test_pings_do_not_feed_the_watchdog(armed):
+def test_pings_do_not_reset_the_watchdog(armed):
     for _ in range(60):
         armed.send(Ping(1))
         armed.run(1)
@@ -334,30 +308,30 @@ def test_a_damaged_frame_makes_the_link_unclean(armed):
 
 def test_a_reason_outlives_its_session(armed):
     armed.run(60)
-    armed.send(Disarm(ME))
+    armed.send(messages.Disarm(ME))
     assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
-    armed.send(Bye(ME))
+    armed.send(messages.Bye(ME))
     assert armed.mode == (Mode.DISARMED, Reason.TIMEOUT)
     armed.number = 0
     armed.send(Hello(OTHER, 0.01))
-    assert fault_of(armed.send(Arm(OTHER, 1, 0.006, 0.003))) == (OTHER, Reason.NOT_CLEAN)
+    assert fault_of(armed.send(messages.Arm(OTHER, 1, 0.006, 0.003))) == (OTHER, Reason.NOT_CLEAN)
 
 
 def test_the_operator_can_damp_at_once(armed):
-    assert fault_of(armed.send(Damp(ME))) == (ME, Reason.HOST)
+    assert fault_of(armed.send(messages.Damp(ME))) == (ME, Reason.HOST)
     armed.run(1)
     assert armed.order.mode == Mode.DISARMED
     assert armed.mode == (Mode.FAULT, Reason.HOST)
 
 
-def test_what_went_wrong_first_counts(armed):
+def test_the_first_fault_is_kept(armed):
     armed.run(60)
-    armed.send(Damp(ME))
+    armed.send(messages.Damp(ME))
     assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 4.8, -1.5])
-def test_a_command_that_is_no_angle_damps_at_once(armed, bad):
+def test_a_command_beyond_the_angles_or_not_finite_damps_at_once(armed, bad):
     target = TARGET.copy()
     target[3] = bad
     assert fault_of(armed.send(Position(ME, target))) == (ME, Reason.COMMAND)
@@ -368,7 +342,7 @@ def test_a_command_that_is_no_angle_damps_at_once(armed, bad):
 @pytest.mark.parametrize("bad", [np.nan, 1.01, -1.01])
 def test_a_duty_beyond_one_damps_at_once(owned, bad):
     owned.arm(Mode.PWM)
-    assert fault_of(owned.send(Pwm(ME, np.full(8, bad)))) == (ME, Reason.COMMAND)
+    assert fault_of(owned.send(messages.Pwm(ME, np.full(8, bad)))) == (ME, Reason.COMMAND)
 
 
 def test_three_commands_with_old_numbers_in_a_row_damp(armed):
@@ -388,10 +362,10 @@ def test_two_old_numbers_between_good_ones_are_dropped_and_counted(armed):
         armed.command(1)
         for _ in range(2):
             armed.send(Position(ME, 0 * TARGET), number=1)
-    said = armed.run(10)
+    sent = armed.run(10)
     assert armed.mode == (Mode.POSITION, Reason.NONE)
     np.testing.assert_array_equal(armed.order.values, TARGET)
-    assert said[0].message.dropped == 20
+    assert sent[0].message.dropped == 20
 
 
 def test_commands_older_than_three_periods_are_dropped(armed):
@@ -457,7 +431,7 @@ def test_the_robot_damps_itself(armed, change, milliseconds, reason):
     assert armed.arm() == []
 
 
-def test_a_moment_of_low_voltage_is_no_empty_battery(armed):
+def test_a_short_sag_of_the_voltage_does_not_damp(armed):
     for voltage in (12.4, 12.6) * 5:
         armed.vitals = replace(armed.vitals, voltage=voltage)
         armed.command(80)
@@ -469,27 +443,27 @@ def test_a_second_operator_is_refused_and_the_first_keeps_the_robot(armed):
     for _ in range(5):
         assert fault_of(armed.send(Hello(OTHER, 0.01), number=900)) == (OTHER, Reason.BUSY)
         assert fault_of(armed.send(Position(OTHER, 0 * TARGET), number=901)) == (OTHER, Reason.SESSION)
-        assert fault_of(armed.send(Damp(OTHER), number=902)) == (OTHER, Reason.SESSION)
+        assert fault_of(armed.send(messages.Damp(OTHER), number=902)) == (OTHER, Reason.SESSION)
         armed.command(1)
     assert armed.number == numbers + 5
     assert armed.mode == (Mode.POSITION, Reason.NONE)
     np.testing.assert_array_equal(armed.order.values, TARGET)
 
 
-def test_a_robot_whose_operator_is_silent_for_a_second_can_be_taken(armed):
+def test_another_operator_may_connect_after_a_second_of_silence(armed):
     armed.run(999)
     assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
     # Last heard 1.001 s ago, when it was armed.
     assert fault_of(armed.send(Hello(OTHER, 0.01), sent=3.0, number=1)) == (OTHER, Reason.BUSY)
     armed.run(1)
-    (said,) = armed.send(Hello(OTHER, 0.01), sent=3.0, number=1)
-    assert isinstance(said, Handshake)
-    assert said.session == OTHER
+    (sent,) = armed.send(Hello(OTHER, 0.01), sent=3.0, number=1)
+    assert isinstance(sent, Handshake)
+    assert sent.session == OTHER
     assert armed.mode == (Mode.DISARMED, Reason.TIMEOUT)
-    assert fault_of(armed.send(Arm(ME, 1, 0.006, 0.003))) == (ME, Reason.SESSION)
+    assert fault_of(armed.send(messages.Arm(ME, 1, 0.006, 0.003))) == (ME, Reason.SESSION)
 
 
-def test_a_greeting_of_the_same_session_is_answered_again(armed):
+def test_a_hello_of_the_same_session_is_answered_again(armed):
     assert isinstance(armed.send(Hello(ME, 0.01))[0], Handshake)
     assert armed.mode == (Mode.POSITION, Reason.NONE)
 
@@ -497,14 +471,14 @@ def test_a_greeting_of_the_same_session_is_answered_again(armed):
 def test_commands_for_another_mode_are_refused(owned):
     assert fault_of(owned.send(Position(ME, TARGET))) == (ME, Reason.MODE)
     owned.arm()
-    assert fault_of(owned.send(Pwm(ME, TARGET / 2))) == (ME, Reason.MODE)
+    assert fault_of(owned.send(messages.Pwm(ME, TARGET / 2))) == (ME, Reason.MODE)
     assert owned.mode == (Mode.POSITION, Reason.NONE)
     assert owned.run(10)[-1].message.dropped == 2
 
 
-def test_refusals_are_told_ten_times_a_second(bench):
-    told = [len(bench.send(Position(OTHER, TARGET))) + len(bench.run(5)) for _ in range(400)]
-    assert sum(told) == 20
+def test_refusals_are_sent_ten_times_a_second(bench):
+    refusals = [len(bench.send(Position(OTHER, TARGET))) + len(bench.run(5)) for _ in range(400)]
+    assert sum(refusals) == 20
 
 
 def test_another_schema_is_refused_ten_times_a_second_and_changes_nothing(robot):
@@ -521,17 +495,17 @@ numbers = st.floats(width=32)
 sessions = st.sampled_from([0, ME, OTHER, 2**16 - 1])
 arrays = st.lists(numbers, min_size=8, max_size=8).map(np.array)
 periods = st.floats(0.0, 4000.0)
-messages = st.one_of(
+any_message = st.one_of(
     st.builds(Hello, sessions, periods),
     st.builds(Ping, st.integers(0, 2**32 - 1)),
     st.builds(Pong, st.integers(0, 2**32 - 1)),
-    st.builds(Arm, sessions, st.integers(0, 255), periods, periods),
-    st.builds(Arm, st.just(ME), st.just(1), st.just(0.006), st.just(0.003)),
+    st.builds(messages.Arm, sessions, st.integers(0, 255), periods, periods),
+    st.builds(messages.Arm, st.just(ME), st.just(1), st.just(0.006), st.just(0.003)),
     st.builds(Position, sessions, arrays),
-    st.builds(Pwm, sessions, arrays),
-    st.builds(Damp, sessions),
-    st.builds(Disarm, sessions),
-    st.builds(Bye, sessions),
+    st.builds(messages.Pwm, sessions, arrays),
+    st.builds(messages.Damp, sessions),
+    st.builds(messages.Disarm, sessions),
+    st.builds(messages.Bye, sessions),
     st.builds(Fault, sessions, st.integers(0, 255), st.text(max_size=20)),
 )
 
@@ -540,19 +514,19 @@ messages = st.one_of(
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(
-        st.tuples(st.one_of(messages, st.binary(max_size=80)), st.integers(0, 60), st.integers(1, 2**32 - 1)),
+        st.tuples(st.one_of(any_message, st.binary(max_size=80)), st.integers(0, 60), st.integers(1, 2**32 - 1)),
         max_size=40,
     )
 )
-def test_nothing_that_comes_makes_it_fail_or_give_a_wrong_order(robot, where, talk):
+def test_no_message_makes_it_fail_or_give_an_order_beyond_the_limits(robot, where, talk):
     bench = Bench(robot, where)
     bench.send(Hello(ME, 0.01))
     low, high = bench.firmware.handshake.angle_low, bench.firmware.handshake.angle_high
-    for said, pause, number in talk:
-        if isinstance(said, bytes):
-            bench.put(said)
+    for sent, pause, number in talk:
+        if isinstance(sent, bytes):
+            bench.put(sent)
         else:
-            bench.send(said, number=number)
+            bench.send(sent, number=number)
         bench.run(pause)
         if bench.order is not None and bench.order.mode == Mode.POSITION:
             assert ((bench.order.values >= low) & (bench.order.values <= high)).all()

@@ -1,4 +1,4 @@
-"""The emulated body: the same motion as a simulation's, and sensors, battery and heat worked out by hand."""
+"""The emulated body: the motion of a simulation, and sensors, battery and heat worked out by hand."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def position(values) -> MotorOrder:
     return MotorOrder(Mode.POSITION, np.asarray(values, float))
 
 
-def test_it_moves_and_reads_as_a_simulation_does_to_the_last_bit(robot):
+def test_motion_and_readings_are_those_of_a_simulation_to_the_last_bit(robot):
     plant = ideal(robot)
     plant.step(DAMPED)
     # A simulation that goes on from the same state, with its servo on.
@@ -74,7 +74,7 @@ def test_damped_motors_come_to_rest_whatever_the_servos_latency(robot, servo_lat
     assert np.abs(plant.world.actuation.sample[0, 8:16]).max() < 0.05
 
 
-def test_readings_are_as_old_as_the_policy_will_see_them(robot):
+def test_readings_have_the_control_latency_at_their_use(robot):
     plant = ideal(robot)
     seen = []
     for step in range(100):
@@ -114,23 +114,18 @@ def test_encoders_have_steps_and_sensors_noise_and_bias(robot):
     assert not truth.read(0.0, 0.0).angular_velocity_base.any()
 
 
-def test_torques_are_told_with_an_error_of_each_motors_own_and_noise(robot):
-    config = SensorConfig()
+def test_torques_have_noise_and_a_constant_error_of_each_motor(robot):
+    config, gains = SensorConfig(), []
     plant = Plant(robot, sensors=config, rack=True)
     constant = Plant(robot, sensors=replace(config, torque_noise=0.0), rack=True)
-    torque = np.linspace(-3.5, 3.5, 8)
     for each in (plant, constant):
-        each.world.actuation.motor_torque[0] = torque
-    told = np.array([plant.read(0.0, 0.0).motor_torque for _ in range(4000)])
-    np.testing.assert_allclose(told.std(0), config.torque_noise, rtol=0.1)
+        each.world.actuation.motor_torque[0] = np.linspace(-3.5, 3.5, 8)
+    read = np.array([plant.read(0.0, 0.0).motor_torque for _ in range(4000)])
+    np.testing.assert_allclose(read.std(0), config.torque_noise, rtol=0.1)
     # The mean of 4000 is known to .02 / sqrt(4000) = .0003 N m.
-    np.testing.assert_allclose(told.mean(0), constant.read(0.0, 0.0).motor_torque, atol=0.0015)
-
-
-def test_the_error_of_a_motors_torque_is_constant_and_of_the_size_stated(robot):
-    config, gains = replace(SensorConfig(), torque_noise=0.0), []
+    np.testing.assert_allclose(read.mean(0), constant.read(0.0, 0.0).motor_torque, atol=0.0015)
     for seed in range(12):
-        plant = Plant(robot, seed=seed, sensors=config, rack=True)
+        plant = Plant(robot, seed=seed, sensors=replace(config, torque_noise=0.0), rack=True)
         for torque in (0.5, -2.0):
             plant.world.actuation.motor_torque[0] = torque
             gains.append(plant.read(0.0, 0.0).motor_torque / torque)
@@ -141,16 +136,16 @@ def test_the_error_of_a_motors_torque_is_constant_and_of_the_size_stated(robot):
     assert len(np.unique(gains[0])) == 8
 
 
-def test_the_torques_error_is_in_nothing_else(robot):
+def test_the_error_of_torques_changes_no_other_reading(robot):
     exact = replace(SensorConfig(), torque_noise=0.0, torque_gain=0.0)
     plant, truth = Plant(robot, seed=3), Plant(robot, seed=3, sensors=exact)
     for step in range(200):
         order = position(robot.pose_angles(0.0, 0.9 + 0.004 * step))
         plant.step(order)
         truth.step(order)
-        told, true = vars(plant.read(0.0, 0.0)), vars(truth.read(0.0, 0.0))
-        for name in told:
-            assert np.array_equal(told[name], true[name]) == (name != "motor_torque"), name
+        read, true = vars(plant.read(0.0, 0.0)), vars(truth.read(0.0, 0.0))
+        for name in read:
+            assert np.array_equal(read[name], true[name]) == (name != "motor_torque"), name
         np.testing.assert_array_equal(true["motor_torque"], truth.world.actuation.motor_torque[0])
     np.testing.assert_array_equal(plant.capture().position, truth.capture().position)
 
@@ -186,7 +181,7 @@ def test_viscous_friction_slows_a_motor_that_a_duty_turns(robot):
     np.testing.assert_array_equal(actuation.motor_torque[0, 1:], actuation.torque[0, 1:])
 
 
-def test_a_duty_is_part_of_a_worlds_state_and_gone_after_a_reset(robot):
+def test_a_duty_is_part_of_the_state_of_a_world_and_gone_after_a_reset(robot):
     plant, other = ideal(robot, rack=True), ideal(robot, rack=True)
     turning = MotorOrder(Mode.PWM, np.full(8, 0.03))
     plant.step(turning)

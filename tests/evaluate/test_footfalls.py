@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surefoot.evaluate.footfalls import FEET, Footfalls, analyze_footfalls, stance_intervals, stride_period
+from surefoot.evaluate.footfalls import FEET, Footfalls, analyze_footfalls, stance_intervals
 
 STEP = 0.006
 PHASES = {  # by FEET: front_left, back_left, front_right, back_right
@@ -200,8 +200,3 @@ def test_stance_intervals_by_hand() -> None:
     assert stance_intervals(contact, time, debounce=0.03) == (pytest.approx((0.0175, 0.08)),)
     assert stance_intervals([1] * 10, time, debounce=0.03) == (pytest.approx((0.0, 0.1)),)
     assert stance_intervals([0] * 10, time) == ()
-
-
-def test_stride_period_is_not_halved_by_feet_in_turn() -> None:
-    touch, _ = contacts(PHASES["walk"], duty=0.5, period=0.6)
-    assert stride_period(touch, STEP) == pytest.approx(0.6, rel=0.01)

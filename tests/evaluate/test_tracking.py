@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,36 +16,27 @@ from surefoot.task.trace import EpisodeTrace
 STEP = 0.02
 
 
-def trace_of(speed: np.ndarray, yaw: np.ndarray, command: np.ndarray) -> EpisodeTrace:
-    """Return the trace of a robot with speeds (T, 2) in the heading frame, yaw (T + 1,) and commands (T, 3)."""
-    steps = len(speed)
-    cos, sin = np.cos(yaw[:-1]), np.sin(yaw[:-1])
-    world = np.stack([cos * speed[:, 0] - sin * speed[:, 1], sin * speed[:, 0] + cos * speed[:, 1]], -1)
-    position = np.zeros((steps + 1, 3))
-    position[1:, :2] = np.cumsum(world * STEP, axis=0)
-    quat = np.zeros((steps + 1, 4))
-    quat[:, 0], quat[:, 3] = np.cos(yaw / 2), np.sin(yaw / 2)
-    flat, motors = np.zeros((steps, 3)), np.zeros((steps, 8))
-    meta = {
-        **{"robot": "minitaur", "world": "mujoco", "control_step": STEP, "ended": "time"},
-        **{"leg_names": list("abcd"), "motor_names": [f"m{k}" for k in range(8)], "observation_names": ["x"]},
-    }
-    return EpisodeTrace(
-        time=STEP * np.arange(1, steps + 1),
-        base_position_world=position,
-        base_quat_world=quat,
-        roll_pitch_yaw=flat,
-        angular_velocity_base=flat,
-        **dict.fromkeys(("motor_angle", "motor_velocity", "motor_torque", "feedback", "target"), motors),
-        observation=flat[:, :1],
-        energy=flat[:, 0],
-        foot_contact=np.zeros((steps, 4)),
-        command=command,
-        meta=meta,
-    )
+MakeTrace = Callable[[np.ndarray, np.ndarray, np.ndarray], EpisodeTrace]
 
 
-def test_motion_is_in_the_heading_frame() -> None:
+@pytest.fixture
+def trace_of(make_run: Callable[..., EpisodeTrace]) -> MakeTrace:
+    """Make traces of a robot with speeds (T, 2) in the heading frame, yaw (T + 1,) and commands (T, 3)."""
+
+    def make(speed: np.ndarray, yaw: np.ndarray, command: np.ndarray) -> EpisodeTrace:
+        steps = len(speed)
+        cos, sin = np.cos(yaw[:-1]), np.sin(yaw[:-1])
+        world = np.stack([cos * speed[:, 0] - sin * speed[:, 1], sin * speed[:, 0] + cos * speed[:, 1]], -1)
+        position, quat = np.zeros((steps + 1, 3)), np.zeros((steps + 1, 4))
+        position[1:, :2] = np.cumsum(world * STEP, axis=0)
+        quat[:, 0], quat[:, 3] = np.cos(yaw / 2), np.sin(yaw / 2)
+        arrays = {"base_position_world": position, "base_quat_world": quat, "command": command}
+        return make_run(steps=steps, step=STEP, arrays=arrays)
+
+    return make
+
+
+def test_motion_is_in_the_heading_frame(trace_of: MakeTrace) -> None:
     yaw = np.linspace(3.0, 3.5, 101)  # through half a turn
     speed = np.tile([0.4, -0.1], (100, 1))
     measured = motion(trace_of(speed, yaw, np.zeros((100, 3))))
@@ -52,7 +44,7 @@ def test_motion_is_in_the_heading_frame() -> None:
     assert measured[:, 2] == pytest.approx(0.5 / (100 * STEP))
 
 
-def test_an_oscillation_within_a_stride_is_an_error_of_steps_but_not_of_strides() -> None:
+def test_an_oscillation_within_a_stride_is_an_error_of_steps_but_not_of_strides(trace_of: MakeTrace) -> None:
     steps, count = 500, 25  # a stride of .5 s
     wave = 0.2 * np.sin(2 * np.pi * np.arange(steps) / count)
     speed = np.stack([0.5 + wave, np.full(steps, 0.03)], -1)
@@ -62,7 +54,7 @@ def test_an_oscillation_within_a_stride_is_an_error_of_steps_but_not_of_strides(
     assert errors.rmse_stride == pytest.approx([0.0, 0.03, 0.1], abs=1e-6)
 
 
-def test_the_second_after_a_change_of_command_is_left_out() -> None:
+def test_the_second_after_a_change_of_command_is_left_out(trace_of: MakeTrace) -> None:
     steps = 200
     command = np.zeros((steps, 3))
     command[100:, 0] = 1.0
@@ -77,14 +69,14 @@ def test_the_second_after_a_change_of_command_is_left_out() -> None:
     assert errors.rmse[0] == pytest.approx(np.sqrt(1 / settled.sum()))
 
 
-def test_errors_are_nan_without_commands() -> None:
+def test_errors_are_nan_without_commands(trace_of: MakeTrace) -> None:
     trace = replace(trace_of(np.zeros((60, 2)), np.zeros(61), np.zeros((60, 3))), command=np.empty(0))
     assert np.isnan(trace.command).all()
     errors = Tracking.from_traces([trace], 0.5)
     assert errors.to_mapping()["rmse"] == {"forward": None, "sideways": None, "yaw_rate": None}
 
 
-def test_a_trace_keeps_its_commands_in_its_file(tmp_path) -> None:
+def test_a_trace_keeps_its_commands_in_its_file(trace_of: MakeTrace, tmp_path) -> None:
     trace = trace_of(np.zeros((60, 2)), np.zeros(61), np.tile([0.5, 0.0, 0.1], (60, 1)))
     back = EpisodeTrace.load(trace.save(tmp_path / "run.npz"))
     assert np.array_equal(back.command, trace.command)

@@ -20,7 +20,7 @@ def draw(seed: int, told: bool, found: float, low: float = 0.05, high: float = 3
     }  # fmt: skip
 
 
-def test_values_that_are_not_told_are_counted_and_spoil_no_figure():
+def test_summary_counts_unidentifiable_values_apart():
     pytest.importorskip("mujoco")
     spec = importlib.util.spec_from_file_location("identification_benchmark", SCRIPT)
     benchmark = importlib.util.module_from_spec(spec)

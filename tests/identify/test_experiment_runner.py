@@ -40,7 +40,9 @@ class Doing(PlainLines):
             self.what()
 
 
-def test_a_whole_experiment(recorded: Recording, make_plan: MakePlan, robot: RobotDescription):
+def test_recording_holds_every_command_and_state_of_an_experiment(
+    recorded: Recording, make_plan: MakePlan, robot: RobotDescription
+):
     plan, meta = make_plan(), recorded.meta
     assert (meta["ended"], meta["experiment"], meta["rack"]) == (COMPLETE, "motor", True)
     assert meta["frames"] == {"received": len(recorded.time), "missing": 0, "damaged": 0}
@@ -63,7 +65,7 @@ def test_a_whole_experiment(recorded: Recording, make_plan: MakePlan, robot: Rob
     assert recorded.motor_angle.shape == (len(recorded.time), robot.num_motors)
 
 
-def test_a_recording_is_the_same_every_time(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):
+def test_recordings_in_lockstep_are_identical(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):
     """However long the robot takes to answer: one is a process that stands still for a while."""
     plan = make_plan()
     plan = replace(plan, phases=tuple(phase for phase in plan.phases if "sweep" not in phase.name))
@@ -110,19 +112,19 @@ def ended(healthy: Any, robot: RobotDescription, tmp_path: Path) -> Callable[...
     ],
     ids=["angle", "torque", "temperature", "time"],
 )
-def test_a_limit_of_the_plan_is_passed(
+def test_passing_a_limit_of_the_plan_ends_the_experiment(
     ended: Callable[..., str], make_plan: MakePlan, limits: ExperimentLimits, why: str
 ):
     assert why in ended(make_plan(limits))
 
 
-def test_the_operator_stops_it(ended: Callable[..., str], make_plan: MakePlan):
+def test_a_signal_of_the_operator_ends_the_experiment(ended: Callable[..., str], make_plan: MakePlan):
     watch = Doing("steps", lambda: os.kill(os.getpid(), signal.SIGINT))
     assert ended(make_plan(), watch) == "stopped by the operator (in phase 'steps')"
     assert watch.phases == ["unfold", "sweep", "steps"]
 
 
-def test_the_robot_damps_itself(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
+def test_a_damped_robot_ends_the_experiment(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
     link = open_link(healthy.port, robot.num_motors, lockstep=True)
     link.connect()
     recording = run_plan(link, make_plan(), robot, Doing("sweep", link.damp))
@@ -130,7 +132,7 @@ def test_the_robot_damps_itself(healthy: Any, robot: RobotDescription, make_plan
     assert recording.meta["ended"] == "the robot has damped its motors (host) (in phase 'sweep')"
 
 
-def test_the_port_closes(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):
+def test_a_closed_port_ends_the_experiment(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):
     emulator = emulate("--lockstep", "--rack")
     recording = run_on(emulator.port, make_plan(), Doing("sweep", emulator.process.kill))
     assert recording.meta["ended"] != COMPLETE
@@ -138,7 +140,7 @@ def test_the_port_closes(emulate: Callable[..., Any], make_plan: MakePlan, run_o
     assert recording.sent_phase.max() == 0
 
 
-def test_a_robot_that_was_not_greeted(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
+def test_experiment_needs_a_handshake(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
     link = open_link(healthy.port, 8, lockstep=True)
     try:
         with pytest.raises(SurefootError, match="the robot is not connected"):

@@ -95,16 +95,16 @@ def motors(robot: RobotDescription, rack: tuple[Recording, Recording], nominal: 
     return EXPERIMENTS["motor"].fit(robot, rack[0], nominal)
 
 
-def test_a_robots_motors_are_found(motors: Identification, rack: tuple[Recording, Recording]):
+def test_motor_experiment_identifies_the_true_parameters(motors: Identification, rack: tuple[Recording, Recording]):
     within = {
         "torque_constant": 2e-3, "resistance": 2e-3, "leg_mass_ratio": 5e-3, "leg_inertia_ratio": 5e-3,
         "motor_strength": 1e-3, "servo_latency": 0.01, "control_latency": 1e-3, "motor_friction": 0.02,
         "motor_viscous_friction": 0.05,
     }  # fmt: skip
     for name, tolerance in within.items():
-        found = [item for item in motors.estimates if item.name == name]
-        assert len(found) == (8 if name.startswith("motor") else 1)
-        for item in found:
+        result = [item for item in motors.estimates if item.name == name]
+        assert len(result) == (8 if name.startswith("motor") else 1)
+        for item in result:
             assert item.value == pytest.approx(RACK[name], rel=tolerance), item.label
             assert item.interval[0] < RACK[name] < item.interval[1], item.label
             assert item.identifiable
@@ -114,7 +114,7 @@ def test_a_robots_motors_are_found(motors: Identification, rack: tuple[Recording
     assert (motors.experiment, motors.robot, motors.digest) == ("motor", "minitaur", rack[0].digest)
 
 
-def test_what_was_not_fitted_is_repeated(motors: Identification):
+def test_estimates_reduce_errors_on_held_out_phases(motors: Identification):
     assert [check.what for check in motors.checks] == ["motor angles", "motor speeds", "motor torques"]
     for check in motors.checks:
         assert check.after < 0.05 * check.before
@@ -125,12 +125,12 @@ def test_what_was_not_fitted_is_repeated(motors: Identification):
     np.testing.assert_allclose(curve.measured, curve.after, atol=0.05)
 
 
-def test_sensors_for_later_fits(motors: Identification):
+def test_motor_experiment_reports_torque_gains(motors: Identification):
     np.testing.assert_allclose(motors.sensors["torque_gain"], 0.0, atol=2e-3)
     assert motors.sensors["torque_accuracy"] == pytest.approx(0.01 / 8**0.5)
 
 
-def test_a_motor_that_never_moves_is_not_told_and_neither_is_its_leg(
+def test_a_leg_with_a_motor_that_never_moves_is_not_identifiable(
     robot: RobotDescription, rack: tuple[Recording, Recording], nominal: PhysicalParams
 ):
     angle, velocity = rack[0].motor_angle.copy(), rack[0].motor_velocity.copy()
@@ -161,23 +161,23 @@ def test_a_motor_that_never_moves_is_not_told_and_neither_is_its_leg(
         assert strength.value == pytest.approx(0.9, rel=0.01)
 
 
-def test_latencies_are_found_twice(
+def test_latency_experiment_identifies_latencies_by_spikes_and_by_replay(
     robot: RobotDescription, rack: tuple[Recording, Recording], motors: Identification, nominal: PhysicalParams
 ):
-    said: list[str] = []
+    message: list[str] = []
     known = motors.params(robot, nominal)
-    found = EXPERIMENTS["latency"].fit(robot, rack[1], known, motors.sensors, lambda text, cost: said.append(text))
-    assert found.estimate("control_latency").value == pytest.approx(RACK["control_latency"], abs=5e-5)
-    assert found.estimate("servo_latency").value == pytest.approx(RACK["servo_latency"], abs=5e-5)
+    result = EXPERIMENTS["latency"].fit(robot, rack[1], known, motors.sensors, lambda text, cost: message.append(text))
+    assert result.estimate("control_latency").value == pytest.approx(RACK["control_latency"], abs=5e-5)
+    assert result.estimate("servo_latency").value == pytest.approx(RACK["servo_latency"], abs=5e-5)
     # An engine's step moves a motor as far in its first step as it should have in 1.4 of them.
     for name in ("spike_at_robot", "spike_at_host"):
-        assert found.estimate(name).value == pytest.approx(RACK["control_latency"], abs=1e-3)
-    assert set(found.identified_names()) == {"control_latency", "servo_latency", "voltage"}
-    assert said[0].startswith("starting from a control latency of")
-    assert any("responses are clear" in note for note in found.notes)
+        assert result.estimate(name).value == pytest.approx(RACK["control_latency"], abs=1e-3)
+    assert set(result.identified_names()) == {"control_latency", "servo_latency", "voltage"}
+    assert message[0].startswith("starting from a control latency of")
+    assert any("responses are clear" in note for note in result.notes)
 
 
-def test_a_robot_that_answers_no_spikes_is_refused(
+def test_latency_experiment_refuses_a_recording_without_responses(
     robot: RobotDescription, rack: tuple[Recording, Recording], nominal: PhysicalParams
 ):
     weak = replace(rack[1], meta={**rack[1].meta, "phases": [dict(phase) for phase in rack[1].meta["phases"]]})
@@ -187,24 +187,26 @@ def test_a_robot_that_answers_no_spikes_is_refused(
         EXPERIMENTS["latency"].fit(robot, weak, nominal)
 
 
-def test_a_heavier_robot_is_weighed(robot: RobotDescription, grounded: Recording, nominal: PhysicalParams):
-    found = EXPERIMENTS["mass"].fit(robot, grounded, nominal.with_values(robot, motor_strength=0.8))
-    assert found.estimate("base_mass_ratio").value == pytest.approx(1.15, rel=0.02)
+def test_mass_experiment_identifies_mass_inertia_and_centre(
+    robot: RobotDescription, grounded: Recording, nominal: PhysicalParams
+):
+    result = EXPERIMENTS["mass"].fit(robot, grounded, nominal.with_values(robot, motor_strength=0.8))
+    assert result.estimate("base_mass_ratio").value == pytest.approx(1.15, rel=0.02)
     base = sum(robot.urdf.links[name].mass for name in robot.urdf.fixed_to(robot.base))
     total = robot.urdf.total_mass + 0.15 * base
-    weight = found.estimate("total_mass")
+    weight = result.estimate("total_mass")
     assert weight.value == pytest.approx(total, rel=0.01)
     assert weight.interval[0] < total < weight.interval[1]
-    inertia = found.estimate("base_inertia_ratio")
+    inertia = result.estimate("base_inertia_ratio")
     assert inertia.identifiable
     assert inertia.value == pytest.approx(1.3, rel=0.05)
     # The body's centre is 50 mm before the base's origin, and has 3.353 of 5.993 kg; legs are alike before and behind.
-    assert found.estimate("centre_of_mass_x").value == pytest.approx(0.05 * 3.353 * 1.15 / total, abs=2e-3)
-    assert found.estimate("centre_of_mass_y").value == pytest.approx(0.0, abs=2e-3)
-    assert [check.what for check in found.checks] == ["weight on the feet", "moment about y"]
-    assert all(check.after < check.before for check in found.checks)
-    assert any("the motors were not identified before" in note for note in found.notes)
-    assert set(found.identified_names()) == {"base_mass_ratio", "base_inertia_ratio"}
+    assert result.estimate("centre_of_mass_x").value == pytest.approx(0.05 * 3.353 * 1.15 / total, abs=2e-3)
+    assert result.estimate("centre_of_mass_y").value == pytest.approx(0.0, abs=2e-3)
+    assert [check.what for check in result.checks] == ["weight on the feet", "moment about y"]
+    assert all(check.after < check.before for check in result.checks)
+    assert any("the motors were not identified before" in note for note in result.notes)
+    assert set(result.identified_names()) == {"base_mass_ratio", "base_inertia_ratio"}
 
 
 def weighed(robot: RobotDescription, nominal: PhysicalParams) -> PhysicalParams:
@@ -212,34 +214,36 @@ def weighed(robot: RobotDescription, nominal: PhysicalParams) -> PhysicalParams:
     return nominal.with_values(robot, **{name: GROUND[name] for name in GROUND if not name.startswith("contact")})
 
 
-def test_feet_are_found(robot: RobotDescription, grounded: Recording, nominal: PhysicalParams):
-    found = EXPERIMENTS["contact"].fit(robot, grounded, weighed(robot, nominal))
-    friction, stiffness = found.estimate("contact_friction"), found.estimate("contact_stiffness")
+def test_contact_experiment_identifies_friction_and_stiffness(
+    robot: RobotDescription, grounded: Recording, nominal: PhysicalParams
+):
+    result = EXPERIMENTS["contact"].fit(robot, grounded, weighed(robot, nominal))
+    friction, stiffness = result.estimate("contact_friction"), result.estimate("contact_stiffness")
     assert friction.value == pytest.approx(1.2, rel=0.05)
     assert stiffness.value == pytest.approx(2000.0, rel=0.08)
-    assert found.estimate("contact_damping").value == pytest.approx(100.0, rel=0.3)
+    assert result.estimate("contact_damping").value == pytest.approx(100.0, rel=0.3)
     for item, true in ((friction, 1.2), (stiffness, 2000.0)):
         assert item.identifiable
         assert item.interval[0] < true < item.interval[1]
-    assert set(found.identified_names()) == {"contact_friction", "contact_stiffness"}
+    assert set(result.identified_names()) == {"contact_friction", "contact_stiffness"}
 
 
-def test_friction_of_feet_that_do_not_slide_is_not_told_and_stays_as_it_was(
+def test_friction_of_feet_that_do_not_slide_is_not_identifiable(
     robot: RobotDescription, grounded: Recording, nominal: PhysicalParams, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr("surefoot.identify.ground.fits.SLIDING_SPEED", 10.0)
-    found = EXPERIMENTS["contact"].fit(robot, grounded, weighed(robot, nominal))
-    friction = found.estimate("contact_friction")
+    result = EXPERIMENTS["contact"].fit(robot, grounded, weighed(robot, nominal))
+    friction = result.estimate("contact_friction")
     assert not friction.identifiable
     assert friction.value == nominal.contact_friction[0]
     assert friction.interval == (0.05, 3.0)
-    assert "feet that were dragged did not slide: their friction is not identifiable" in found.notes
-    assert set(found.identified_names()) == {"contact_stiffness"}
+    assert "feet that were dragged did not slide: their friction is not identifiable" in result.notes
+    assert set(result.identified_names()) == {"contact_stiffness"}
 
 
 @pytest.mark.parametrize("name", ["mass", "contact"])
 @pytest.mark.parametrize(
-    ("array", "change", "said"),
+    ("array", "change", "message"),
     [
         (
             "roll_pitch_yaw",
@@ -250,15 +254,15 @@ def test_friction_of_feet_that_do_not_slide_is_not_told_and_stays_as_it_was(
         ("motor_torque", lambda x: 0.02 * x, "feet carry"),
     ],
 )
-def test_a_robot_that_does_not_stand_on_its_feet_is_refused(
+def test_ground_experiments_refuse_a_robot_that_does_not_stand(
     name: str,
     array: str,
     change: Callable[[np.ndarray], np.ndarray],
-    said: str,
+    message: str,
     robot: RobotDescription,
     grounded: Recording,
     nominal: PhysicalParams,
 ):
     lying = replace(grounded, **{array: change(getattr(grounded, array))})
-    with pytest.raises(SurefootError, match=said):
+    with pytest.raises(SurefootError, match=message):
         EXPERIMENTS[name].fit(robot, lying, nominal)

@@ -65,7 +65,7 @@ def test_a_line_through_three_points():
     fit = fit_least_squares(line(1.0))
     np.testing.assert_allclose(fit.values, [3.0, 2.5], atol=1e-7)
     np.testing.assert_allclose(fit.residuals, [-0.5, 1.0, -0.5], atol=1e-6)
-    # Residuals are smaller than their noise was said to be: H^-1 counts, H = diag(3, 2).
+    # Residuals are smaller than their noise: H^-1 counts, H = diag(3, 2).
     np.testing.assert_allclose(fit.covariance, np.diag([1 / 3, 1 / 2]), atol=1e-5)
     np.testing.assert_allclose(fit.deviation, [3**-0.5, 2**-0.5], rtol=1e-4)
     assert (fit.identifiable.all(), fit.strongest_correlations()) == (True, [])
@@ -77,7 +77,7 @@ def test_residuals_larger_than_their_noise_count():
     np.testing.assert_allclose(np.diag(fit.covariance), [24 * 1.5 / 9, 8 * 1.5 / 4], rtol=1e-4)
 
 
-def test_a_prior_is_a_row():
+def test_a_prior_counts_as_a_residual():
     # Four measurements of 2 and a prior of 0 +- 1/2, which weighs as much as four: halfway.
     model = Linear(np.ones((4, 1)), np.full(4, 2.0), [unknown(prior=0.5)])
     fit = fit_least_squares(model)
@@ -87,7 +87,7 @@ def test_a_prior_is_a_row():
     assert fit.covariance[0, 0] == pytest.approx((4 * 4 / 3 + 4) / 64, rel=1e-4)
 
 
-def test_bounds_hold():
+def test_values_stay_within_bounds():
     model = Linear(np.ones((4, 1)), np.full(4, 2.0), [unknown(high=1.5)])
     assert fit_least_squares(model).values[0] == pytest.approx(1.5, abs=1e-9)
     # A start beyond them begins at them.
@@ -96,7 +96,7 @@ def test_bounds_hold():
     assert costs[0] == pytest.approx(0.25)
 
 
-def test_a_model_is_never_asked_beyond_its_bounds():
+def test_candidates_stay_within_bounds():
     class Strict(Linear):
         def residuals(self, values: Array) -> Array:
             low, high = (np.array([getattr(u, side) for u in self.unknowns]) for side in ("low", "high"))
@@ -112,7 +112,7 @@ def test_a_model_is_never_asked_beyond_its_bounds():
         assert np.all((fit.values >= [a for a, _ in bounds]) & (fit.values <= [b for _, b in bounds]))
 
 
-def test_unknowns_of_one_colour_are_tried_at_once():
+def test_unknowns_of_one_colour_share_a_candidate():
     rng = np.random.default_rng(2)
     matrix = np.zeros((12, 4))
     matrix[:6, :2], matrix[6:, 2:] = rng.normal(size=(2, 6, 2))
@@ -129,7 +129,7 @@ def test_unknowns_of_one_colour_are_tried_at_once():
     np.testing.assert_allclose(jacobians[0], jacobians[1], atol=1e-8)
 
 
-def test_a_derivative_at_a_bound_looks_inward():
+def test_a_derivative_at_a_bound_steps_inward():
     asked: list[float] = []
 
     class Watched(Linear):
@@ -142,7 +142,7 @@ def test_a_derivative_at_a_bound_looks_inward():
     assert asked == [4.999]
 
 
-def test_residuals_that_hang_together_count_once():
+def test_residuals_of_one_block_count_as_one():
     # 20 blocks of 10 equal residuals, +1 or -1: they tell the mean as 20 measurements do, not as 200.
     offsets = np.repeat(np.tile([1.0, -1.0], 10), 10)
     blocks = np.repeat(np.arange(20), 10)
@@ -152,7 +152,7 @@ def test_residuals_that_hang_together_count_once():
     assert apart.covariance[0, 0] == pytest.approx(1 / 200 * 200 / 199, rel=1e-4)
 
 
-def test_what_the_data_do_not_touch_is_not_told():
+def test_an_unknown_without_effect_is_not_identifiable():
     model = Linear([[1.0, 0.0]] * 9, np.full(9, 2.0), [unknown("a"), unknown("b", 0.3, low=0.0, high=1.0)])
     fit = fit_least_squares(model)
     assert fit.values[0] == pytest.approx(2.0)
@@ -162,7 +162,7 @@ def test_what_the_data_do_not_touch_is_not_told():
     assert fit.deviation[1] == pytest.approx(1.0, rel=1e-3)
 
 
-def test_two_that_only_appear_as_a_sum():
+def test_terms_of_a_sum_are_not_identifiable_but_their_sum_is():
     matrix = np.array([[1.0, 1.0, 0.0]] * 10 + [[0.0, 0.0, 1.0]] * 10)
     bounded = [unknown(name, low=-10.0, high=10.0, index=3 if name == "b" else None) for name in "abc"]
     data = np.full(20, 2.0) + np.tile([1.0, -1.0], 10)
@@ -178,7 +178,7 @@ def test_two_that_only_appear_as_a_sum():
     assert np.sqrt(total @ fit.covariance @ total) == pytest.approx(0.1**0.5, rel=0.05)
 
 
-def test_ninety_five_of_a_hundred_intervals_hold_the_truth():
+def test_intervals_hold_the_truth_in_95_percent():
     rng, truth = np.random.default_rng(7), np.array([30.0, 0.8])
     clean = truth[0] * np.exp(-truth[1] * Decay.time)
     inside = []
@@ -189,7 +189,7 @@ def test_ninety_five_of_a_hundred_intervals_hold_the_truth():
     assert 0.92 <= share <= 0.985, share
 
 
-def test_a_fit_that_has_settled_ends_at_once():
+def test_a_converged_fit_ends():
     # Finite differences of a rounded model: no step helps any more, and none must be tried again and again.
     rng = np.random.default_rng(3)
 
@@ -210,7 +210,7 @@ def test_a_fit_that_has_settled_ends_at_once():
     assert np.mean(fit.residuals**2) <= costs[-1] * (1 + 1e-9)
 
 
-def test_a_model_that_breaks_down_is_refused():
+def test_fit_refuses_residuals_that_are_not_finite():
     model = Linear(np.ones((4, 1)), np.full(4, np.nan), [unknown()])
     with pytest.raises(SurefootError, match="breaks down where the fit begins"):
         fit_least_squares(model)

@@ -136,37 +136,37 @@ def found_clean() -> Identification:
     return fit_traces(ROBOT, [clean()], BATTERY_KNOWN, AT_15_V)
 
 
-def errors_of(found: Identification, params: PhysicalParams = HIDDEN) -> dict[str, float]:
+def errors_of(result: Identification, params: PhysicalParams = HIDDEN) -> dict[str, float]:
     """Relative error of each number."""
     errors = {}
-    for item in found.estimates:
+    for item in result.estimates:
         truth = getattr(params, item.name)[0]
         (one,) = set(np.atleast_1d(truth if item.index is None else truth[item.index]).tolist())
         errors[item.label] = item.value / one - 1
     return errors
 
 
-def test_perfect_readings_give_hidden_values_back() -> None:
-    found = found_clean()
-    errors = errors_of(found)
+def test_clean_traces_give_the_true_parameters() -> None:
+    result = found_clean()
+    errors = errors_of(result)
     assert len(errors) == 12
-    assert all(item.identifiable for item in found.estimates)
+    assert all(item.identifiable for item in result.estimates)
     assert max(map(abs, errors.values())) < 0.01, errors
-    check = found.checks[0]
+    check = result.checks[0]
     assert check.after < 0.01 < 0.1 < check.before
-    params = found.params(ROBOT, AT_15_V)
+    params = result.params(ROBOT, AT_15_V)
     assert params.motor_strength[0] == pytest.approx(STRENGTHS, rel=0.01)
     assert params.voltage[0] == 15.0
-    assert len(found.digest) == 64
+    assert len(result.digest) == 64
 
 
-def test_gains_are_told_where_they_are_asked_for() -> None:
+def test_gains_are_identified_when_named() -> None:
     hidden = HIDDEN.with_values(ROBOT, servo_kp=1.2, servo_kd=0.018)
     names = ("motor_strength", "servo_kp", "servo_kd")
     known = hidden.with_values(ROBOT, servo_kp=1.0, servo_kd=0.015, motor_strength=1.0)
-    found = fit_traces(ROBOT, [record(hidden)], names, known)
-    assert max(map(abs, errors_of(found, hidden).values())) < 0.01
-    assert found.identified_names() == names
+    result = fit_traces(ROBOT, [record(hidden)], names, known)
+    assert max(map(abs, errors_of(result, hidden).values())) < 0.01
+    assert result.identified_names() == names
 
 
 def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
@@ -175,62 +175,62 @@ def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
         read_badly(record(hidden, 4.0, trotting, rack=False, start=0.1 * k, date=f"2026-11-2{k}"), 700 + k)
         for k in range(3)
     ]
-    found = fit_traces(ROBOT, traces, None, NOMINAL)
-    for item in found.estimates:
+    result = fit_traces(ROBOT, traces, None, NOMINAL)
+    for item in result.estimates:
         truth = getattr(hidden, item.name)[0]
         low, high = item.interval
         assert low < float(truth if item.index is None else truth[item.index]) < high, item
     # Without a known voltage only ratios to it are told, and it says so.
-    assert not found.estimate("voltage").identifiable
-    assert any("voltage of 16 V" in note for note in found.notes)
-    ratio = found.estimate("torque_constant").value / found.estimate("resistance").value
+    assert not result.estimate("voltage").identifiable
+    assert any("voltage of 16 V" in note for note in result.notes)
+    ratio = result.estimate("torque_constant").value / result.estimate("resistance").value
     assert ratio == pytest.approx(0.101 / 0.175, rel=0.05)
-    assert found.estimate("resistance").deviation > 0.03 * 0.175
-    assert found.estimate("servo_latency").deviation < 0.001
-    assert found.date == "2026-11-22"
-    assert found.checks[0].after < 0.03
+    assert result.estimate("resistance").deviation > 0.03 * 0.175
+    assert result.estimate("servo_latency").deviation < 0.001
+    assert result.date == "2026-11-22"
+    assert result.checks[0].after < 0.03
     known = fit_traces(ROBOT, traces, BATTERY_KNOWN, AT_15_V)
     assert known.estimate("resistance").deviation < 0.02 * 0.175
     assert all(item.identifiable for item in known.estimates)
 
 
-def test_torque_reports_errors_widen_the_intervals_of_strengths() -> None:
-    found = fit_traces(ROBOT, [clean()], ("motor_strength",), HIDDEN.with_values(ROBOT, motor_strength=1.0))
-    for item in found.estimates:
+def test_intervals_of_strengths_include_errors_of_torque_reports() -> None:
+    result = fit_traces(ROBOT, [clean()], ("motor_strength",), HIDDEN.with_values(ROBOT, motor_strength=1.0))
+    for item in result.estimates:
         assert item.deviation >= 0.01 * item.value
         assert item.value == pytest.approx(STRENGTHS[item.index or 0], rel=0.005)
 
 
-def test_a_motor_that_never_moves_is_not_told() -> None:
+def test_a_motor_that_never_moves_is_not_identifiable() -> None:
     def one_leg_still(time: float) -> tuple[np.ndarray, np.ndarray]:
         swing, extension = swinging(time)
         return np.where(np.arange(4) == 1, 0.0, swing), np.where(np.arange(4) == 1, 2.0, extension)
 
     trace = record(moves=one_leg_still)
     # Its legs have settled after a while.
-    found = fit_traces(ROBOT, [cut(trace, slice(100, None))], BATTERY_KNOWN, AT_15_V)
+    result = fit_traces(ROBOT, [cut(trace, slice(100, None))], BATTERY_KNOWN, AT_15_V)
     still = {int(k) for k in ROBOT.leg_motor_index[1]}
     for motor in range(8):
-        item = found.estimate("motor_strength", motor)
+        item = result.estimate("motor_strength", motor)
         assert item.identifiable == (motor not in still)
         if motor in still:
             assert item.value == 1.0
             assert item.deviation > 0.15
-            assert any(ROBOT.motor_names[motor] in note and "never moves" in note for note in found.notes)
-    assert found.estimate("resistance").value == pytest.approx(0.175, rel=0.01)
+            assert any(ROBOT.motor_names[motor] in note and "never moves" in note for note in result.notes)
+    assert result.estimate("resistance").value == pytest.approx(0.175, rel=0.01)
 
 
-def test_a_motor_at_its_limit_tells_its_strength_alone() -> None:
+def test_a_motor_at_its_limit_identifies_its_strength_alone() -> None:
     trace = clean()
     target, torque = trace.target.copy(), trace.motor_torque.copy()
     target[:, 0], torque[:, 0] = 9.0, 3.5 * 1.1
-    found = fit_traces(ROBOT, [replace(trace, target=target, motor_torque=torque)], BATTERY_KNOWN, AT_15_V)
-    assert any(f"{ROBOT.motor_names[0]} gives its greatest torque in 100 %" in note for note in found.notes)
-    assert sum("greatest torque" in note for note in found.notes) == 1
-    assert max(map(abs, errors_of(found).values())) < 0.01
+    result = fit_traces(ROBOT, [replace(trace, target=target, motor_torque=torque)], BATTERY_KNOWN, AT_15_V)
+    assert any(f"{ROBOT.motor_names[0]} gives its greatest torque in 100 %" in note for note in result.notes)
+    assert sum("greatest torque" in note for note in result.notes) == 1
+    assert max(map(abs, errors_of(result).values())) < 0.01
 
 
-def test_one_trace_or_several_are_split() -> None:
+def test_a_part_of_one_trace_or_whole_traces_are_held_out() -> None:
     both = fit_traces(ROBOT, [clean(), record(start=2.0)], BATTERY_KNOWN, AT_15_V)
     assert max(map(abs, errors_of(both).values())) < 0.01
     alone = found_clean()
@@ -239,18 +239,18 @@ def test_one_trace_or_several_are_split() -> None:
     assert both.digest != alone.digest
 
 
-def test_gaps_are_left_out_and_told() -> None:
+def test_rows_around_gaps_are_left_out_and_noted() -> None:
     whole = clean()
     joined = replace(cut(whole, slice(200), slice(203, None)), meta={**whole.meta, "missed_steps": [300]})
-    found = fit_traces(ROBOT, [joined], BATTERY_KNOWN, AT_15_V)
-    assert max(map(abs, errors_of(found).values())) < 0.01
-    for said in ("time jumps 1 times, first at 1.20 s", "1 control steps were missed"):
-        assert any(said in note for note in found.notes)
+    result = fit_traces(ROBOT, [joined], BATTERY_KNOWN, AT_15_V)
+    assert max(map(abs, errors_of(result).values())) < 0.01
+    for message in ("time jumps 1 times, first at 1.20 s", "1 control steps were missed"):
+        assert any(message in note for note in result.notes)
     assert not set(usable_rows(joined, 0.012, 0.024)) & {*range(194, 204), *range(294, 305)}
 
 
 @pytest.mark.parametrize(
-    ("change", "names", "said"),
+    ("change", "names", "message"),
     [
         ({}, ("motor_strength", "imu_bias"), "traces can't identify .imu_bias.; choices: motor_strength"),
         ({}, (), "no parameter is to be identified; choices: "),
@@ -259,13 +259,15 @@ def test_gaps_are_left_out_and_told() -> None:
         ({"actuator": "constraint"}, None, "motors of kind 'constraint'; only DC motors"),
     ],
 )
-def test_refusals(change: dict[str, Any], names: tuple[str, ...] | None, said: str) -> None:
+def test_fit_refuses_unknown_names_and_foreign_traces(
+    change: dict[str, Any], names: tuple[str, ...] | None, message: str
+) -> None:
     trace = replace(clean(), meta={**clean().meta, **change})
-    with pytest.raises(SurefootError, match=said):
+    with pytest.raises(SurefootError, match=message):
         fit_traces(ROBOT, [trace], names, NOMINAL)
 
 
-def test_too_little_is_refused() -> None:
+def test_fit_refuses_short_traces_and_motors_at_rest() -> None:
     with pytest.raises(SurefootError, match="there are no traces"):
         fit_traces(ROBOT, [], None, NOMINAL)
     with pytest.raises(SurefootError, match=r"1\.\d+ s without gaps, of 1\.98 s; 2 s or more"):
@@ -277,24 +279,24 @@ def test_too_little_is_refused() -> None:
         fit_traces(ROBOT, [cut(still, slice(100, None))], None, NOMINAL)
 
 
-def test_a_walk_tells_the_mass_of_the_base() -> None:
+def test_a_walk_identifies_the_mass_of_the_base() -> None:
     ratio = 1.3
     hidden = HIDDEN.with_values(ROBOT, base_mass_ratio=ratio, leg_mass_ratio=1.1)
     known = AT_15_V.with_values(ROBOT, leg_mass_ratio=1.1)
     walk = record(hidden, 6.0, trotting, rack=False)
-    found = fit_traces(ROBOT, [read_badly(walk, 300)], NAMES, known)
-    mass = found.estimate("base_mass_ratio")
+    result = fit_traces(ROBOT, [read_badly(walk, 300)], NAMES, known)
+    mass = result.estimate("base_mass_ratio")
     low, high = mass.interval
     assert low < ratio < high
     assert mass.deviation < 0.04
-    assert any("weighs" in note and "leg_mass_ratio is 1.1" in note for note in found.notes)
+    assert any("weighs" in note and "leg_mass_ratio is 1.1" in note for note in result.notes)
     # Nothing else needs to be looked for.
     alone = fit_traces(ROBOT, [walk], ("base_mass_ratio",), hidden)
     assert alone.identified_names() == ("base_mass_ratio",)
     assert alone.estimate("base_mass_ratio").value == pytest.approx(ratio, rel=0.04)
 
 
-def test_a_mass_needs_long_walks_on_the_ground() -> None:
+def test_mass_needs_long_walks_on_the_ground() -> None:
     with pytest.raises(SurefootError, match=r"base_mass_ratio: no trace has 3 s upright"):
         fit_traces(ROBOT, [record(seconds=3.0)], ("base_mass_ratio",), HIDDEN)
     walk = record(seconds=6.0)
@@ -305,7 +307,7 @@ def test_a_mass_needs_long_walks_on_the_ground() -> None:
         fit_traces(ROBOT, [walk], ("base_mass_ratio",), HIDDEN)
 
 
-def test_motion_follows_a_polynomial_whose_slope_is_told_half_a_step_late() -> None:
+def test_motion_between_readings_is_a_polynomial() -> None:
     trace = cut(clean(), slice(20))
     turns = np.polynomial.Polynomial([0.3, 2.0, -40.0, 300.0])
     half = 0.5 * ROBOT.timing.servo_step
@@ -321,15 +323,15 @@ def test_motion_follows_a_polynomial_whose_slope_is_told_half_a_step_late() -> N
     assert speed[:, 3] == pytest.approx(turns.deriv()(at - half), abs=1e-6)
 
 
-def test_a_robot_in_real_time_may_tell_torques_earlier() -> None:
+def test_timing_of_torques_in_real_time_is_estimated() -> None:
     simulated, told = clean(), replace(clean(), meta={**clean().meta, "lead": 0.005})
     assert [way.age for way in torque_timings(ROBOT, simulated)] == [0.001]
     assert [way.age for way in torque_timings(ROBOT, told)] == pytest.approx([0.001, 0.0065])
     late = TraceSegment(told, MotorMotion(ROBOT, told), np.array([10, 11]), 0, torque_timings(ROBOT, told)[1])
     assert np.array_equal(late.target, told.target[[9, 10]])
     # Which it did is found from the data: here torques are of the control step's end.
-    found = fit_traces(ROBOT, [told], BATTERY_KNOWN, AT_15_V)
-    assert max(map(abs, errors_of(found).values())) < 0.01
+    result = fit_traces(ROBOT, [told], BATTERY_KNOWN, AT_15_V)
+    assert max(map(abs, errors_of(result).values())) < 0.01
 
 
 def test_coloured_unknowns_affect_their_motor_or_trace_alone() -> None:

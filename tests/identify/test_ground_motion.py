@@ -22,7 +22,7 @@ from surefoot.identify.ground.motion import (
 from surefoot.robot import PhysicalParams, RobotDescription
 
 
-def test_a_mean_is_known_to_what_its_blocks_differ_by():
+def test_deviation_of_a_mean_by_blocks():
     # Means 1 and 3 of two blocks: they spread by sqrt(2), their mean by sqrt(2) / sqrt(2).
     assert block_deviation(np.array([1.0, 1.0, 3.0, 3.0]), np.array([0, 0, 1, 1])) == pytest.approx(1.0)
     # What differs within a block does not count.
@@ -49,7 +49,7 @@ def test_a_regression_on_two_columns():
     np.testing.assert_allclose(with_none, [3.0, -2.0, 0.0], atol=1e-12)
 
 
-def test_fast_turns_follow_the_gyro_and_slow_ones_the_imu():
+def test_tilt_follows_the_gyro_fast_and_the_imu_slowly():
     rng, time = np.random.default_rng(3), np.arange(0.0, 8.0, STEP)
     fast, slow = 0.1 * np.sin(2 * np.pi * 3 * time), 0.03
     tilt = slow + fast + rng.normal(0.0, 0.05, len(time))
@@ -64,7 +64,7 @@ def test_fast_turns_follow_the_gyro_and_slow_ones_the_imu():
     np.testing.assert_array_equal(found[:, 1], 0.0)
 
 
-def test_a_gyros_constant_error_leaves_nothing_in_the_mean():
+def test_tilt_has_no_mean_error_from_a_biased_gyro():
     # Drawn back with a time constant T, an error of the rate b leaves an angle of b T (1 - exp(-t / T)), less its mean.
     time, bias = np.arange(0.0, 6.0, STEP), 0.01
     found = _filter_tilt(np.zeros((len(time), 2)), np.full((len(time), 2), bias))
@@ -73,14 +73,14 @@ def test_a_gyros_constant_error_leaves_nothing_in_the_mean():
     assert abs(found[:, 0].mean()) < 1e-12
 
 
-def test_smoothing_leaves_cubics():
+def test_smoothing_reproduces_cubics():
     time = np.arange(0.0, 0.2, STEP)
     values = np.stack([time**3 - time, np.full_like(time, 4.0)], axis=1)
     np.testing.assert_allclose(_smooth(values), values, atol=1e-12)
     np.testing.assert_allclose(_smooth(values, 1), np.stack([3 * time**2 - 1, 0 * time], axis=1), atol=1e-9)
 
 
-def test_values_of_phases_by_name_and_use():
+def test_values_are_selected_by_phase_and_use():
     names, uses = ("stand", "nod", "nod"), ("transition", "fit", "check")
     standing = GroundMotion(np.arange(6) * 0.3, np.array([0, 0, 1, 1, 2, 2]), None, names, uses)
     assert standing.during("nod").tolist() == [False, False, True, True, False, False]
@@ -91,7 +91,7 @@ def test_values_of_phases_by_name_and_use():
     assert standing.blocks.tolist() == [0, 0, 1, 1, 2, 3]
 
 
-def test_the_last_servo_step_has_the_least_of_a_command(robot: RobotDescription):
+def test_mean_torque_exceeds_the_report_after_a_command(robot: RobotDescription):
     """A motor turns at 1 rad/s and is held by a servo; states come every 2 ms, each of them before a command."""
     time = np.arange(100) * 0.002
     turning = np.tile((1.7 + time)[:, None], (1, 8))

@@ -53,18 +53,18 @@ def test_feet_carry_the_weight_of_a_standing_robot(robot: RobotDescription, unev
     world = standing(robot, uneven)
     dynamics = InverseDynamics(robot, world.params)
     assert dynamics.mass == pytest.approx(robot.urdf.total_mass)
-    found = dynamics.forces(still(world))
+    result = dynamics.forces(still(world))
     pitch = world.truth().roll_pitch_yaw[0, 1]
     assert abs(pitch) == pytest.approx(0.0, abs=2e-3) if uneven == 0 else abs(pitch) > 0.02
     # The base's frame is tilted: up of the world is (-sin, cos) of x and z there.
-    upward = found.force[0] @ [-np.sin(pitch), np.cos(pitch)]
-    along = found.force[0] @ [np.cos(pitch), np.sin(pitch)]
+    upward = result.force[0] @ [-np.sin(pitch), np.cos(pitch)]
+    along = result.force[0] @ [np.cos(pitch), np.sin(pitch)]
     assert upward.sum() == pytest.approx(robot.urdf.total_mass * GRAVITY, rel=1e-3)
     assert abs(along.sum()) < 0.05
     np.testing.assert_allclose(upward, pressed(world), rtol=5e-3)
     # Nothing moves, and nothing is lacking: forces hold the robot, moments cancel.
-    np.testing.assert_allclose(found.needed[0], 0.0, atol=0.05)
-    assert abs(found.turning[0]) < 1e-9
+    np.testing.assert_allclose(result.needed[0], 0.0, atol=0.05)
+    assert abs(result.turning[0]) < 1e-9
 
 
 @pytest.fixture(scope="module")
@@ -103,28 +103,28 @@ def forces(robot: RobotDescription, motion: Motion, **values: float) -> Forces:
     return InverseDynamics(robot, params(robot, **values)).forces(motion)
 
 
-def test_nothing_is_lacking_with_the_true_masses(robot: RobotDescription, nodding: dict[float, Motion]):
+def test_residual_moment_vanishes_with_the_true_masses(robot: RobotDescription, nodding: dict[float, Motion]):
     for ratio, motion in nodding.items():
-        found = forces(robot, motion, base_inertia_ratio=ratio)
-        assert np.std(found.turning) > 0.2
-        assert np.std(found.needed[:, 2]) < 0.05 * np.std(found.turning)
+        result = forces(robot, motion, base_inertia_ratio=ratio)
+        assert np.std(result.turning) > 0.2
+        assert np.std(result.needed[:, 2]) < 0.05 * np.std(result.turning)
         # What moves up and down needs the force that the feet give beyond the weight.
-        carried = found.force[:, :, 1].sum(axis=1)
+        carried = result.force[:, :, 1].sum(axis=1)
         assert np.mean(carried) == pytest.approx(robot.urdf.total_mass * GRAVITY, rel=0.03)
         weight = robot.urdf.total_mass * GRAVITY * np.cos(motion.roll_pitch).prod(axis=1)
-        np.testing.assert_allclose(carried, weight + found.needed[:, 1], atol=0.3)
+        np.testing.assert_allclose(carried, weight + result.needed[:, 1], atol=0.3)
 
 
-def test_another_inertia_is_told_by_what_is_lacking(robot: RobotDescription, nodding: dict[float, Motion]):
+def test_residual_moment_gives_the_inertia(robot: RobotDescription, nodding: dict[float, Motion]):
     for true, taken in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0)):
-        found = forces(robot, nodding[true], base_inertia_ratio=taken)
-        columns = np.stack([found.turning, np.ones_like(found.turning)], axis=1)
-        values, _ = regress(columns, -found.needed[:, 2], np.arange(len(columns)) // 50)
+        result = forces(robot, nodding[true], base_inertia_ratio=taken)
+        columns = np.stack([result.turning, np.ones_like(result.turning)], axis=1)
+        values, _ = regress(columns, -result.needed[:, 2], np.arange(len(columns)) // 50)
         # Beside what it was taken for.
         assert taken * (1 + values[0]) == pytest.approx(true, rel=0.03)
 
 
-def test_the_base_with_all_that_is_fixed_to_it(robot: RobotDescription):
+def test_mass_of_the_base_includes_fixed_links(robot: RobotDescription):
     one, other = InverseDynamics(robot, params(robot)), InverseDynamics(robot, params(robot, base_inertia_ratio=2.0))
     np.testing.assert_allclose(other.base_inertia, 2 * one.base_inertia)
     # About y: the body, whose centre is 50 mm before its origin, and two rails 18.5 mm below; about their centre.
@@ -134,7 +134,7 @@ def test_the_base_with_all_that_is_fixed_to_it(robot: RobotDescription):
     assert one.base_inertia[1, 1] == pytest.approx(about_y, rel=1e-4)
 
 
-def test_feet_are_where_the_legs_hold_them(robot: RobotDescription):
+def test_feet_positions_follow_from_leg_angles(robot: RobotDescription):
     motion = still(standing(robot))
     symmetric = Motion(
         **{**vars(motion), "motor_angle": robot.pose_angles(0.0, STANCE)[None], "roll_pitch": np.zeros((1, 2))}

@@ -41,18 +41,18 @@ def hanging(pupper: RobotDescription) -> RobotLog:
     return replace(blank, motor_angle=told.motor_angle[0])
 
 
-def test_a_robot_on_its_rack_is_found(pupper: RobotDescription, hanging: RobotLog):
-    found = fit_logs(pupper, [LogRun(hanging, True)], [], NAMES, PhysicalParams.nominal(pupper))
+def test_log_fit_identifies_the_true_parameters_on_a_rack(pupper: RobotDescription, hanging: RobotLog):
+    result = fit_logs(pupper, [LogRun(hanging, True)], [], NAMES, PhysicalParams.nominal(pupper))
     for name, value in TRUTH.items():
-        item = found.estimate(name)
+        item = result.estimate(name)
         assert item.value == pytest.approx(value, rel=0.1), name
         assert item.interval[0] <= value <= item.interval[1], name
-    (check,) = found.checks
+    (check,) = result.checks
     assert check.what == "hanging.npz, fitted"
     assert check.after < 0.05 * check.before
 
 
-def test_what_motors_have_of_their_own_is_around_what_they_share(pupper: RobotDescription):
+def test_candidates_combine_shared_values_and_ratios(pupper: RobotDescription):
     known = PhysicalParams.nominal(pupper)
     unknowns = log_unknowns(pupper, known, ["motor_friction", "friction_ratio", "damping_ratio", "motor_offset"])
     values = np.array([u.start for u in unknowns])
@@ -65,7 +65,7 @@ def test_what_motors_have_of_their_own_is_around_what_they_share(pupper: RobotDe
     assert params.motor_offset[0].tolist() == [0, 0, 0.05, *[0] * 9]
 
 
-def test_what_can_t_be_fitted_is_refused(pupper: RobotDescription, hanging: RobotLog):
+def test_log_fit_refuses_unknown_names_no_logs_and_dc_motors(pupper: RobotDescription, hanging: RobotLog):
     known = PhysicalParams.nominal(pupper)
     with pytest.raises(SurefootError, match="logs can't identify 'voltage'; choices: servo_kp"):
         fit_logs(pupper, [LogRun(hanging, True)], [], ["voltage"], known)
@@ -76,26 +76,26 @@ def test_what_can_t_be_fitted_is_refused(pupper: RobotDescription, hanging: Robo
         fit_logs(minitaur, [LogRun(hanging, True)], [], None, PhysicalParams.nominal(minitaur))
 
 
-def test_a_search_begins_nearer_and_counts_its_generations(pupper: RobotDescription, hanging: RobotLog):
+def test_search_reduces_the_cost_over_shared_unknowns(pupper: RobotDescription, hanging: RobotLog):
     known, told = PhysicalParams.nominal(pupper), []
     model = log_model(
         pupper, [LogRun(hanging.until(0.5), True)], log_unknowns(pupper, known, ["servo_kp", "motor_offset"]), known
     )
     start = np.array([unknown.start for unknown in model.unknowns])
-    found = search_start(model, 2, 1, lambda step, cost: told.append((step, cost)))
-    before, after = (float(np.sum(model.residuals(one[None]) ** 2)) for one in (start, found))
+    result = search_start(model, 2, 1, lambda step, cost: told.append((step, cost)))
+    before, after = (float(np.sum(model.residuals(one[None]) ** 2)) for one in (start, result))
     assert after < before
     # What motors have of their own is left to the fit.
-    assert found[0] != start[0]
-    assert np.array_equal(found[1:], start[1:])
+    assert result[0] != start[0]
+    assert np.array_equal(result[1:], start[1:])
     assert [step for step, _ in told] == ["search, generation 1", "search, generation 2"]
     assert told[1][1] <= told[0][1]
-    assert np.array_equal(found, search_start(model, 2, 1, lambda *_: None))
+    assert np.array_equal(result, search_start(model, 2, 1, lambda *_: None))
     with pytest.raises(SurefootError, match="a search is over numbers that all motors share"):
         fit_logs(pupper, [LogRun(hanging, True)], [], ["motor_offset"], known, search=2)
 
 
-def test_an_imu_that_isfind_imu_yaw_the_other_way_is_found(pupper: RobotDescription, hanging: RobotLog):
+def test_yaw_of_the_imu_is_identified(pupper: RobotDescription, hanging: RobotLog):
     nominal = PhysicalParams.nominal(pupper)
     truth, first = nominal.rows(np.zeros(1, np.int64)), hanging.until(0.5)
     truth.imu_mount[0, 2] = np.pi

@@ -25,14 +25,14 @@ def follow(robot: RobotDescription, log: MotorLog, **params: float) -> dict[str,
     return run_motor_experiment(robot, SimWorld, log, motor_index(robot, MOTOR), params)
 
 
-def test_a_sine_by_hand() -> None:
+def test_sine_has_its_known_targets() -> None:
     log = MotorLog.sine(2.0, 0.3, 2.5, 0.4, 0.1)
     np.testing.assert_allclose(log.time, [0.0, 0.1, 0.2, 0.3, 0.4])
     np.testing.assert_allclose(log.target, [2.0, 2.3, 2.0, 1.7, 2.0])
     assert np.isnan(log.angle).all()
 
 
-def test_errors_by_hand(robot: RobotDescription) -> None:
+def test_error_is_relative_to_measured_angles_or_targets(robot: RobotDescription) -> None:
     log, angle = step_log(robot, 0.1, 0.01), np.linspace(0.0, 0.1, 11)
     # Without a measurement the target is what is missed.
     assert log.error(angle) == pytest.approx(np.sqrt(np.mean((angle - log.target) ** 2)))
@@ -88,7 +88,7 @@ def test_a_table_that_is_no_motor_log_is_refused(tmp_path: Path, text: str, mess
         MotorLog.read(path)
 
 
-def test_a_missing_log_and_motor_are_refused(tmp_path: Path, robot: RobotDescription) -> None:
+def test_motor_figure_refuses_a_missing_log_and_motor(tmp_path: Path, robot: RobotDescription) -> None:
     with pytest.raises(SurefootError, match="can't be read"):
         MotorLog.read(tmp_path / "none.csv")
     with pytest.raises(SurefootError, match="motor 'tail' does not exist; motors: front_left_2_motor"):

@@ -42,7 +42,7 @@ def motor(strength: float = 0.9, missing: int = 3) -> Identification:
     return Identification("motor", "minitaur", tuple(estimates), sensors=sensors, digest="ab12", date="2026-11-21")
 
 
-def test_without_a_file_the_description_is_known(robot: RobotDescription, tmp_path: Path):
+def test_prior_without_a_file_is_nominal(robot: RobotDescription, tmp_path: Path):
     for path in (None, tmp_path / "none.toml"):
         known = read_prior(path, robot)
         assert (known.names, known.tables) == ((), {})
@@ -50,7 +50,7 @@ def test_without_a_file_the_description_is_known(robot: RobotDescription, tmp_pa
         assert missing_experiments(known, ("motor", "mass")) == ("motor", "mass")
 
 
-def test_what_was_found_is_written_and_read_to_the_last_bit(robot: RobotDescription, tmp_path: Path):
+def test_overlay_is_read_as_written(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "folder" / "robot.toml"
     after = overlay(read_prior(path, robot), motor(), robot, "recording.npz")
     write_overlay(path, robot, after)
@@ -69,7 +69,7 @@ def test_what_was_found_is_written_and_read_to_the_last_bit(robot: RobotDescript
     assert missing_experiments(again, ("motor", "mass")) == ("mass",)
 
 
-def test_intervals_of_numbers_and_of_motors(robot: RobotDescription):
+def test_intervals_are_written_for_numbers_and_for_motors(robot: RobotDescription):
     tables = overlay(read_prior(None, robot), motor(), robot).tables
     reach = NORMAL_95 * 0.1
     assert tables["intervals"]["voltage"] == pytest.approx([15.4 - reach, 15.4 + reach])
@@ -88,7 +88,7 @@ def test_intervals_of_numbers_and_of_motors(robot: RobotDescription):
     )
 
 
-def test_everything_else_in_the_file_stays(robot: RobotDescription, tmp_path: Path):
+def test_overlay_keeps_all_else_in_the_file(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "robot.toml"
     path.write_text(TEXT)
     write_overlay(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
@@ -99,7 +99,7 @@ def test_everything_else_in_the_file_stays(robot: RobotDescription, tmp_path: Pa
     assert known.tables["owner"] == "lab 3"
     assert known.tables["note"] == {"by": "hand", "more": {"deep": [[1, 2], [3]]}}
     assert known.names == ("motor_friction", "motor_strength", "voltage", "contact_friction")
-    # The motor that was not identifiable keeps what the file said of it.
+    # The motor that was not identifiable keeps the file's value.
     assert known.params.motor_strength[0, 3] == 0.97
     assert (known.params.voltage[0], known.params.contact_friction[0]) == (15.2, 0.7)
     assert known.tables["identified_by"]["voltage"] == "contact"
@@ -109,7 +109,7 @@ def test_everything_else_in_the_file_stays(robot: RobotDescription, tmp_path: Pa
     assert missing_experiments(known, ("motor", "contact")) == ()
 
 
-def test_an_experiment_done_again_replaces_what_it_said(robot: RobotDescription, tmp_path: Path):
+def test_a_repeated_experiment_replaces_its_results(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "robot.toml"
     write_overlay(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
     write_overlay(path, robot, overlay(read_prior(path, robot), motor(0.8, missing=5), robot, "b.npz"))
@@ -122,21 +122,23 @@ def test_an_experiment_done_again_replaces_what_it_said(robot: RobotDescription,
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("sensors = 3\n[params]", "sensors is 3; it must be a table"),
         ("[params]\n[identified]\nmotor = 1", r"identified\.motor is 1; it must be a table"),
         ('robot = "cat"\n[params]', "has parameters of robot 'cat', not of 'minitaur'"),
     ],
 )
-def test_a_file_that_does_not_fit(robot: RobotDescription, tmp_path: Path, text: str, said: str):
+def test_prior_refuses_another_robot_and_malformed_tables(
+    robot: RobotDescription, tmp_path: Path, text: str, message: str
+):
     path = tmp_path / "robot.toml"
     path.write_text(text)
-    with pytest.raises(SurefootError, match=said):
+    with pytest.raises(SurefootError, match=message):
         read_prior(path, robot)
 
 
-def test_training_takes_it(robot: RobotDescription, tmp_path: Path):
+def test_training_takes_the_identified_parameters(robot: RobotDescription, tmp_path: Path):
     pytest.importorskip("mujoco")
     from surefoot.cli.helpers.simulator import Simulator
     from surefoot.task.config import TaskConfig

@@ -128,27 +128,27 @@ WRONG: dict[str, tuple[Callable[[Recording], Recording], str]] = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_recording_that_can_not_be_fitted_is_refused(name: str, recorded: Recording, robot: RobotDescription):
-    change, said = WRONG[name]
-    assert said.format(*robot.motor_names) in refused(change(recorded), robot)
+def test_check_refuses_a_defective_recording(name: str, recorded: Recording, robot: RobotDescription):
+    change, message = WRONG[name]
+    assert message.format(*robot.motor_names) in refused(change(recorded), robot)
 
 
-def test_lost_states_are_counted_to_the_last(recorded: Recording, robot: RobotDescription):
+def test_check_counts_lost_states(recorded: Recording, robot: RobotDescription):
     # None of the first or last of a phase: nothing shows that such a one is missing.
     gone = np.concatenate([in_phase(recorded, phase)[5:-1:8] for phase in (SWEEP, STEPS)])
     gaps = sum(len(in_phase(recorded, phase)) - 1 for phase in recorded.phases("fit", "check"))
-    said = refused(without(recorded, gone), robot)
-    assert f"{len(gone)} states, {len(gone) / gaps:.1%}, are missing between others; at most 5%" in said
+    message = refused(without(recorded, gone), robot)
+    assert f"{len(gone)} states, {len(gone) / gaps:.1%}, are missing between others; at most 5%" in message
 
 
-def test_readings_at_an_end(recorded: Recording, robot: RobotDescription):
+def test_check_refuses_clipped_readings(recorded: Recording, robot: RobotDescription):
     doctored, most = clipped(recorded)
-    said = refused(doctored, robot)
-    assert f"the angle of {robot.motor_names[2]} stands still, at its greatest, at {most:.3f} rad for" in said
-    assert "of the time in which it is moved; at most 10%" in said
+    message = refused(doctored, robot)
+    assert f"the angle of {robot.motor_names[2]} stands still, at its greatest, at {most:.3f} rad for" in message
+    assert "of the time in which it is moved; at most 10%" in message
     doctored, ceiling = limited(recorded)
-    said = refused(doctored, robot)
-    assert f"the torque of {robot.motor_names[1]} is at a ceiling of {ceiling:.3f} N m for" in said
+    message = refused(doctored, robot)
+    assert f"the torque of {robot.motor_names[1]} is at a ceiling of {ceiling:.3f} N m for" in message
 
 
 SOUND: dict[str, Callable[[Recording], Recording]] = {
@@ -163,11 +163,11 @@ SOUND: dict[str, Callable[[Recording], Recording]] = {
 
 
 @pytest.mark.parametrize("name", SOUND)
-def test_a_sound_recording_passes_without_a_word(name: str, recorded: Recording, robot: RobotDescription):
+def test_check_passes_a_sound_recording(name: str, recorded: Recording, robot: RobotDescription):
     assert check_recording(SOUND[name](recorded), robot) == ()
 
 
-def test_what_can_be_borne_is_noted(recorded: Recording, robot: RobotDescription):
+def test_tolerable_defects_are_noted(recorded: Recording, robot: RobotDescription):
     (note,) = check_recording(without(recorded, in_phases(recorded, SWEEP, STEPS)[5::40]), robot)
     assert note == "20 states, 2.1%, are missing between others"
     noise = np.random.default_rng(0).normal(0.0, 5e-4, len(recorded.time))

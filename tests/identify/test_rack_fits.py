@@ -69,7 +69,7 @@ def answered(age: float, speed: float = 5.0, moving: int = MOTORS, noise: float 
 
 
 @pytest.mark.parametrize("age", [0.0003, 0.020, 0.0355])
-def test_ages_that_are_known_are_found(age: float):
+def test_spikes_give_the_true_age(age: float):
     spikes = measure_spikes(answered(age))
     assert spikes.tried == SPIKES * MOTORS
     assert len(spikes.age) > 0.9 * spikes.tried
@@ -81,7 +81,7 @@ def test_ages_that_are_known_are_found(age: float):
     assert np.median(spikes.host) == pytest.approx(begin - recording.sent_time[0] + age + 0.0017, abs=2e-4)
 
 
-def test_motors_that_do_not_move_do_not_count():
+def test_spikes_without_motion_are_left_out():
     spikes = measure_spikes(answered(0.02, moving=3))
     assert spikes.tried == SPIKES * MOTORS
     assert 0.9 * 3 * SPIKES < len(spikes.age) <= 3 * SPIKES
@@ -114,13 +114,13 @@ def test_bias_and_noise_of_the_imu():
     assert noise.interval[0] < 0.01 < noise.interval[1]
 
 
-def test_an_imu_without_noise():
+def test_noise_of_an_ideal_imu_is_zero():
     noise = estimate_imu(still(0.0, 0.0, 0.0))[2]
     assert (noise.value, noise.interval[0]) == (0.0, 0.0)
     assert 0 < noise.interval[1] < 1e-4
 
 
-def test_the_battery_is_looked_at_before_motors_move():
+def test_voltage_is_that_at_rest():
     recording = SimpleNamespace(voltage=np.array([15.8, 15.9, 14.0, 13.0]), resting=slice(0, 2))
     estimate = estimate_voltage(recording)
     assert estimate.value == pytest.approx(15.85)

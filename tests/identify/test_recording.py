@@ -30,7 +30,7 @@ def refused(path: Path, robot: RobotDescription, experiment: str | None = None) 
     return str(caught.value)
 
 
-def test_it_is_read_to_the_last_bit(recorded: Recording, robot: RobotDescription, tmp_path: Path):
+def test_recording_is_read_as_written(recorded: Recording, robot: RobotDescription, tmp_path: Path):
     path = recorded.save(tmp_path / "deep" / "recording.npz")
     found = load_recording(path, robot, "motor")
     for name in ARRAYS:
@@ -40,13 +40,13 @@ def test_it_is_read_to_the_last_bit(recorded: Recording, robot: RobotDescription
     assert found.meta["ended"] == COMPLETE
 
 
-def test_it_tells_when_commands_came(recorded: Recording):
+def test_arrival_of_commands_in_lockstep_is_their_sending(recorded: Recording):
     # In lockstep a command comes when it is sent, to the resolution of a state's times.
     np.testing.assert_allclose(recorded.arrival, recorded.sent_time, atol=2e-5)
     assert abs(recorded.clock_offset) < 2e-5
 
 
-def test_its_phases_are_found(recorded: Recording):
+def test_states_are_assigned_to_phases(recorded: Recording):
     lengths = [recorded.phase_states(k) for k in range(len(recorded.meta["phases"]))]
     assert all(one.stop <= other.start for one, other in pairwise(lengths))
     for phase, states in zip(recorded.meta["phases"], lengths, strict=True):
@@ -55,34 +55,34 @@ def test_its_phases_are_found(recorded: Recording):
     assert recorded.still_motors == frozenset()
 
 
-def test_no_file_and_no_recording(robot: RobotDescription, tmp_path: Path):
+def test_load_refuses_missing_and_foreign_files(robot: RobotDescription, tmp_path: Path):
     assert refused(tmp_path / "none.npz", robot).endswith("can't be read: No such file or directory")
     text = tmp_path / "text.npz"
     text.write_text("hello")
     refused(text, robot)
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    assert "is none" in refused(tmp_path / "other.npz", robot)
+    assert "has schema None" in refused(tmp_path / "other.npz", robot)
     np.savez(tmp_path / "odd.npz", meta=np.array("3"))
     assert "has schema None; surefoot reads schema 1" in refused(tmp_path / "odd.npz", robot)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])
-def test_a_file_that_is_cut_off(recorded: Recording, robot: RobotDescription, tmp_path: Path, share: float):
+def test_load_refuses_a_truncated_file(recorded: Recording, robot: RobotDescription, tmp_path: Path, share: float):
     path = recorded.save(tmp_path / "recording.npz")
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
     refused(path, robot)
 
 
-def test_a_file_with_a_turned_bit(recorded: Recording, robot: RobotDescription, tmp_path: Path):
+def test_load_refuses_a_flipped_bit(recorded: Recording, robot: RobotDescription, tmp_path: Path):
     path = recorded.save(tmp_path / "recording.npz")
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 16
     path.write_bytes(content)
-    assert "cut off or damaged" in refused(path, robot)
+    assert "no file of arrays" in refused(path, robot)
 
 
-def test_what_is_missing_or_unknown(recorded: Recording, robot: RobotDescription, tmp_path: Path):
+def test_load_names_missing_and_unknown_entries(recorded: Recording, robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "recording.npz"
     meta = {key: value for key, value in recorded.meta.items() if key not in ("period", "frames")}
     replace(recorded, meta=meta).save(path)
@@ -94,7 +94,7 @@ def test_what_is_missing_or_unknown(recorded: Recording, robot: RobotDescription
     assert refused(path, robot).endswith("missing or unknown: more, voltage")
 
 
-def test_data_that_were_changed(recorded: Recording, robot: RobotDescription, tmp_path: Path):
+def test_load_refuses_changed_data(recorded: Recording, robot: RobotDescription, tmp_path: Path):
     torque = recorded.motor_torque.copy()
     torque[100, 3] += 0.001
     path = replace(recorded, motor_torque=torque).save(tmp_path / "recording.npz")
@@ -103,7 +103,7 @@ def test_data_that_were_changed(recorded: Recording, robot: RobotDescription, tm
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"schema": 2}, "has schema 2; surefoot reads schema 1"),
         ({"robot": "cat"}, "is of robot 'cat', not of 'minitaur'"),
@@ -119,14 +119,16 @@ def test_data_that_were_changed(recorded: Recording, robot: RobotDescription, tm
         ({"ended": None}, "meta.ended does not fit"),
     ],
 )
-def test_an_entry_that_does_not_fit(
-    recorded: Recording, robot: RobotDescription, tmp_path: Path, change: Any, said: str
+def test_load_refuses_invalid_entries(
+    recorded: Recording, robot: RobotDescription, tmp_path: Path, change: Any, message: str
 ):
-    assert said in refused(saved(recorded, tmp_path / "a.npz", **change), robot)
+    assert message in refused(saved(recorded, tmp_path / "a.npz", **change), robot)
 
 
 @pytest.mark.parametrize("odd", ["time", "sent_value", "roll_pitch_yaw", "mode"])
-def test_an_array_of_another_shape_or_type(recorded: Recording, robot: RobotDescription, tmp_path: Path, odd: str):
+def test_load_refuses_arrays_of_another_shape_or_type(
+    recorded: Recording, robot: RobotDescription, tmp_path: Path, odd: str
+):
     whole = getattr(recorded, odd)
     for k, array in enumerate((whole[:-1], whole.reshape(-1, 1), whole.astype("?"), whole.astype("U5"), np.array(0.0))):
         path = saved(replace(recorded, **{odd: array}), tmp_path / f"{k}.npz")

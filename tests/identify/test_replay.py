@@ -51,11 +51,11 @@ def one(robot: RobotDescription) -> Replayer:
 
 
 @pytest.fixture(scope="module")
-def told(one: Replayer, segment: Segment, truth: PhysicalParams) -> ReplayedReadings:
+def readings(one: Replayer, segment: Segment, truth: PhysicalParams) -> ReplayedReadings:
     return one.run(segment, truth)
 
 
-def test_a_stretch_holds_all_that_the_robot_was_told(segment: Segment, ideal: Recording):
+def test_segment_holds_commands_and_mode_changes(segment: Segment, ideal: Recording):
     # Sweep, steps and centre, then let go, armed for duties, let go, armed for servos that first hold what they find.
     changes = np.flatnonzero(np.diff(segment.kind, prepend=-9))
     position, pwm, off = int(Mode.POSITION), int(Mode.PWM), int(Mode.DISARMED)
@@ -69,49 +69,51 @@ def test_a_stretch_holds_all_that_the_robot_was_told(segment: Segment, ideal: Re
     assert np.ptp(segment.state_time) == pytest.approx(2.5, abs=0.3)
 
 
-def test_a_replay_with_the_true_parameters_is_the_recording(told: ReplayedReadings, segment: Segment, ideal: Recording):
+def test_a_replay_with_the_true_parameters_is_the_recording(
+    readings: ReplayedReadings, segment: Segment, ideal: Recording
+):
     # The robot had just unfolded, the replay's robots have rested: both are at one after some tenths of a second.
     settled = segment.state_time > 0.4
     kept = segment.states[settled]
     assert np.ptp(ideal.motor_angle[kept], axis=0).min() > 0.2
     # To the resolution of a state's numbers.
-    assert np.abs(told.motor_angle[0][settled] - ideal.motor_angle[kept]).max() < 2e-6
-    assert np.abs(told.motor_velocity[0][settled] - ideal.motor_velocity[kept]).max() < 1e-3
-    assert np.abs(told.motor_torque[0][settled] - ideal.motor_torque[kept]).max() < 2e-3
+    assert np.abs(readings.motor_angle[0][settled] - ideal.motor_angle[kept]).max() < 2e-6
+    assert np.abs(readings.motor_velocity[0][settled] - ideal.motor_velocity[kept]).max() < 1e-3
+    assert np.abs(readings.motor_torque[0][settled] - ideal.motor_torque[kept]).max() < 2e-3
 
 
-def test_another_control_latency_is_the_same_motion_shifted(
-    one: Replayer, told: ReplayedReadings, segment: Segment, truth: PhysicalParams, robot: RobotDescription
+def test_control_latency_shifts_the_readings(
+    one: Replayer, readings: ReplayedReadings, segment: Segment, truth: PhysicalParams, robot: RobotDescription
 ):
     # States come every 2 ms: with 4 ms more each tells what the second before it did.
     late = truth.with_values(robot, control_latency=TRUTH["control_latency"] + 0.004)
     shifted = one.run(segment, late)
     for name in ("motor_angle", "motor_velocity"):
-        ours, before = getattr(shifted, name)[0], getattr(told, name)[0]
+        ours, before = getattr(shifted, name)[0], getattr(readings, name)[0]
         np.testing.assert_allclose(ours[12:], before[10:-2], atol=1e-3)
     # Torques are of now, whatever the readings' age.
-    np.testing.assert_array_equal(shifted.motor_torque, told.motor_torque)
+    np.testing.assert_array_equal(shifted.motor_torque, readings.motor_torque)
     ages = np.array([TRUTH["control_latency"], TRUTH["control_latency"] + 0.004, 0.0])
     together = one.angles_with_latencies(segment, truth, ages)
-    np.testing.assert_array_equal(together[0], told.motor_angle[0])
+    np.testing.assert_array_equal(together[0], readings.motor_angle[0])
     np.testing.assert_array_equal(together[1], shifted.motor_angle[0])
     # What is read at once is what the next servo step finds.
-    assert np.abs(together[2][:-10] - told.motor_angle[0][:-10]).max() > 0.05
+    assert np.abs(together[2][:-10] - readings.motor_angle[0][:-10]).max() > 0.05
 
 
-def test_a_lead_takes_from_the_age(
-    one: Replayer, told: ReplayedReadings, segment: Segment, truth: PhysicalParams, robot: RobotDescription
+def test_lead_reduces_the_age(
+    one: Replayer, readings: ReplayedReadings, segment: Segment, truth: PhysicalParams, robot: RobotDescription
 ):
     late = truth.with_values(robot, control_latency=TRUTH["control_latency"] + 0.005)
     ahead = one.run(replace(segment, lead=0.005), late)
-    np.testing.assert_allclose(ahead.motor_angle, told.motor_angle, atol=1e-9)
+    np.testing.assert_allclose(ahead.motor_angle, readings.motor_angle, atol=1e-9)
     # No reading is of a time to come.
     soon = one.run(replace(segment, lead=1.0), truth)
     np.testing.assert_array_equal(soon.motor_angle[0], one.angles_with_latencies(segment, truth, np.zeros(1))[0])
 
 
-def test_rows_of_a_batch_do_not_feel_each_other(
-    told: ReplayedReadings, ideal: Recording, truth: PhysicalParams, robot: RobotDescription, one: Replayer
+def test_rows_of_a_batch_are_independent(
+    readings: ReplayedReadings, ideal: Recording, truth: PhysicalParams, robot: RobotDescription, one: Replayer
 ):
     short = segment_from_recording(ideal, 3, 5)
     rows = truth.rows([0, 0, 0])
@@ -129,6 +131,6 @@ def test_rows_of_a_batch_do_not_feel_each_other(
     assert np.abs(together.motor_angle[0] - together.motor_angle[1]).max() > 1e-3
 
 
-def test_a_stretch_needs_commands(ideal: Recording):
+def test_segment_needs_commands(ideal: Recording):
     with pytest.raises(SurefootError, match="no commands of phases 9 to 11"):
         segment_from_recording(ideal, 9, 11)

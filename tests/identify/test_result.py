@@ -13,13 +13,13 @@ def identification(*estimates: ParameterEstimate) -> Identification:
     return Identification("motor", "minitaur", estimates)
 
 
-def test_an_interval_is_clipped_to_what_is_possible():
+def test_intervals_stay_within_bounds():
     assert ParameterEstimate("a", 2.0, 0.5, "1").interval == pytest.approx((2 - 1.959964 / 2, 2 + 1.959964 / 2))
     low, high = ParameterEstimate("motor_friction", 0.01, 0.02, "N m", 3, low=0.0, high=0.04).interval
     assert (low, high) == (0.0, 0.04)
 
 
-def test_params_get_what_was_found(robot: RobotDescription):
+def test_params_take_identifiable_estimates(robot: RobotDescription):
     base = PhysicalParams.nominal(robot, 3).with_values(robot, motor_strength=0.7)
     result = identification(
         ParameterEstimate("resistance", 0.21, 0.01, "Ohm"),
@@ -51,7 +51,7 @@ def test_params_get_what_was_found(robot: RobotDescription):
     )
 
 
-def test_estimates_are_found_by_name_and_index():
+def test_estimate_is_selected_by_name_and_index():
     result = identification(
         ParameterEstimate("motor_strength", 0.8, 0.1, "1", 2), ParameterEstimate("resistance", 0.2, 0.1, "Ohm")
     )
@@ -62,7 +62,7 @@ def test_estimates_are_found_by_name_and_index():
         result.estimate("voltage")
 
 
-def test_no_interval_is_narrower_than_a_simulator_can_know():
+def test_deviations_include_the_simulators_accuracy():
     # 3-4-5: .5 % of 6 is .03.
     assert with_floor("resistance", 6.0, 0.04) == pytest.approx(0.05)
     assert with_floor("torque_constant", 3.0, 0.04) == pytest.approx(0.05)

@@ -33,7 +33,7 @@ def write(path: Path, **changes: np.ndarray) -> Path:
     return path
 
 
-def test_a_repeated_reading_is_of_the_row_where_it_was_new():
+def test_repeated_readings_have_the_time_of_the_first():
     time = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 6.0])
     angle = np.array([[0.0], [5.0], [5.0], [5.0], [7.0], [9.0]])
     log = log_from_rows("log", time, np.arange(6.0)[:, None], angle, np.full((6, 4), np.nan))
@@ -57,7 +57,7 @@ def test_the_published_logs_are_read(pupper: RobotDescription):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"command": np.zeros((50, 8))}, r"command has shape \(50, 8\).*pupper_v2 has 12 motors"),
         ({"time": 0.01 * np.arange(50)[::-1]}, "time goes backwards in row 1, from 0.49 to 0.48 s"),
@@ -65,21 +65,23 @@ def test_the_published_logs_are_read(pupper: RobotDescription):
         ({"time": np.full(50, np.nan)}, "time has values that are not finite"),
         ({"imu": np.zeros((49, 4))}, r"imu has shape \(49, 4\).*a row for each time"),
         ({"command": np.full((50, 12), "a")}, "command holds <U1; it must hold numbers"),
-        ({"motor_angle": np.array([{}] * 50, object)}, "is no file of arrays"),
+        ({"motor_angle": np.array([{}] * 50, object)}, "no file of arrays"),
     ],
 )
-def test_what_is_no_log_is_refused(tmp_path: Path, pupper: RobotDescription, changes: dict, said: str):
-    with pytest.raises(SurefootError, match=said):
+def test_read_log_refuses_arrays_of_another_shape(
+    tmp_path: Path, pupper: RobotDescription, changes: dict, message: str
+):
+    with pytest.raises(SurefootError, match=message):
         read_log(write(tmp_path / "log.npz", **changes), pupper)
 
 
-def test_a_log_without_commands_says_what_it_has(tmp_path: Path, pupper: RobotDescription):
+def test_read_log_lists_arrays_if_commands_are_missing(tmp_path: Path, pupper: RobotDescription):
     np.savez(tmp_path / "log.npz", time=np.arange(3.0), position=np.zeros((3, 12)))
     with pytest.raises(SurefootError, match=r"has no command.*It has position, time; with other names: surefoot trace"):
         read_log(tmp_path / "log.npz", pupper)
 
 
-def test_a_header_that_promises_more_than_the_file_has_is_refused(tmp_path: Path, pupper: RobotDescription):
+def test_read_log_refuses_an_array_longer_than_its_file(tmp_path: Path, pupper: RobotDescription):
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
     with zipfile.ZipFile(tmp_path / "log.npz", "w") as archive:
@@ -88,6 +90,6 @@ def test_a_header_that_promises_more_than_the_file_has_is_refused(tmp_path: Path
         read_log(tmp_path / "log.npz", pupper)
 
 
-def test_a_missing_file_is_one_line(tmp_path: Path, pupper: RobotDescription):
+def test_read_log_refuses_a_missing_file(tmp_path: Path, pupper: RobotDescription):
     with pytest.raises(SurefootError, match="can't be read: No such file"):
         read_log(tmp_path / "none.npz", pupper)

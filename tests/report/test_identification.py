@@ -97,7 +97,7 @@ class Page(HTMLParser):
             self.rows[-1][-1] += data
 
 
-def test_both_files_are_written(robot: RobotDescription, known: PhysicalParams, tmp_path: Path):
+def test_report_writes_picture_and_page(robot: RobotDescription, known: PhysicalParams, tmp_path: Path):
     picture, html = write_report(identification(), robot, known, tmp_path / "a" / "b", "runs/recording.npz")
     assert (picture.name, html.name) == ("report.png", "report.html")
     assert picture.read_bytes().startswith(PNG)
@@ -110,7 +110,7 @@ def test_both_files_are_written(robot: RobotDescription, known: PhysicalParams, 
     assert not re.search(r"https?:|url\(|<script|<link", text)
 
 
-def test_what_the_page_says(robot: RobotDescription, known: PhysicalParams):
+def test_page_has_all_numbers(robot: RobotDescription, known: PhysicalParams):
     text = page(identification(), robot, known, PNG, "runs/recording.npz")
     rows: dict[str, list[str]] = {}
     for row in Page(text).rows:
@@ -128,7 +128,7 @@ def test_what_the_page_says(robot: RobotDescription, known: PhysicalParams):
     assert "24 of 27 numbers are identifiable from the data." in text
 
 
-def test_what_there_is_not_has_no_section(robot: RobotDescription, known: PhysicalParams, tmp_path: Path):
+def test_page_has_no_empty_sections(robot: RobotDescription, known: PhysicalParams, tmp_path: Path):
     bare = Identification("latency", "minitaur", (ParameterEstimate("servo_latency", 0.003, 1e-4, "s"),))
     text = page(bare, robot, known, PNG)
     assert re.findall("<h2>(.*?)</h2>", text) == ["Estimates", "Pictures", "Data"]
@@ -147,7 +147,7 @@ def test_indices_have_names(robot: RobotDescription):
     assert index_names("voltage", robot) == ()
 
 
-def test_what_was_known(robot: RobotDescription, known: PhysicalParams):
+def test_prior_value_of_parameters(robot: RobotDescription, known: PhysicalParams):
     given = known.with_values(robot, motor_strength=np.linspace(0.9, 1.04, 8))
     assert prior_value(ParameterEstimate("motor_strength", 1.0, 0.1, "1", 2), given) == pytest.approx(0.94)
     assert prior_value(ParameterEstimate("motor_strength", 1.0, 0.1, "1"), given) == pytest.approx(0.97)
@@ -156,7 +156,7 @@ def test_what_was_known(robot: RobotDescription, known: PhysicalParams):
 
 
 @pytest.mark.parametrize(
-    ("value", "width", "said"),
+    ("value", "width", "message"),
     [
         (0.94321, 0.02, "0.943"),
         (15.4, 4.0, "15.4"),
@@ -169,5 +169,5 @@ def test_what_was_known(robot: RobotDescription, known: PhysicalParams):
         (1.2345e-8, 1e-9, "1.23e-08"),
     ],
 )
-def test_a_number_has_the_digits_that_its_interval_is_worth(value: float, width: float, said: str):
-    assert number(value, width) == said
+def test_numbers_have_the_digits_of_their_interval(value: float, width: float, message: str):
+    assert number(value, width) == message

@@ -173,7 +173,7 @@ BAD = [
     ("dog.urdf", BOMB, "declares XML entities"),
     ("dog.urdf", "<robot", "is not well-formed XML"),
     ("dog.urdf", urdf(link("a")), "nothing in it moves"),
-    ("dog.urdf", urdf(link("a", mass="heavy")), "link 'a': its <inertial> has no numbers"),
+    ("dog.urdf", urdf(link("a", mass="heavy")), "link 'a': mass is 'heavy'; it must be a finite number"),
     ("dog.xml", "<sdf/>", "the root element is <sdf>"),
     ("dog.xml", mjcf(legs() + leg("M", 0.0, 0.2)), "5 legs hang from 'trunk'; a quadruped has 4"),
     ("dog.xml", mjcf(legs(("FL", "FR", "RL"))), "3 legs hang from 'trunk'"),

@@ -138,7 +138,7 @@ def test_the_state_of_a_run_follows_from_its_files(tmp_path: Path) -> None:
     assert run.state == "new"
     store(run, "run.json")
     assert run.state == "new"
-    store(run, "checkpoints/fresh.ckpt")
+    store(run, "checkpoints/latest.ckpt")
     assert run.state == "started"
     store(run, "policy.onnx")
     assert run.state == "finished"

@@ -195,7 +195,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
             port.close()
             for observer in observers:
                 observer.close()
-                if isinstance(observer, CaptureWriter) and observer.failed:
-                    print(f"surefoot: motion capture stopped: {observer.failed}", file=sys.stderr)
+                if isinstance(observer, CaptureWriter) and observer.file.stopped:
+                    print(f"surefoot: motion capture stopped: {observer.file.stopped}", file=sys.stderr)
     print(f"surefoot: {summary.text(board)}", file=sys.stderr)
     return 0

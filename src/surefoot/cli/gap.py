@@ -37,55 +37,48 @@ _LENGTH_TOLERANCE = 0.01
 """Relative difference of lengths that whole control steps may cause."""
 
 
-@dataclass(frozen=True)
-class Side:
-    """Where runs come from: a simulated world, or traces in a folder."""
-
-    world: str = ""
-    """Name of the world; empty for traces."""
-    folder: Path | None = None
-    """Folder of traces; None for a world."""
-
-    @classmethod
-    def from_words(cls, option: str, words: Sequence[str]) -> Side:
-        """Read the words behind `--from` or `--to`; refuse what is neither one world nor `trace FOLDER`."""
-        if len(words) == 2 and words[0] == TRACE:
-            return cls(folder=Path(words[1]))
-        if len(words) == 1 and words[0] != TRACE:
-            return cls(world=words[0])
-        raise SurefootError(
-            f"{option} is '{' '.join(words) or 'nothing'}'; it takes the name of a world, or {TRACE} FOLDER"
-        )
-
-    def __str__(self) -> str:
-        return self.world or f"{TRACE} {self.folder}"
+Side = str | Path
+"""Where runs come from: the name of a simulated world, or a folder of traces."""
 
 
-def _check_sides(out: Path, home: Side, away: Sequence[Side]) -> None:
-    """Refuse a side given twice, and runs that would be written where traces are read."""
+def parse_side(option: str, words: Sequence[str]) -> Side:
+    """Return the side in the words behind `--from` or `--to`: one world, or `trace FOLDER`."""
+    if len(words) == 2 and words[0] == TRACE:
+        return Path(words[1])
+    if len(words) == 1 and words[0] != TRACE:
+        return words[0]
+    text = " ".join(words) or "nothing"
+    raise SurefootError(f"{option} is '{text}'; it takes the name of a world, or {TRACE} FOLDER")
+
+
+def _text(side: Side) -> str:
+    return side if isinstance(side, str) else f"{TRACE} {side}"
+
+
+def _check_sides(command: GapCommand, home: Side, away: Sequence[Side]) -> None:
+    """Refuse sides given twice, options of simulations without one, and runs that would be written beside traces."""
     if not away:
         raise SurefootError(f"no --to is given; it takes the name of a world, or {TRACE} FOLDER")
     for side in away:
         if list(away).count(side) > 1:
-            raise SurefootError(f"--to {side} is given twice; give each once")
+            raise SurefootError(f"--to {_text(side)} is given twice; give each once")
     for side in (home, *away):
-        if side.folder is not None:
-            whole, part = out.resolve(), side.folder.resolve()
-            if whole == part or whole in part.parents or part in whole.parents:
+        if isinstance(side, Path):
+            out, folder = command.out.resolve(), side.resolve()
+            if out == folder or out in folder.parents or folder in out.parents:
                 raise SurefootError(
-                    f"--out {out} and the traces of {side.folder} lie one in the other; give --out a folder of its own"
+                    f"--out {command.out} and the traces of {side} lie one in the other; give --out a folder of its own"
                 )
-
-
-def _check_lengths(recorded: RecordedTraces, duration: float) -> None:
-    """Refuse traces of runs that were planned for another duration than the simulated ones [s]."""
-    for path, trace in recorded:
-        length = trace.meta["max_steps"] * trace.meta["control_step"]
-        if abs(length - duration) > _LENGTH_TOLERANCE * duration:
-            raise SurefootError(
-                f"trace file {path}: its run was to last {length:.3g} s, the others last {duration:.3g} s; "
-                f"give --duration {length:.3g} to compare with runs as long"
-            )
+    for option, value, sides in (
+        ("--params", command.params, [home, *away]),
+        ("--set", command.settings, [home, *away]),
+        ("--from-set", command.from_settings, [home]),
+        ("--to-set", command.to_settings, away),
+        ("--to-actuator", command.to_actuator != "dc", away),
+        ("--pushes", command.pushes, [home, *away]),
+    ):
+        if value and not any(isinstance(side, str) for side in sides):
+            raise SurefootError(f"{option} is given, but nothing is simulated on its side: {_text(sides[0])}")
 
 
 def make_labels(worlds: Sequence[str], sides: Sequence[Side]) -> list[str]:
@@ -94,7 +87,7 @@ def make_labels(worlds: Sequence[str], sides: Sequence[Side]) -> list[str]:
     for world, side in zip(worlds, sides, strict=True):
         stem = world
         if world in labels:
-            stem = f"{world}-away" if side.folder is None else f"{world}-{side.folder.resolve().name}"
+            stem = f"{world}-away" if isinstance(side, str) else f"{world}-{side.resolve().name}"
         name, number = stem, 2
         while name in labels:
             name, number = f"{stem}-{number}", number + 1
@@ -145,53 +138,50 @@ def main(argv: list[str]) -> int:
     from surefoot.cli.helpers.policies import load_policies, run_policy
     from surefoot.world.registry import find_world
 
-    home, away = Side.from_words("--from", command.home), [Side.from_words("--to", words) for words in command.away]
-    _check_sides(command.out, home, away)
-    for option, value, where in (
-        ("--params", command.params, [home, *away]),
-        ("--set", command.settings, [home, *away]),
-        ("--from-set", command.from_settings, [home]),
-        ("--to-set", command.to_settings, away),
-        ("--to-actuator", command.to_actuator != "dc", away),
-        ("--pushes", command.pushes, [home, *away]),
-    ):
-        if value and not any(side.world for side in where):
-            raise SurefootError(f"{option} is given, but nothing is simulated on its side: {where[0]}")
+    home, away = parse_side("--from", command.home), [parse_side("--to", words) for words in command.away]
+    _check_sides(command, home, away)
     from surefoot.evaluate.recorded import assign_to_policies, find_traces, save_runs
     from surefoot.evaluate.runs import common_value
     from surefoot.evaluate.sensitivity import episode_duration
     from surefoot.world.process_world import worker_pool
 
-    for side in (home, *away):
-        if side.world:
-            find_world(side.world)
+    sides, worlds = (home, *away), []
+    for side in sides:
+        if isinstance(side, str):
+            find_world(side)
     candidates, robot = load_policies(command.policies)
     tasks = [_tasks(command, one.task, robot) for one in candidates]
-    names = [one.name for one in candidates]
-    sides, worlds = (home, *away), []
     recorded: dict[Side, dict[str, RecordedTraces]] = {}
     for side in sides:
-        world = side.world
-        if side.folder is not None:
-            traces = find_traces(side.folder)
-            recorded[side] = assign_to_policies(traces, names, robot.name)
-            world = common_value([trace for _, trace in traces], "world")
-        worlds.append(world)
+        if isinstance(side, str):
+            worlds.append(side)
+            continue
+        traces = find_traces(side)
+        recorded[side] = assign_to_policies(traces, [one.name for one in candidates], robot.name)
+        worlds.append(common_value([trace for _, trace in traces], "world"))
     labels = make_labels(worlds, sides)
     for one, (at_home, _) in zip(candidates, tasks, strict=True):
-        for by_policy in recorded.values():
-            _check_lengths(by_policy[one.name], episode_duration(at_home))
+        for path, trace in [pair for part in recorded.values() for pair in part[one.name]]:
+            length, duration = trace.meta["max_steps"] * trace.meta["control_step"], episode_duration(at_home)
+            if abs(length - duration) > _LENGTH_TOLERANCE * duration:
+                raise SurefootError(
+                    f"trace file {path}: its run was to last {length:.3g} s, the others last {duration:.3g} s; "
+                    f"give --duration {length:.3g} to compare with runs as long"
+                )
         check_name("policy name", one.name)
     make_figures_folder(command.out)
     runs: dict[str, dict[str, RecordedTraces]] = {one.name: {} for one in candidates}
     with worker_pool():
         for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True):
             for side, label in zip(sides, labels, strict=True):
-                if side in recorded:
+                if isinstance(side, Path):
                     runs[one.name][label] = recorded[side][one.name]
                     continue
-                task, title = at_home if side is home else elsewhere, f"{one.name} in {label}: {command.runs} runs"
-                options = (command.runs, side.world, command.seed, command.threads, one.name, title)
+                task, title = (
+                    at_home if label == labels[0] else elsewhere,
+                    f"{one.name} in {label}: {command.runs} runs",
+                )
+                options = (command.runs, side, command.seed, command.threads, one.name, title)
                 simulated = run_policy(one.policy, task, *options)
                 runs[one.name][label] = save_runs(command.out / one.name / label, simulated)
     _report(command, candidates, tasks, robot.name, sides, runs)
@@ -222,7 +212,7 @@ def _report(
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
-    from surefoot.evaluate.gap import PolicyGap
+    from surefoot.evaluate.gap import PolicyGap, gap_text
     from surefoot.evaluate.runs import measure_runs
     from surefoot.report.figures.runs import side_by_side
     from surefoot.studies.study_figures import gap_figure
@@ -245,7 +235,12 @@ def _report(
     ]
     if not command.json:
         title = f"Reality gap: return in {gaps[0].worlds[0]} less return elsewhere, ± one standard error"
-        print_table([row for gap in (*gaps, *pooled) for row in gap.text_rows()], title, 2)
+        texts = [
+            {"policy": name} | gap_text(row, row["side"] == "home", sign=True)
+            for name, part in rows.items()
+            for row in part
+        ]
+        print_table(texts, title, 2)
         print_files(files, out)
         first = next(iter(runs.values()))
         print(show_command(recorded[0][0] for recorded in first.values()))
@@ -253,8 +248,8 @@ def _report(
     plain = {name: plain_rows(part) for name, part in rows.items()}
     result = {
         "robot": robot,
-        "from": str(sides[0]),
-        "to": [str(side) for side in sides[1:]],
+        "from": _text(sides[0]),
+        "to": list(map(_text, sides[1:])),
         "runs": command.runs,
         "seed": command.seed,
         "pushes": command.pushes,

@@ -72,7 +72,6 @@ class ClockSync:
     def __init__(self, second: int = 1) -> None:
         self._second = second
         self._buckets: deque[tuple[float, float]] = deque()
-        """For each second its number and the least difference in it."""
 
     def add(self, sent: float, arrived: float) -> None:
         """Take a frame: sent on the other clock, arrived on this one."""

@@ -33,14 +33,9 @@ class Controller:
         contract, limits = self.contract, self.contract.commands
         self.observer = Observer(robot, tuple(part.name for part in contract.observation), contract.action_names)
         self.gait = self.task.gait(robot)
-        self.observation = np.zeros(self.observer.width)
-        """The newest observation (O,)."""
-        self.feedback = np.zeros(len(contract.action_names))
-        """The last feedback (A,)."""
-        self.target = robot.resting_angles
-        """The last motor angles (M,) [rad]."""
-        self.inference = 0.0
-        """Time of the last inference [s]."""
+        self.observation, self.feedback = np.zeros(self.observer.width), np.zeros(len(contract.action_names))
+        self.target, self.inference = robot.resting_angles, 0.0
+        """The newest observation (O,), feedback (A,), motor angles (M,) [rad], and time of inference [s]."""
         self.command = np.array(STAND)
         """The command (3,), within the contract's limits: speeds [m/s], yaw rate [rad/s]."""
         self._history: NDArray[np.float32] | None = None

@@ -16,7 +16,7 @@ from surefoot.deploy.motion_runner import MotionRunner
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
-from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
+from surefoot.deploy.safety import GO, Act, Verdict
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 
@@ -27,16 +27,15 @@ PUNCTUAL, TRIES = 200, 10
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """How a run ended."""
+    """How a run ended: in the word of traces (time, fall, fault or stopped), with a short reason, and as a sentence.
+
+    `safe`: whether the robot's or the computer's safety ended it.
+    """
 
     ended: str
-    """How the policy's part ended, as in traces: time, fall, fault or stopped."""
     reason: str
-    """In one or two words."""
     text: str
-    """As a sentence, with what happened afterwards."""
     safe: bool
-    """Whether the robot's or the computer's safety ended the run."""
 
 
 class Deployment:
@@ -57,8 +56,7 @@ class Deployment:
     ) -> None:
         self.link, self.controller, self.operator, self.monitor = link, controller, operator, monitor
         self.contract, self.robot, self.commands = controller.contract, controller.robot, commands
-        self.limits, self.dry_run = SafetyLimits.from_robot(self.robot), dry_run
-        self._moved = False
+        self.dry_run, self._moved = dry_run, False
 
     def connect(self, check: Callable[[Handshake], None]) -> None:
         """Connect to the robot, check its handshake, and make sure that policy and computer keep time.
@@ -78,6 +76,18 @@ class Deployment:
         except LinkLostError as error:
             raise SurefootError(f"the robot was lost before it was armed: {error}") from error
         self.controller.reset()
+
+    def _runner(self, timing: LoopTiming, tilt: float, dry_run: bool) -> MotionRunner:
+        return MotionRunner(
+            self.link,
+            self.robot,
+            self.contract.control_step,
+            self.operator,
+            self.monitor,
+            tilt=tilt,
+            timing=timing,
+            dry_run=dry_run,
+        )
 
     def _target(self, k: int, state: State, missed: int = 0) -> Array:
         moment = k * self.contract.control_step
@@ -99,17 +109,11 @@ class Deployment:
     def _check_timing(self) -> None:
         """Run control steps as if the robot were armed, until the computer does them in time.
 
-        First runs take longer: pages are read, caches filled. A computer that is too busy, and a robot that should not
-        be armed, are found here, while nothing moves.
-
-        Raises:
-            SurefootError: what would end a run holds from the start, or occurs again and again.
+        First runs take longer. A busy computer, or a robot that should not be armed, is refused while nothing moves.
         """
-        step, verdict = self.contract.control_step, GO
+        verdict = GO
         for _ in range(TRIES):
-            guard = Guard(self.limits, step, self.link.session, math.inf)
-            timing = LoopTiming(PUNCTUAL + 1)
-            loop = ControlLoop(self.link, step, guard, self.operator, self.monitor, timing, dry_run=True)
+            loop = self._runner(LoopTiming(PUNCTUAL + 1), math.inf, dry_run=True).loop
             verdict = loop.follow("check timing", PUNCTUAL, self._target)
             if verdict.act in (Act.GO, Act.SIT):
                 break
@@ -123,17 +127,7 @@ class Deployment:
         Raises:
             SurefootError: the robot is not connected, or does not arm for its first run; nothing has moved.
         """
-        runner = MotionRunner(
-            self.link,
-            self.robot,
-            self.contract.control_step,
-            self.operator,
-            self.monitor,
-            self.limits,
-            self.controller.task.fall_angle,
-            timing=timing,
-            dry_run=self.dry_run,
-        )
+        runner = self._runner(timing, self.controller.task.fall_angle, self.dry_run)
         if self.operator.stops:
             return RunOutcome("stopped", "operator", "stopped before anything moved", False)
         try:

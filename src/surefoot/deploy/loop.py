@@ -33,23 +33,22 @@ PING_STEPS = 16
 
 @dataclass(frozen=True)
 class Snapshot:
-    """State of the control loop, for monitors. Times in s; "since" refers to the last snapshot."""
+    """State of the control loop, for monitors. Times in s.
+
+    Since the last snapshot: `rate` of steps [Hz], `lateness` of each, and the longest `inference`, NaN without any. In
+    the whole run: steps `missed` and frames `dropped`, which were lost or damaged.
+    """
 
     phase: str
     left: float
     """Time until the phase ends."""
     rate: float
-    """Steps a second since [Hz]."""
     lateness: tuple[float, ...]
-    """Lateness of the steps since."""
     inference: float
-    """Longest inference of the policy since; NaN without any."""
     missed: int
-    """Steps missed in this run."""
     state_age: float
     state: State
     dropped: int
-    """Frames lost or damaged on this link."""
 
 
 class RunMonitor:

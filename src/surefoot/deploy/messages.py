@@ -27,7 +27,7 @@ class Mode(DescribedEnum):
     DISARMED = 0, "Motors are damped; commands are refused."
     POSITION = 1, "Servos follow position commands."
     PWM = 2, "Motors get the duty that is sent, for identification."
-    FAULT = 3, "Motors are damped because something went wrong, and stay so until armed anew."
+    FAULT = 3, "Motors are damped because of a fault, and stay so until armed anew."
 
 
 class Reason(DescribedEnum):
@@ -66,7 +66,7 @@ class SessionMessage(Message):
 
 @dataclass(frozen=True)
 class Hello(Message):
-    """Ask for the robot. Starts a session, or goes on with one; the answer is `Handshake`, or `Fault` with BUSY."""
+    """Start a session, or continue one; the answer is `Handshake`, or `Fault` with BUSY."""
 
     session: int = quantity("1", "number of the session, drawn by the operator; not 0")
     state_period: float = quantity("s", "time between two states while no command comes")
@@ -81,7 +81,7 @@ class Ping(Message):
 
 @dataclass(frozen=True)
 class Arm(SessionMessage):
-    """Let the motors follow commands of one kind; asked again it changes the times."""
+    """Let the motors follow commands of one kind; a repeated message changes the times."""
 
     mode: int = quantity("1", "Mode.POSITION or Mode.PWM")
     command_period: float = quantity("s", "time between two commands")
@@ -119,7 +119,7 @@ class Bye(SessionMessage):
 
 @dataclass(frozen=True)
 class Handshake(Message):
-    """What the robot is."""
+    """Name, motors and limits of the robot."""
 
     session: int = quantity("1", "the session that it belongs to")
     robot: str = quantity("", "name of the robot")
@@ -131,8 +131,8 @@ class Handshake(Message):
     servo_kd: Array = quantity("s/rad", "derivative gains, duty per speed; joint actuators: N m s/rad")
     command_period_min: float = quantity("s", "shortest time between commands")
     command_period_max: float = quantity("s", "longest time between commands")
-    angle_low: Array = quantity("rad", "least motor angles that a command may ask for")
-    angle_high: Array = quantity("rad", "greatest motor angles that a command may ask for")
+    angle_low: Array = quantity("rad", "least motor angles that a command may request")
+    angle_high: Array = quantity("rad", "greatest motor angles that a command may request")
     tilt_limit: float = quantity("rad", "roll or pitch beyond which the robot damps itself")
     voltage_min: float = quantity("V", "battery voltage below which the robot damps itself")
     temperature_max: float = quantity("degC", "motor temperature beyond which the robot damps itself")
@@ -149,7 +149,7 @@ class Pong(Message):
 
 @dataclass(frozen=True)
 class State(Message):
-    """What the robot's sensors tell; sent `report_after` each command, and by itself while none come."""
+    """Readings of the robot's sensors; sent `report_after` each command, and periodically while none come."""
 
     session: int = quantity("1", "operator that the robot obeys; 0: none")
     mode: int = quantity("1", "see Mode")
@@ -169,7 +169,7 @@ class State(Message):
 
 @dataclass(frozen=True)
 class Fault(Message):
-    """Something was refused or went wrong."""
+    """A refusal or a fault."""
 
     session: int = quantity("1", "operator that it is meant for; 0: whoever listens")
     reason: int = quantity("1", "see Reason")

@@ -24,16 +24,15 @@ _SWITCH = 1e-4
 
 @dataclass(frozen=True)
 class Tick:
-    """A control step that starts."""
+    """A control step that starts: its number, missed steps included, when it was due [s], and steps missed before it.
+
+    `late` is the delay [s] after the first step that was due since the last tick.
+    """
 
     index: int
-    """Its number since the start; missed steps have numbers too."""
     due: float
-    """When it should have started [s]."""
     late: float
-    """Delay after the first step that was due since the last tick [s]; missed steps count."""
     missed: int
-    """Steps without a tick since the last one."""
 
 
 class Pacer:
@@ -122,7 +121,6 @@ def undisturbed() -> Iterator[None]:
 
 
 def _raise_priority() -> bool:
-    """Request real time, or else a higher ordinary priority; return whether it is real time."""
     if not hasattr(os, "sched_setscheduler"):
         return False
     try:

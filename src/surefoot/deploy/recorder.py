@@ -30,9 +30,8 @@ class Recorder:
         self.layout, self.control_step, self.max_steps, self._on_rows = layout, control_step, max_steps, on_rows
         self._rows = np.zeros((max_steps, layout.width))
         self.steps = 0
-        """Rows that are closed."""
         self.missed: list[int] = []
-        """Rows of missed steps, from 0."""
+        """Number of rows that are closed, and the rows of missed steps, from 0."""
         self.start = math.nan
         """The robot's time at the start of the episode [s]; infinite, if it is not known."""
         self._open: tuple[Array, Array, Array, Array] | None = None

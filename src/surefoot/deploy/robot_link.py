@@ -33,24 +33,21 @@ class Arrival:
 
 @dataclass
 class LinkStatistics:
-    """Packets that one end of a link has counted since it was opened."""
+    """Packets that one end of a link has counted since it was opened.
+
+    Sent, and not taken by the line; received whole and understood, damaged, of another version or schema, or of a kind,
+    a length or a text that this version does not have; dropped because the number was not above the last one's; and
+    numbers left out between packets that were received.
+    """
 
     sent: int = 0
-    """Sent; a packet that is sent again counts once."""
     unsent: int = 0
-    """Lost because the line did not take them."""
     received: int = 0
-    """Received whole and understood."""
     damaged: int = 0
-    """Received, but damaged."""
     foreign: int = 0
-    """Of another version or schema of the protocol."""
     unknown: int = 0
-    """Of a kind, a length or a text that this version does not have."""
     repeated: int = 0
-    """Dropped because their number was not above the last one's."""
     missing: int = 0
-    """Numbers left out between packets that were received."""
 
 
 class RobotLink(ABC):
@@ -65,6 +62,9 @@ class RobotLink(ABC):
         session: number of the operator's session; drawn, if not given.
     """
 
+    advice = "check that it is switched on"
+    """Remedy for a robot that does not answer."""
+
     def __init__(self, clock: Clock, lead: float, session: int | None = None) -> None:
         self.clock, self.session = clock, session or 1 + secrets.randbelow(2**16 - 1)
         self.lockstep = isinstance(clock, LockstepClock)
@@ -74,11 +74,8 @@ class RobotLink(ABC):
         self.sync = ClockSync()
         self.handshake: Handshake | None = None
         self.state: State | None = None
-        """The newest state."""
-        self.state_sent = 0.0
-        """When it was sent, on the robot's clock [s]."""
-        self.states = 0
-        """Number of states received."""
+        self.state_sent, self.states = 0.0, 0
+        """The newest state, when it was sent on the robot's clock [s], and the number of states received."""
         self.faults: list[Fault] = []
         """Faults that the robot has reported, oldest first."""
         self.pongs: dict[int, Arrival] = {}
@@ -92,7 +89,7 @@ class RobotLink(ABC):
     @property
     @abstractmethod
     def next_number(self) -> int:
-        """Number of the next message, as `State.command` reports it; consecutive while only commands are sent."""
+        """Number of the next message, as in `State.command`; consecutive while only commands are sent."""
 
     @abstractmethod
     def send(self, message: Message) -> object:
@@ -141,9 +138,7 @@ class RobotLink(ABC):
                 raise SurefootError(f"the robot refuses: {self._refusal()}")
             if (different := self.protocol_error()) is not None:
                 raise SurefootError(different)
-        raise SurefootError(
-            f"no robot answers within {timeout:g} s; check port, cable and baud rate, and that it is switched on"
-        )
+        raise SurefootError(f"no robot answers within {timeout:g} s; {self.advice}")
 
     def _refusal(self) -> str | None:
         return next((fault.text for fault in self.faults if fault.reason == Reason.BUSY), None)

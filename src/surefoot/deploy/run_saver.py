@@ -9,13 +9,12 @@ import itertools
 import math
 import os
 import tempfile
-import threading
-from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from surefoot.arrays import Array
+from surefoot.deploy.background_file import BackgroundFile
 from surefoot.deploy.deployment import Deployment, RunOutcome
 from surefoot.deploy.motion_capture import base_and_feet, read_capture
 from surefoot.deploy.pacer import LoopTiming
@@ -26,69 +25,8 @@ from surefoot.task.trace import EpisodeTrace
 
 FLUSH = 0.1
 """Time [s] between two writes."""
-PATIENCE = 2.0
-"""Time [s] that the disk has for the last write."""
 MAX_WAITING = 20_000
-"""Rows that may wait for the disk, as memory of a robot's computer is short; beyond that recording stops."""
-
-
-class PartialFile:
-    """Writes rows from a thread of its own, so that the control loop never waits for the disk.
-
-    The file is made or replaced when the first row comes, with the trace's meta as far as it is known then.
-    """
-
-    def __init__(self, path: Path, layout: RowLayout, meta: dict[str, Any]) -> None:
-        self.path = path
-        self.stopped = ""
-        """Why nothing is written any more; empty while writing succeeds."""
-        self._layout, self._meta = layout, meta
-        self._begun = False
-        self._waiting: deque[bytes] = deque()
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._write, name="trace", daemon=True)
-        self._thread.start()
-
-    def add(self, rows: Array) -> None:
-        """Take rows (n, width)."""
-        if len(self._waiting) > MAX_WAITING:
-            self.stopped = "the disk is too slow"
-        if self.stopped:
-            return
-        if not self._begun:
-            self._begun = True
-            self._waiting.append(head_line(self._layout, self._meta))
-        self._waiting.append(row_bytes(rows))
-
-    def _write(self) -> None:
-        file: BinaryIO | None = None
-        over = False
-        try:
-            while not over or self._waiting:
-                over = self._end.wait(FLUSH)
-                data = b"".join(self._waiting.popleft() for _ in range(len(self._waiting)))
-                if data and file is None:
-                    file = self.path.open("wb", buffering=0)
-                while data and file is not None:
-                    data = data[file.write(data) :]
-        except OSError as error:
-            self.stopped = error.strerror or str(error)
-            self._waiting.clear()
-        finally:
-            if file is not None:
-                file.close()
-
-    def close(self) -> None:
-        """Write the rest, and end; wait for the disk no longer than `PATIENCE`."""
-        self._end.set()
-        self._thread.join(PATIENCE)
-        if self._thread.is_alive() and not self.stopped:
-            self.stopped = "the disk does not answer"
-
-    def remove(self) -> None:
-        """Close and delete the file, once the whole trace is saved elsewhere."""
-        self.close()
-        self.path.unlink(missing_ok=True)
+"""Pieces of data that may wait for the disk, as memory of a robot's computer is short; then recording stops."""
 
 
 def next_free(folder: Path) -> Path:
@@ -100,16 +38,15 @@ def next_free(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class SavedRun:
-    """The record of a run."""
+    """The trace of a run, if any control step was done, its file, and notes on what could not be saved.
+
+    `lost`: whether the trace, or a part of it, is on no disk.
+    """
 
     trace: EpisodeTrace | None = None
-    """The trace, if any control step was done."""
     path: Path | None = None
-    """Its file."""
     notes: list[str] = field(default_factory=list)
-    """What could not be saved, and why."""
     lost: bool = False
-    """Whether the trace, or a part of it, is on no disk."""
 
 
 class RunSaver:
@@ -144,7 +81,7 @@ class RunSaver:
             "ended": "fault",
             "reason": "cut off",
         }
-        self._partial: PartialFile | None = None
+        self._partial: BackgroundFile | None = None
         self._stop_reported = False
 
     def begin(self) -> None:
@@ -158,17 +95,23 @@ class RunSaver:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
                 with tempfile.TemporaryFile(dir=self.path.parent):
                     pass
-            self._partial = PartialFile(self.path.with_name(self.path.name + SUFFIX), self.recorder.layout, self.meta)
+            self._partial = BackgroundFile(self.path.with_name(self.path.name + SUFFIX), FLUSH)
             self._monitor.recording(f"recording to {self.path}")
 
     def _keep(self, rows: Array) -> None:
         start, partial = self.recorder.start, self._partial
-        self.meta["robot_time_start"] = start if math.isfinite(start) else None
-        if partial is not None:
-            partial.add(rows)
-            if partial.stopped and not self._stop_reported:
-                self._stop_reported = True
-                self._monitor.recording(f"recording stopped: {partial.stopped}; the robot goes on")
+        if "robot_time_start" not in self.meta:
+            self.meta["robot_time_start"] = start if math.isfinite(start) else None
+            if partial is not None:
+                partial.add(head_line(self.recorder.layout, self.meta))
+        if partial is None:
+            return
+        if partial.waiting > MAX_WAITING:
+            partial.stopped = "the disk is too slow"
+        partial.add(row_bytes(rows))
+        if partial.stopped and not self._stop_reported:
+            self._stop_reported = True
+            self._monitor.recording(f"recording stopped: {partial.stopped}; the robot goes on")
 
     def finish(self, outcome: RunOutcome, timing: LoopTiming, capture: Path | None) -> SavedRun:
         """Make the trace, with base and feet of a motion capture file if there is one, and write it."""
@@ -178,8 +121,6 @@ class RunSaver:
             if partial.stopped:
                 notes.append(f"recording stopped: {partial.stopped}")
         if not recorder.steps:
-            if partial is not None:
-                partial.remove()
             return SavedRun(notes=[*notes, "no control step was done, so there is no trace"])
         meta = {
             **self.meta,
@@ -209,7 +150,7 @@ class RunSaver:
             notes.append(f"trace {self.path} can't be written: {reason}; {left}")
             return SavedRun(trace, notes=notes, lost=True)
         if partial is not None:
-            partial.remove()
+            partial.path.unlink(missing_ok=True)
         return SavedRun(trace, self.path, notes)
 
     def _truth(self, capture: Path) -> dict[str, Array]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import threading
-from collections import deque
 from pathlib import Path
 
 import numpy as np
 
+from surefoot.deploy.background_file import BackgroundFile
 from surefoot.deploy.motion_capture import COLUMNS
 from surefoot.emulator.plant import Plant
 from surefoot.errors import SurefootError
@@ -34,21 +33,18 @@ class CaptureWriter:
 
     def __init__(self, path: Path, plant: Plant, later: bool = False) -> None:
         try:
-            self._file = path.open("x", encoding="utf-8", buffering=1)
+            path.touch(exist_ok=False)
         except FileExistsError:
             raise SurefootError(f"motion capture {path} exists; give another name") from None
         except OSError as error:
             raise SurefootError(f"motion capture {path}: {error.strerror}") from error
+        self.file = BackgroundFile(path, _WRITE_EVERY if later else None)
         self._plant = plant
         self._last = plant.capture().contact_ticks, plant.ticks
-        self._file.write(",".join([*COLUMNS, *(f"contact_{leg}" for leg in plant.robot.leg_names)]) + "\n")
-        self._rows: deque[str] = deque()
-        self._ended = threading.Event()
-        self.failed: str | None = None
-        """Why writing stopped, if it did."""
-        self._writer = threading.Thread(target=self._write_on, daemon=True) if later else None
-        if self._writer is not None:
-            self._writer.start()
+        self._add([*COLUMNS, *(f"contact_{leg}" for leg in plant.robot.leg_names)])
+
+    def _add(self, words: list[str]) -> None:
+        self.file.add((",".join(words) + "\n").encode())
 
     def see(self, now: int) -> None:
         """Add a row if a servo step that ended at `now` [us] is due for one."""
@@ -59,32 +55,8 @@ class CaptureWriter:
         contact = (seen.contact_ticks - before) / max(ticks - ticks_before, 1)
         self._last = seen.contact_ticks, ticks
         quat = seen.quat / np.linalg.norm(seen.quat)
-        row = [now / 1e6, *seen.position.tolist(), *quat.tolist(), *contact.tolist()]
-        self._rows.append(",".join(map(repr, row)) + "\n")
-        if self._writer is None:
-            self._write()
-
-    def _write_on(self) -> None:
-        while not self._ended.wait(_WRITE_EVERY):
-            self._write()
-
-    def _write(self) -> None:
-        """Write the waiting rows; a full disk ends the recording, not the robot."""
-        text = "".join(self._rows.popleft() for _ in range(len(self._rows)))
-        if text and self.failed is None:
-            try:
-                self._file.write(text)
-                self._file.flush()
-            except OSError as error:
-                self.failed = error.strerror or str(error)
+        self._add([*map(repr, [now / 1e6, *seen.position.tolist(), *quat.tolist(), *contact.tolist()])])
 
     def close(self) -> None:
         """Write the rest and close the file."""
-        self._ended.set()
-        if self._writer is not None:
-            self._writer.join()
-        self._write()
-        try:
-            self._file.close()
-        except OSError as error:
-            self.failed = self.failed or error.strerror or str(error)
+        self.file.close()

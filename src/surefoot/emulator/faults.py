@@ -22,10 +22,8 @@ _MOTOR = "number of the motor"
 _AFTER_ARMING = "s after arming"
 TILT_FORCE, TILT_TIME = 1.1, 0.4
 """Force of the push that topples a robot, over its weight, and its duration [s]."""
-FALL_OF_VOLTAGE = 2.0
-"""Rate [V/s] at which a battery becomes low."""
-RISE_OF_TEMPERATURE = 40.0
-"""Rate [degC/s] at which a motor becomes hot."""
+FALL_OF_VOLTAGE, RISE_OF_TEMPERATURE = 2.0, 40.0
+"""Rates at which a battery becomes low [V/s] and a motor hot [degC/s]."""
 _IMU_SIGNS = {1: (-1, 1), 2: (1, -1), 3: (-1, -1)}
 
 
@@ -100,12 +98,10 @@ FAULTS: dict[str, FaultKind] = {
 
 @dataclass(frozen=True)
 class InjectedFault:
-    """One fault as requested."""
+    """One fault as requested: its number, NaN where it takes none, and its start [s] after arming; 0: always active."""
 
     value: float
-    """Its number, in the fault's unit; NaN where it takes none."""
     start: float
-    """When it begins [s], after the robot was first armed; 0: it is always active."""
 
 
 def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) -> dict[str, InjectedFault]:
@@ -171,7 +167,6 @@ class FaultInjector:
         self._rest = plant.robot.resting_angles
         self.handshake = self._change_handshake(handshake)
         self.armed_at: int | None = None
-        """When the robot was first armed."""
         self.hangs_until = 0
         """When the microcontroller's program goes on."""
         self._now = 0
@@ -197,11 +192,9 @@ class FaultInjector:
         return handshake
 
     def _since(self, fault: InjectedFault) -> float:
-        """Return the time since a fault began [s]; below 0 before."""
         return -math.inf if self.armed_at is None else (self._now - self.armed_at) / 1e6 - fault.start
 
     def _active(self, name: str) -> InjectedFault | None:
-        """Return the fault of this name if it was requested and has begun."""
         fault = self._faults.get(name)
         return fault if fault and (fault.start == 0 or self._since(fault) >= 0) else None
 

@@ -118,10 +118,6 @@ class Firmware:
         self._sent += 1
         self._out.append(Packet(message, self._sent, now / 1e6))
 
-    def note_damage(self) -> None:
-        """Take note of a damaged packet: the link is not clean."""
-        self.watch.note_damage()
-
     def refuse_foreign(self, now: int, text: str) -> None:
         """Refuse a packet of another version or schema of the protocol."""
         self.watch.note_damage()

@@ -22,14 +22,15 @@ from surefoot.world.sim_world import SimWorld
 
 @dataclass(frozen=True)
 class Capture:
-    """What a motion capture system and foot switches see."""
+    """What a motion capture system and foot switches see.
+
+    Position (3,) [m] of the base link's origin and orientation (4,), w x y z, in the world, and servo steps with ground
+    contact (L,) of each foot since the robot was switched on.
+    """
 
     position: Array
-    """Origin of the base link in the world (3,) [m]."""
     quat: Array
-    """Orientation of the base (4,), w x y z."""
     contact_ticks: Array
-    """Servo steps in which each foot touched the ground since the robot was switched on (L,)."""
 
 
 class Plant:
@@ -83,7 +84,6 @@ class Plant:
 
     @property
     def _seconds(self) -> Array:
-        """Time since the robot was switched on (1,) [s]."""
         return np.asarray(self.world.actuation.ticks * self.robot.timing.servo_step, np.float64)
 
     @property

@@ -109,7 +109,6 @@ class RealTime:
                 readable = link.wait(board.next_time / 1e6 - (time.monotonic() - start))
 
     def _report(self, lag: int) -> None:
-        """Print that physics lags, at most once per `_REPORT_EVERY`."""
         real, used = time.monotonic(), time.process_time()
         if real < self._next_report:
             return

@@ -10,14 +10,11 @@ from surefoot.deploy.messages import Mode
 
 @dataclass(frozen=True)
 class Vitals:
-    """What the microcontroller checks in every servo step."""
+    """What the microcontroller checks in every servo step; the tilt is the larger of |roll| and |pitch| [rad]."""
 
     motor_angle: Array
-    """Motor angles (M,) [rad]."""
     tilt: float
-    """The larger of |roll| and |pitch| [rad]."""
     voltage: float
-    """Battery [V]."""
     temperature: float
     """The hottest motor [degC]."""
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
-import zlib
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -17,8 +15,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices, prefix_errors
-from surefoot.files import check_readable
-from surefoot.npz import write_npz
+from surefoot.npz import read_npz, write_npz
 from surefoot.robot import RobotDescription
 
 SCHEMA = 1
@@ -213,10 +210,14 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
             that did not come to its end.
     """
     with prefix_errors(f"recording {path}"):
-        arrays, meta = _read(path)
-        if not isinstance(meta, dict) or meta.get("schema") != SCHEMA:
-            schema = meta.get("schema") if isinstance(meta, dict) else None
-            raise SurefootError(f"has schema {schema}; surefoot reads schema {SCHEMA}")
+        arrays = read_npz(path)
+        try:
+            meta = json.loads(str(arrays.pop("meta", None)))
+        except ValueError:
+            meta = None
+        meta = meta if isinstance(meta, dict) else {}
+        if meta.get("schema") != SCHEMA:
+            raise SurefootError(f"has schema {meta.get('schema')}; surefoot reads schema {SCHEMA}")
         names = {item.name for item in fields(Recording)} - {"meta"}
         if missing := [key for key in _META if key not in meta] + sorted(names ^ set(arrays)):
             raise SurefootError(f"missing or unknown: {choices(missing)}")
@@ -231,17 +232,3 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
         if meta["ended"] != COMPLETE:
             raise SurefootError(f"did not come to its end: {meta['ended']}")
         return Recording(**arrays, meta=meta)
-
-
-def _read(path: Path) -> tuple[dict[str, Any], Any]:
-    try:
-        check_readable(path)
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        return arrays, json.loads(str(arrays.pop("meta")))
-    except OSError as error:
-        raise SurefootError(f"can't be read: {error.strerror or 'it is no recording'}") from error
-    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
-        raise SurefootError(f"cut off or damaged: {error}") from error
-    except (KeyError, ValueError, TypeError) as error:
-        raise SurefootError(f"is none: {' '.join(str(error).split())}") from error

@@ -32,7 +32,7 @@ class PPOConfig:
     symmetry: bool = False
     """Learn from every sample's mirror image too: for robots and reference gaits that are left-right symmetric."""
     init_std: Annotated[float, Within(0, 100, above=True)] = 0.6
-    """Standard deviation of the first policy's actions, in half widths of the feedback's bounds."""
+    """Standard deviation of the first policy's normalized actions, which go from -1 to 1."""
     epochs: Annotated[int, Within(1, 1000)] = 5
     """Passes over the samples of an update."""
     minibatches: Annotated[int, Within(1, 1_000_000)] = 4

@@ -40,7 +40,7 @@ class Evaluation:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Rank; greater is better: fewest falls, then fewest falls under pushes weighed against the return."""
+        """Key of the order of policies, greater is better: fewest falls, then the return less falls under pushes."""
         return -self.falls, self.return_mean - 0.25 * self.pushed_falls
 
 

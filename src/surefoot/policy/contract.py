@@ -1,4 +1,4 @@
-"""The contract of a policy file: what is needed to run the policy, and to refuse a robot that it is not for."""
+"""The contract of a policy file: robot, observation, action, reference, rates and delays of the policy."""
 
 from __future__ import annotations
 
@@ -140,7 +140,8 @@ class Contract:
         schema = data.pop("schema", None)
         if schema != SCHEMA:
             raise SurefootError(
-                f"contract: has schema {schema!r:.40}; this surefoot reads schema {SCHEMA}: export the policy again"
+                f"contract: has schema {schema!r:.40}; this surefoot reads schema {SCHEMA}: use the version that wrote "
+                "it, or train the policy again"
             )
         return from_mapping(cls, data, "contract")
 

@@ -9,6 +9,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -100,8 +101,18 @@ def _read_numbers(text: str, count: int, where: str) -> tuple[float, ...]:
     return values
 
 
-def _read_number(element: ElementTree.Element | None, key: str, where: str, default: str = "") -> float:
+def read_number(element: ElementTree.Element | None, key: str, where: str, default: str = "") -> float:
+    """Return a number that an element has as an attribute, or else by default; `where` begins the message."""
     return _read_numbers(attribute(element, key, default), 1, where)[0]
+
+
+def read_inertia(element: ElementTree.Element, where: str) -> Array:
+    """Return the inertia (3, 3) [kg m2] of an <inertia>; products are 0 where they are missing."""
+    rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+    moments = ("ixx", "iyy", "izz")
+    return np.array(
+        [[read_number(element, key, f"{where}: {key}", "" if key in moments else "0") for key in row] for row in rows]
+    )
 
 
 def _read_frame(element: ElementTree.Element | None, where: str) -> Array:
@@ -116,9 +127,9 @@ def _read_link(element: ElementTree.Element, name: str, colors: Mapping[str, Col
     mass_element, tensor = element.find("inertial/mass"), element.find("inertial/inertia")
     if mass_element is None or tensor is None:
         raise SurefootError(f"{where} has no <inertial> with <mass> and <inertia>; every link needs both")
-    mass = _read_number(mass_element, "value", f"{where}: mass")
-    xx, yy, zz = (_read_number(tensor, key, f"{where}: {key}") for key in ("ixx", "iyy", "izz"))
-    xy, xz, yz = (_read_number(tensor, key, f"{where}: {key}", "0") for key in ("ixy", "ixz", "iyz"))
+    mass = read_number(mass_element, "value", f"{where}: mass")
+    inertia = read_inertia(tensor, where)
+    xx, yy, zz = np.diag(inertia)
     if not mass > 0:
         raise SurefootError(f"{where}: mass is {mass:g}; it must be over 0 kg")
     if not (min(xx, yy, zz) > 0 and 2 * max(xx, yy, zz) <= (xx + yy + zz) * (1 + 1e-9)):
@@ -127,12 +138,11 @@ def _read_link(element: ElementTree.Element, name: str, colors: Mapping[str, Col
             "each must be over 0 and none over the sum of the other two"
         )
     frame = _read_frame(element.find("inertial/origin"), f"{where}: inertial")
-    turn, inertia = frame[:3, :3], np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     visuals, collisions = (
         tuple(shape for item in element.findall(use) if (shape := _read_shape(item, name, colors, f"{where}: {use}")))
         for use in ("visual", "collision")
     )
-    return Link(RigidBody(mass, frame[:3, 3], turn @ inertia @ turn.T), visuals, collisions)
+    return Link(RigidBody(mass, frame[:3, 3], frame[:3, :3] @ inertia @ frame[:3, :3].T), visuals, collisions)
 
 
 def _read_shape(element: ElementTree.Element, link: str, colors: Mapping[str, Color], where: str) -> Shape | None:
@@ -146,9 +156,9 @@ def _read_shape(element: ElementTree.Element, link: str, colors: Mapping[str, Co
     if kind == "box":
         size = tuple(side / 2 for side in _read_numbers(attribute(solid, "size"), 3, f"{where}: size"))
     else:
-        size = (_read_number(solid, "radius", f"{where}: radius"),)
+        size = (read_number(solid, "radius", f"{where}: radius"),)
         if kind == "cylinder":
-            size = (*size, _read_number(solid, "length", f"{where}: length") / 2)
+            size = (*size, read_number(solid, "length", f"{where}: length") / 2)
     if not min(size) > 0:
         raise SurefootError(f"{where} has a side, radius or length of {2 * min(size):g}; they must be over 0 m")
     material = element.find("material")
@@ -180,7 +190,7 @@ def _read_joint(element: ElementTree.Element, name: str, links: Collection[str],
     frame = _read_frame(element.find("origin"), where)
     if kind == "revolute":
         limit = element.find("limit")
-        low, high = (_read_number(limit, end, f"{where}: limit {end}", "0") for end in ("lower", "upper"))
+        low, high = (read_number(limit, end, f"{where}: limit {end}", "0") for end in ("lower", "upper"))
         if not low < high:
             raise SurefootError(f"{where}: limits are [{low:g}, {high:g}]; the lower one must be below the upper")
         limits = low, high
@@ -199,46 +209,39 @@ def format_urdf(urdf: Urdf, name: str, *, principal: bool = False) -> str:
     """
 
     def words(*values: float) -> str:
-        return " ".join(f"{value:.17g}" if principal else f"{value:.9g}" for value in values)
+        return quoteattr(" ".join(f"{value:.17g}" if principal else f"{value:.9g}" for value in values))
 
-    def add_origin(element: ElementTree.Element, frame: Array) -> None:
+    def origin(frame: Array) -> str:
         place, turn = frame[:3, 3], np.asarray(matrix_rpy(frame[:3, :3]))
         if not principal:
             place, turn = (np.where(np.abs(part) < 1e-9, 0.0, part) for part in (place, turn))
-        ElementTree.SubElement(element, "origin", xyz=words(*place), rpy=words(*turn))
+        return f"<origin xyz={words(*place)} rpy={words(*turn)}/>"
 
-    root = ElementTree.Element("robot", name=name)
+    lines = [f"<robot name={quoteattr(name)}>"]
     for link_name, link in urdf.links.items():
-        element = ElementTree.SubElement(root, "link", name=link_name)
-        inertial = ElementTree.SubElement(element, "inertial")
         frame, inertia = np.eye(4), link.body.inertia
         frame[:3, 3] = link.body.centre
         if principal:
             moments, frame[:3, :3] = link.body.principal()
             inertia = np.diag(moments)
-        add_origin(inertial, frame)
-        ElementTree.SubElement(inertial, "mass", value=words(link.body.mass))
-        tensor = {f"i{'xyz'[r]}{'xyz'[c]}": words(inertia[r, c]) for r in range(3) for c in range(r, 3)}
-        ElementTree.SubElement(inertial, "inertia", tensor)
+        tensor = " ".join(f"i{'xyz'[r]}{'xyz'[c]}={words(inertia[r, c])}" for r in range(3) for c in range(r, 3))
+        mass = f"<mass value={words(link.mass)}/><inertia {tensor}/>"
+        lines += [f"  <link name={quoteattr(link_name)}>", f"    <inertial>{origin(frame)}{mass}</inertial>"]
         for use, shapes in (("visual", link.visuals), ("collision", link.collisions)):
             for shape in shapes:
-                item = ElementTree.SubElement(element, use)
-                add_origin(item, shape.frame)
-                sizes = {"size": words(*(2 * side for side in shape.size))}
-                if shape.kind != "box":
-                    sizes = {"radius": words(shape.size[0])}
-                if shape.kind == "cylinder":
-                    sizes["length"] = words(2 * shape.size[1])
-                ElementTree.SubElement(ElementTree.SubElement(item, "geometry"), shape.kind, sizes)
+                size = f"radius={words(shape.size[0])}"
+                if shape.kind == "box":
+                    size = f"size={words(*(2 * side for side in shape.size))}"
+                elif shape.kind == "cylinder":
+                    size += f" length={words(2 * shape.size[1])}"
+                lines.append(f"    <{use}>{origin(shape.frame)}<geometry><{shape.kind} {size}/></geometry></{use}>")
+        lines.append("  </link>")
     for joint in urdf.joints.values():
-        element = ElementTree.SubElement(root, "joint", name=joint.name, type=joint.kind)
-        add_origin(element, joint.frame)
-        ElementTree.SubElement(element, "parent", link=joint.parent)
-        ElementTree.SubElement(element, "child", link=joint.child)
+        parts = f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>{origin(joint.frame)}"
         if joint.kind != "fixed":
-            ElementTree.SubElement(element, "axis", xyz=words(*joint.axis))
+            parts += f"<axis xyz={words(*joint.axis)}/>"
         if joint.limits is not None:
             low, high = map(words, joint.limits)
-            ElementTree.SubElement(element, "limit", lower=low, upper=high, effort="1000", velocity="1000")
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+            parts += f'<limit lower={low} upper={high} effort="1000" velocity="1000"/>'
+        lines.append(f'  <joint name={quoteattr(joint.name)} type="{joint.kind}">{parts}</joint>')
+    return "\n".join([*lines, "</robot>", ""])

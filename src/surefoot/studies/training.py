@@ -55,9 +55,7 @@ class Training:
         """State of the run, from its files alone."""
         if self.policy.exists():
             return "finished"
-        checkpoints = self.path / "checkpoints"
-        saved = any((checkpoints / name).exists() for name in ("latest.ckpt", "fresh.ckpt"))
-        return "started" if saved else "new"
+        return "started" if (self.path / "checkpoints" / "latest.ckpt").exists() else "new"
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the figures of its updates; a last line that was cut off is left out."""

@@ -138,9 +138,9 @@ class TaskConfig:
         return PhysicalParams.nominal(robot).with_values(robot, **self.params)
 
 
-def preset_names(robot: str = DEFAULT_ROBOT) -> list[str]:
-    """Return the names of the tasks that ship with surefoot: those for any robot, and those of a robot."""
-    return sorted(_shipped_tasks(robot))
+def preset_names() -> list[str]:
+    """Return the names of the tasks that ship with surefoot: those for any robot, and those of the default one."""
+    return sorted(_shipped_tasks(DEFAULT_ROBOT))
 
 
 def _shipped_tasks(robot: str) -> dict[str, Path]:

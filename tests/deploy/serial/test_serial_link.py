@@ -39,14 +39,14 @@ def frame(sequence: int, token: int = 0) -> bytes:
     return encode_frame(CODEC, Pong(token), sequence, 1.0)
 
 
-def heard(link: SerialLink, count: int) -> list[int]:
-    """Numbers of the frames that come, `count` at least or whatever comes within 5 s."""
-    found: list[int] = []
+def receive(link: SerialLink, count: int) -> list[int]:
+    """Return the numbers of the frames that arrive, `count` at least or all within 5 s."""
+    sequences: list[int] = []
     end = time.monotonic() + 5.0
-    while len(found) < count and time.monotonic() < end:
+    while len(sequences) < count and time.monotonic() < end:
         link.port.wait(0.05)
-        found += [arrival.packet.sequence for arrival in link.receive()]
-    return found
+        sequences += [arrival.packet.sequence for arrival in link.receive()]
+    return sequences
 
 
 def test_frames_go_both_ways(pty):
@@ -62,52 +62,36 @@ def test_frames_go_both_ways(pty):
     assert frames[0].message.target.tolist() == list(range(8))
     assert frames[1].message == Ping(1)
     os.write(master, frame(1))
-    assert heard(link, 1) == [1]
+    assert receive(link, 1) == [1]
     link.close()
 
 
 def test_backward_repeated_and_missing_numbers_are_counted_and_dropped(pty):
     link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     os.write(pty[0], b"".join(frame(number) for number in (1, 2, 2, 5, 4, 6)))
-    assert heard(link, 4) == [1, 2, 5, 6]
+    assert receive(link, 4) == [1, 2, 5, 6]
     assert (link.statistics.repeated, link.statistics.missing) == (2, 2)
 
 
-def greeting(toy, session: int, sequence: int) -> bytes:
-    """The frame of a handshake."""
+def handshake_frame(toy, session: int, sequence: int) -> bytes:
     handshake: Handshake = replace(toy.firmware.handshake, session=session)
     return encode_frame(CODEC, handshake, sequence, 0.0)
 
 
-def test_a_robot_that_greets_counts_from_one_again(pty, toy):
+def test_a_handshake_restarts_the_numbers_once(pty, toy):
     link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     link.awaits_handshake = True
-    os.write(pty[0], frame(900) + greeting(toy, 7, 1) + frame(2))
-    assert heard(link, 3) == [900, 1, 2]
-    assert link.statistics.repeated == 0
-
-
-def test_a_handshake_that_comes_twice_or_late_lets_nothing_old_in(pty, toy):
-    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
-    link.awaits_handshake = True
-    once = greeting(toy, 7, 1)
-    os.write(pty[0], frame(900) + once + frame(2) + frame(3) + once + frame(2) + frame(4))
-    assert heard(link, 5) == [900, 1, 2, 3, 4]
-    assert link.statistics.repeated == 2
-
-
-def test_a_handshake_for_somebody_else_is_a_frame_like_any_other(pty, toy):
-    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
-    link.awaits_handshake = True
-    os.write(pty[0], frame(900) + greeting(toy, 8, 1) + frame(2) + greeting(toy, 8, 901))
-    assert heard(link, 2) == [900, 901]
-    assert link.statistics.repeated == 2
+    # One for another operator is a frame like any other, and one that comes twice or late lets nothing old in.
+    other, own = handshake_frame(toy, 8, 1), handshake_frame(toy, 7, 1)
+    os.write(pty[0], frame(900) + other + own + frame(2) + frame(3) + own + frame(2) + frame(4))
+    assert receive(link, 5) == [900, 1, 2, 3, 4]
+    assert link.statistics.repeated == 3
 
 
 def test_garbage_between_frames_costs_no_frame(pty):
     link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     os.write(pty[0], b"\x07garbage" + frame(1) + b"\xff\x00\x13" + frame(2))
-    assert heard(link, 2) == [1, 2]
+    assert receive(link, 2) == [1, 2]
     assert link.decoder.statistics.damaged == 3
 
 
@@ -136,7 +120,7 @@ def test_a_port_whose_other_end_closes_is_lost(pty):
         use()
 
 
-def test_a_second_program_is_refused_in_one_line(pty):
+def test_a_second_program_is_refused(pty):
     port = SerialPort(pty[1])
     with pytest.raises(SurefootError, match=r"another program has it; one operator at a time$"):
         SerialPort(pty[1])
@@ -144,12 +128,12 @@ def test_a_second_program_is_refused_in_one_line(pty):
     SerialPort(pty[1]).close()
 
 
-def test_a_port_that_is_none_is_told_in_one_line(tmp_path):
+def test_a_port_that_does_not_exist_is_an_error(tmp_path):
     with pytest.raises(SurefootError, match="can't be opened: No such file"):
         SerialPort(str(tmp_path / "nothing"))
 
 
-def test_a_ping_is_waited_for_and_what_comes_before_is_kept(toy):
+def test_ping_through_waits_for_the_pong_and_keeps_other_packets(toy):
     link = SerialLink(toy, CODEC, MonotonicClock(), 7)
     assert link.ping_through((1.0,))
     assert [type(arrival.packet.message) for arrival in link.receive()] == [Pong]
@@ -157,8 +141,8 @@ def test_a_ping_is_waited_for_and_what_comes_before_is_kept(toy):
     assert not link.ping_through((0.01,))
 
 
-def test_in_lockstep_what_comes_is_taken_where_time_goes_on(toy):
-    """Otherwise it would be chance whether an answer has come already when it is first looked for."""
+def test_in_lockstep_packets_are_received_where_time_passes(toy):
+    """Otherwise chance would decide whether an answer has arrived when the program first looks for it."""
     clock = LockstepClock()
     link = SerialLink(toy, CODEC, clock, 7)
     link.send(Hello(7, 0.01))
@@ -173,19 +157,19 @@ def test_in_lockstep_a_command_goes_with_the_next_ping(toy):
     clock = LockstepClock()
     link = SerialLink(toy, CODEC, clock, 7)
     link.send(Position(7, np.zeros(8)))
-    assert toy.heard == []
+    assert toy.received == []
     clock.wait_until(0.01)
-    assert [(time, type(message)) for time, message in toy.heard] == [(0.0, Position), (0.01, Ping)]
+    assert [(time, type(message)) for time, message in toy.received] == [(0.0, Position), (0.01, Ping)]
     link.send(Position(7, np.zeros(8)))
     link.close()
-    assert toy.heard[-1][0] == 0.01
+    assert toy.received[-1][0] == 0.01
 
 
-def test_a_ping_that_is_sent_again_leaves_no_trace_in_the_numbers(toy):
+def test_a_repeated_ping_takes_no_number(toy):
     link = SerialLink(toy, CODEC, LockstepClock(), 7)
     toy.silent = True
     assert not link.ping_through((0.01, 0.01, 0.01))
-    assert [message for _, message in toy.heard] == 3 * [Ping(1)]
+    assert [message for _, message in toy.received] == 3 * [Ping(1)]
     assert link.statistics.sent == 1
     toy.silent = False
     assert link.ping_through((1.0,))

@@ -124,31 +124,19 @@ def _table(title: str, first: str, *others: str) -> Table:
 
 
 def _as_mapping(robot: RobotDescription, prior: PhysicalParams, result: Identification) -> dict[str, Any]:
-    """Return an identification for JSON: numbers that are not finite are null."""
+    """Return an identification for JSON."""
     return {
         "experiment": result.experiment,
         "robot": result.robot,
         "date": result.date,
         "digest": result.digest,
         "estimates": [
-            {
-                "name": item.name,
-                "index": item.index,
-                "label": full_name(item.label, robot),
-                "before": _finite(prior_value(item, prior)),
-                "value": _finite(item.value),
-                "interval": [_finite(end) for end in item.interval],
-                "unit": item.unit,
-                "identifiable": item.identifiable,
-            }
+            {name: getattr(item, name) for name in ("name", "index", "value", "interval", "unit", "identifiable")}
+            | {"label": full_name(item.label, robot), "before": prior_value(item, prior)}
             for item in result.estimates
         ],
-        "checks": [{**vars(one), "before": _finite(one.before), "after": _finite(one.after)} for one in result.checks],
-        "correlations": [[*pair[:2], _finite(pair[2])] for pair in result.correlations],
-        "notes": list(result.notes),
+        "checks": [vars(check) for check in result.checks],
+        "correlations": result.correlations,
+        "notes": result.notes,
         "sensors": result.sensors,
     }
-
-
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and math.isfinite(value) else None

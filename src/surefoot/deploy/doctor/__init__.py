@@ -1,1 +1,1 @@
-"""What is looked at before a robot runs: link, computer, robot at rest, motors on a rack, tilt on the ground."""
+"""Checks before a robot runs: link, computer, robot at rest, motors on a rack, IMU on the ground."""

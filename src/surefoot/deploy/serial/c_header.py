@@ -69,7 +69,6 @@ def _c_name(kind: type[Message]) -> str:
 
 
 def _columns(rows: Sequence[tuple[str, str]]) -> str:
-    """Return lines of code with aligned comments."""
     width = max(len(code) for code, _ in rows)
     return "".join(f"    {code:<{width}} /* {comment} */\n" if comment else f"    {code}\n" for code, comment in rows)
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 
 from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import MAX_FRAME, Decoder
+from surefoot.deploy.serial.frames import Decoder
 from surefoot.emulator.board import Board
 from surefoot.emulator.real_time import Summary, measure
 from surefoot.emulator.serial.pty_port import PtyPort
@@ -42,7 +43,6 @@ class Lockstep:
     def __init__(self, board: Board, link: SerialHostLink, port: PtyPort, summary: Summary) -> None:
         self.board, self._link, self._port, self._summary = board, link, port, summary
         self._decoder = Decoder(Codec(link.codec.motors))
-        self._open = bytearray()
         self._anonymous: int | None = None
         self._offsets: dict[int, int] = {}
 
@@ -68,14 +68,9 @@ class Lockstep:
     def _receive(self, data: bytes) -> None:
         """Take bytes up to each zero, one after another; those that complete a frame first advance time."""
         board, link = self.board, self._link
-        self._open += data
-        while not self._summary.stop:
-            end = self._open.find(0) + 1
-            if not end and len(self._open) <= MAX_FRAME:
+        for piece in re.findall(rb"[^\0]*\0|[^\0]+", data):
+            if self._summary.stop:
                 return
-            # So many bytes without a zero are no frame: they are damage for the decoder to count, not to keep.
-            piece = bytes(self._open[: end or MAX_FRAME])
-            del self._open[: len(piece)]
             for packet in self._decoder.feed(piece):
                 session = getattr(packet.message, "session", 0)
                 if not board.firmware.armed or session in (0, board.firmware.owner):

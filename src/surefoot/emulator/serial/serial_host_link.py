@@ -98,7 +98,7 @@ class SerialHostLink:
         damaged, foreign = statistics.damaged + statistics.unknown, statistics.foreign
         packets = self._decoder.feed(self.inbound.take())
         if statistics.damaged + statistics.unknown > damaged:
-            firmware.note_damage()
+            firmware.watch.note_damage()
         if statistics.foreign > foreign:
             firmware.refuse_foreign(now, f"schema is {self.codec.schema:#010x}")
         for packet in packets:

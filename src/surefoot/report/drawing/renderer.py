@@ -105,7 +105,7 @@ class View:
 
 def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
     """Draw sky, ground, shadows and shapes, back to front, and shrink the picture to its size."""
-    # Sky and ground hang only on the camera's height and direction, which are the same in every frame.
+    # Sky and ground depend only on the camera's height and direction, which are the same in every frame.
     picture = _backdrop(view.width, view.height, view.focal, float(view.eye[2]), tuple(view.axes[:, 2])).copy()
     pen = ImageDraw.Draw(picture)
     for polygon, fill in _squares(view):
@@ -136,8 +136,8 @@ def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
 def _back_to_front(mesh: Mesh, turn: Array, place: Array, view: View) -> list[int]:
     """Order the shapes so that none is drawn over one that is in front of it.
 
-    Two convex solids apart are parted by a plane, mostly a face of a bounding box; the one on the camera's
-    side is in front. The face that parts them best decides, which also serves solids that overlap.
+    Two convex solids are separated by a plane, mostly a face of a bounding box; the one on the camera's side
+    is in front. The face that separates them most decides, also for solids that overlap.
     """
     axes = turn[mesh.body] @ mesh.axes
     centre = np.einsum("sij,sj->si", turn[mesh.body], mesh.place) + place[mesh.body]
@@ -210,7 +210,7 @@ def _backdrop(width: int, height: int, focal: float, above: float, slope: tuple[
 
 
 def _shadow(picture: Image.Image, view: View, points: Array, faces: list[tuple[int, ...]]) -> None:
-    """Darken the ground where the light's way is barred, softly."""
+    """Draw a soft shadow of the faces on the ground."""
     above = points[:, 2:] - FLAT.height(points[:, :2])[:, None]
     ground = points - TO_LIGHT * (np.maximum(above, 0.0) / TO_LIGHT[2])
     ground[:, 2] = FLAT.height(ground[:, :2])
@@ -220,7 +220,7 @@ def _shadow(picture: Image.Image, view: View, points: Array, faces: list[tuple[i
     high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + margin, [view.width, view.height])
     if np.any(high <= low) or depth.min() <= NEAR:
         return
-    # A quarter of the area is enough for something soft.
+    # A soft shadow needs only a quarter of the pixels.
     small = ((high - low) // 2 + 1).tolist()
     mask = Image.new("L", tuple(small), 0)
     pen = ImageDraw.Draw(mask)

@@ -21,7 +21,7 @@ from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
-from surefoot.robot.urdf_file import attribute, read_xml
+from surefoot.robot.urdf_file import attribute, read_inertia, read_number, read_xml
 
 FORWARD = {"+x": 0.0, "-x": np.pi, "+y": -np.pi / 2, "-y": np.pi / 2}
 """Directions in the file's frame that may be forward, and the turn about z that brings them to +x [rad]."""
@@ -97,18 +97,14 @@ def _prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -
     for link in root.findall("link"):
         if (inertial := link.find("inertial")) is None:
             continue
-        tensor = inertial.find("inertia")
-        try:
-            mass = float(attribute(inertial.find("mass"), "value"))
-            rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
-            inertia = np.array([[float(attribute(tensor, key, "0")) for key in row] for row in rows])
-        except ValueError:
-            raise SurefootError(f"{path}: link '{link.get('name')}': its <inertial> has no numbers") from None
+        where, tensor = f"{path}: link '{link.get('name')}'", inertial.find("inertia")
+        mass = read_number(inertial.find("mass"), "value", f"{where}: mass")
         if mass == 0.0 or tensor is None:
             link.remove(inertial)
             continue
         count += 1
-        moments = np.linalg.eigvalsh(inertia) if np.isfinite(inertia).all() else np.full(3, np.nan)
+        inertia = read_inertia(tensor, where)
+        moments = np.linalg.eigvalsh(inertia)
         point_mass = mass > 0 and not np.diag(inertia).any()
         if not point_mass and not (mass > 0 and are_moments(moments)):
             odd.append(str(link.get("name")))

@@ -20,11 +20,12 @@ from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.sheet import GRAVITY
 from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
+from surefoot.rotations import rpy_matrix
 
 _PLACEHOLDER_SPEED = 100.0
 """A speed limit [rad/s] from which on it is a placeholder."""
-_Line = tuple[str, str]
-"""A line of the sheet, and why it is a guess; empty for one that the file decides."""
+_GUESSED = "  # guessed: "
+_NEWLINE = "\n"
 
 
 def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | None = None) -> list[str]:
@@ -45,20 +46,21 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
     check_name("name", name)
     if (folder / "robot.toml").exists():
         raise SurefootError(f"{folder}: holds a robot; give another --out, or move it away")
-    lines = _sheet(robot, name, knees)
+    sheet = _sheet(robot, name, knees)
     with describe_os_errors(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
     _write(folder / "robot.urdf", format_urdf(_urdf(robot), name))
-    _write(folder / "robot.toml", "\n".join(f"{line}  # guessed: {why}" if why else line for line, why in lines) + "\n")
-    return list(dict.fromkeys([*robot.notes, *(f"{line}: {why}" for line, why in lines if why)]))
+    _write(folder / "robot.toml", sheet)
+    guesses = [line.replace(_GUESSED, ": ") for line in sheet.splitlines() if _GUESSED in line]
+    return list(dict.fromkeys([*robot.notes, *guesses]))
 
 
 def set_servo_step(folder: Path, step: float) -> str:
     """Write a shorter physics step [s] to the sheet of a robot that was just imported; return the guess as a line."""
-    path, why = folder / "robot.toml", "s, the longest that servos, friction and feet allow"
-    text = re.sub("(?m)^servo_step = .*", f"servo_step = {step:g}  # guessed: {why}", path.read_text(encoding="utf-8"))
-    _write(path, text)
-    return f"servo_step = {step:g}: {why}"
+    line = f"servo_step = {step:g}{_GUESSED}s, the longest that servos, friction and feet allow"
+    path = folder / "robot.toml"
+    _write(path, re.sub("(?m)^servo_step = .*", line, path.read_text(encoding="utf-8")))
+    return line.replace(_GUESSED, ": ")
 
 
 def _write(path: Path, text: str) -> None:
@@ -66,66 +68,65 @@ def _write(path: Path, text: str) -> None:
         atomic_write(path, text)
 
 
-def _sheet(robot: ImportedRobot, name: str, knees: Knees | None) -> list[_Line]:
-    """Return the lines of a `robot.toml`."""
+def _sheet(robot: ImportedRobot, name: str, knees: Knees | None) -> str:
+    """Return the text of a `robot.toml`."""
     signs, certain = robot.knee_signs(knees)
-    legs: list[_Line] = []
-    for leg, joints, sign in zip(LEGS, robot.joints, signs, strict=True):
-        legs += _plain("", f"[legs.{leg}]", f"motors = {json.dumps(joints)}", f'foot = "{leg}_foot"')
-        legs.append(
-            (f'knee = "{"forward" if sign > 0 else "backward"}"', "" if certain else "the knees' limits do not show it")
-        )
-    return [
-        *_plain(
-            f"# {name}: made from {robot.path.name}, whose {robot.forward} is forward. SI units, radians.",
-            "# Lines with 'guessed' are not in that file: replace them by the robot's own numbers.",
-            "",
-            f'name = "{name}"',
-            'urdf = "robot.urdf"',
-            'base = "base"',
-            "",
-            "# In the order of commands and readings; joint angle in the URDF = sign * motor angle.",
-            "[motors]",
-        ),
-        (f"order = {json.dumps(sum(robot.joints, ()))}", "leg by leg; take the order of the robot's own interface"),
-        *_plain("", "[legs]", f"order = {json.dumps(LEGS)}"),
-        *legs,
-        *_plain("", *_leg_space(robot)[:-1]),
-        (_leg_space(robot)[-1], "stands with legs straight down"),
-        *_plain("", "# All at the joint: after the gear.", "[actuator]", 'kind = "joint"'),
-        *_actuator(robot),
-        *_plain("", "[timing]"),
-        (f"servo_step = {0.001 if robot.mass < 5 else 0.002}", "s, of the actuators' controllers"),
-        ("control_step = 0.01", "s, between two commands of a policy"),
-        ("servo_latency = 0.002", "s, age of what the actuators' controllers see"),
-        ("control_latency = 0.01", "s, age of what a policy sees"),
-        *_plain("", "[contact]"),
-        ("friction = 0.8", "rubber on a floor"),
+    legs = [
+        f"""
+[legs.{leg}]
+motors = {json.dumps(joints)}
+foot = "{leg}_foot"
+knee = "{"forward" if sign > 0 else "backward"}"{"" if certain else f"{_GUESSED}the knees' limits do not show it"}"""
+        for leg, joints, sign in zip(LEGS, robot.joints, signs, strict=True)
     ]
+    return f"""\
+# {name}: made from {robot.path.name}, whose {robot.forward} is forward. SI units, radians.
+# Lines with 'guessed' are not in that file: replace them by the robot's own numbers.
 
+name = "{name}"
+urdf = "robot.urdf"
+base = "base"
 
-def _plain(*lines: str) -> list[_Line]:
-    return [(line, "") for line in lines]
+# In the order of commands and readings; joint angle in the URDF = sign * motor angle.
+[motors]
+order = {json.dumps(sum(robot.joints, ()))}{_GUESSED}leg by leg; take the order of the robot's own interface
+
+[legs]
+order = {json.dumps(LEGS)}
+{_NEWLINE.join(legs)}
+
+# What commands may ask of legs: abduction and swing in rad, extension in lengths of the straight leg.
+[leg_space]
+{_NEWLINE.join(_leg_space(robot))}{_GUESSED}stands with legs straight down
+
+# All at the joint: after the gear.
+[actuator]
+kind = "joint"
+{_NEWLINE.join(_actuator(robot))}
+
+[timing]
+servo_step = {0.001 if robot.mass < 5 else 0.002}{_GUESSED}s, of the actuators' controllers
+control_step = 0.01{_GUESSED}s, between two commands of a policy
+servo_latency = 0.002{_GUESSED}s, age of what the actuators' controllers see
+control_latency = 0.01{_GUESSED}s, age of what a policy sees
+
+[contact]
+friction = 0.8{_GUESSED}rubber on a floor
+"""
 
 
 def _leg_space(robot: ImportedRobot) -> list[str]:
     """Return lines with the ranges of commands, which are what all joints can do, within usual ranges."""
-    low, high, abduction = 0.35, 0.97, 0.5
     upper, lower = np.linalg.norm(robot.links, axis=-1)
     bends = np.sort(np.abs(robot.knee_bends), axis=1)
     bends[np.prod(robot.knee_bends, axis=1) < 0, 0] = 0.0  # the straight leg is in the knee's range
     reach = np.hypot(upper + lower * np.cos(bends.T), lower * np.sin(bends.T)) / (upper + lower)
-    low, high = (
-        float(np.fmax.reduce(reach[1] + 0.02, initial=low)),
-        float(np.fmin.reduce(reach[0] - 0.01, initial=high)),
-    )
-    abducts = len(robot.joints[0]) == 3
-    if abducts:
-        abduction = float(np.fmin.reduce(np.abs(robot.limits[:, 0]), axis=None, initial=abduction))
+    low = float(np.fmax.reduce(reach[1] + 0.02, initial=0.35))
+    high = float(np.fmin.reduce(reach[0] - 0.01, initial=0.97))
     rest = round(min(max(0.75, low + 0.05), high - 0.05), 3)
+    abducts = len(robot.joints[0]) == 3
+    abduction = float(np.fmin.reduce(np.abs(robot.limits[:, 0]), axis=None, initial=0.5))
     return [
-        "# What commands may ask of legs: abduction and swing in rad, extension in lengths of the straight leg.",
-        "[leg_space]",
         *([f"abduction = [{-abduction:.3g}, {abduction:.3g}]"] if abducts else []),
         "swing = [-1.0, 1.0]",
         f"extension = [{low:.3g}, {high:.3g}]",
@@ -133,17 +134,17 @@ def _leg_space(robot: ImportedRobot) -> list[str]:
     ]
 
 
-def _actuator(robot: ImportedRobot) -> list[_Line]:
+def _actuator(robot: ImportedRobot) -> list[str]:
     """Return lines with the actuators' data: the file's, and usual ones in place of missing ones and placeholders."""
     mass, length, shape = robot.mass, robot.length, robot.torque.shape
     stiffness = mass * GRAVITY * length
 
-    def line(key: str, values: ArrayLike, unit: str, why: str = "") -> _Line:
+    def line(key: str, values: ArrayLike, unit: str, why: str = "") -> str:
         """Return a line with a number for all motors, one for each motor of a leg, or one for each motor."""
         numbers = np.array([[float(f"{value:.4g}") for value in row] for row in np.broadcast_to(values, shape)])
         value = numbers.ravel().tolist() if np.ptp(numbers, axis=0).any() else numbers[0].tolist()
         value = value if np.ptp(numbers) else value[0]
-        return (f"{key} = {value}", f"{why} ({unit})") if why else (f"{key} = {value}  # {unit}", "")
+        return f"{key} = {value}{_GUESSED}{why} ({unit})" if why else f"{key} = {value}  # {unit}"
 
     def limit(values: Array, placeholder: float, usual: float, rule: str) -> tuple[Array, str]:
         real = (values > 0) & (values < placeholder)
@@ -205,14 +206,11 @@ def _link(body: RigidBody, origin: Array, *shapes: Shape) -> Link:
 
 
 def _cylinder(link: str, start: Array, end: Array, radius: float) -> Shape:
-    """Return a cylinder along the line between two points (3,) [m] of the link's frame.
+    """Return a cylinder between two points (3,) [m] of the link's frame that differ in x and z.
 
-    It is shorter than the line, so that shapes of one leg do not touch.
+    It ends short of them, so that shapes of one leg do not touch.
     """
-    length = float(np.linalg.norm(end - start))
-    z = (end - start) / length
-    x = np.cross([0.0, 1.0, 0.0], z)
-    x /= np.linalg.norm(x)
+    x, _, z = end - start
     frame = _frame((start + end) / 2)
-    frame[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-    return Shape(link, "cylinder", (radius, 0.45 * length), frame)
+    frame[:3, :3] = rpy_matrix(0.0, math.atan2(x, z), 0.0)
+    return Shape(link, "cylinder", (radius, 0.45 * math.hypot(x, z)), frame)
