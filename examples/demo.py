@@ -1,7 +1,7 @@
 """Train a gallop, test the robustness of two trots, deploy a trot on an emulated robot: some four minutes, two cores.
 
 1. `surefoot train gallop`: a short training, with its evaluation, figures and video in runs/.
-2. `surefoot evaluate trot-robust --randomize table1`: the robust trot on robots that differ from the data sheet.
+2. `surefoot evaluate trot-robust --randomize table1`: the robust trot on randomized robots.
 3. `surefoot sensitivity trot trot-robust`: which parameters break a trot trained without and one with randomization.
 4. `surefoot emulate`, `doctor`, `deploy`, `gap`: a trot on an emulated robot, in another physics engine and in real
    time, compared with its simulation.

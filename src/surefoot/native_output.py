@@ -15,7 +15,7 @@ from surefoot.errors import SurefootError
 @contextmanager
 def stdout_to_stderr() -> Iterator[None]:
     """Redirect stdout to stderr, for notes of a library while it is loaded."""
-    with _turned((1,), 2):
+    with _redirect((1,), 2):
         yield
 
 
@@ -24,7 +24,7 @@ def quiet() -> Iterator[None]:
     """Discard what C code prints to stdout or stderr."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
-        with _turned((1, 2), nowhere):
+        with _redirect((1, 2), nowhere):
             yield
     finally:
         os.close(nowhere)
@@ -41,7 +41,7 @@ def mujoco_errors(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _turned(descriptors: tuple[int, ...], to: int) -> Iterator[None]:
+def _redirect(descriptors: tuple[int, ...], to: int) -> Iterator[None]:
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             stream.flush()

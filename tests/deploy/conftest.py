@@ -25,7 +25,7 @@ class ToyRobot:
 
     Attributes:
         sensors: called with the robot's time [s] and its readings, may return others.
-        heard: received messages, oldest first.
+        received: received messages, oldest first.
         cut: the cable has been pulled.
         silent: what the robot sends is lost.
     """
@@ -37,7 +37,7 @@ class ToyRobot:
         self._decoder = Decoder(self.codec)
         self.angle = robot.pose_angles(np.zeros(4), np.full(4, 0.9))
         self.sensors: Callable[[float, Sensors], Sensors] = lambda time, readings: readings
-        self.heard: list[tuple[float, Message]] = []
+        self.received: list[tuple[float, Message]] = []
         self.cut = self.silent = False
         self._now = 0
         self._ticked = -1000
@@ -76,9 +76,9 @@ class ToyRobot:
             due = max(firmware.next_state, 0)
             readings = self._readings(due)
             firmware.report(due, lambda readings=readings: readings)
-            self._say()
+            self._send()
 
-    def _say(self) -> None:
+    def _send(self) -> None:
         for frame in self.firmware.take():
             if not self.silent:
                 self._out += encode_frame(self.codec, frame.message, frame.sequence, frame.time)
@@ -88,17 +88,17 @@ class ToyRobot:
             raise LinkLostError("port toy is gone")
         for frame in self._decoder.feed(data):
             self.run_to(max(round(frame.time * 1e6), self._now))
-            self.heard.append((frame.time, frame.message))
+            self.received.append((frame.time, frame.message))
             self.firmware.receive(self._now, frame)
-            self._say()
+            self._send()
         return len(data)
 
     def read(self) -> bytes:
         if self.cut:
             raise LinkLostError("port toy is gone")
-        said = bytes(self._out)
+        data = bytes(self._out)
         self._out.clear()
-        return said
+        return data
 
     def wait(self, timeout: float) -> None:
         pass
@@ -108,7 +108,7 @@ class ToyRobot:
 
     def kinds(self) -> list[str]:
         """Return the names of the received messages, each once in a row, without pings."""
-        names = [type(message).__name__ for _, message in self.heard if type(message).__name__ != "Ping"]
+        names = [type(message).__name__ for _, message in self.received if type(message).__name__ != "Ping"]
         return [name for k, name in enumerate(names) if k == 0 or names[k - 1] != name]
 
 

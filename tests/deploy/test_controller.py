@@ -18,7 +18,7 @@ POLICIES = sorted((Path(__file__).resolve().parents[2] / "policies").glob("*.onn
 
 
 class Echo:
-    """A policy that remembers what it saw, and gives what it is told."""
+    """A policy that keeps its inputs and returns a constant feedback."""
 
     def __init__(self, contract, feedback=0.0):
         self.contract = contract

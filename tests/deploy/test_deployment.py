@@ -70,10 +70,10 @@ def connect(deployment: Deployment) -> None:
 def test_a_punctual_computer_checks_its_timing_once_and_commands_nothing(deployment, toy, monitor):
     connect(deployment)
     assert monitor.phases == ["connect", "check timing"]
-    kinds = {type(message) for _, message in toy.heard}
+    kinds = {type(message) for _, message in toy.received}
     assert Ping in kinds
     assert not kinds & {Arm, Position}
-    spent = toy.heard[-1][0]
+    spent = toy.received[-1][0]
     assert PUNCTUAL * STEP < spent < (PUNCTUAL + 40) * STEP
 
 
@@ -106,7 +106,7 @@ def test_a_computer_that_keeps_stalling_arms_no_robot(deployment, computer, toy,
     with pytest.raises(SurefootError, match=r"not armed: \d+ control steps in a row were missed; at most 2"):
         connect(deployment)
     assert monitor.phases.count("check timing") == TRIES
-    assert Arm not in {type(message) for _, message in toy.heard}
+    assert Arm not in {type(message) for _, message in toy.received}
 
 
 @pytest.mark.parametrize(
@@ -123,4 +123,4 @@ def test_a_low_battery_or_a_hot_motor_at_the_start_is_refused(deployment, toy, n
 def test_a_stop_while_timing_is_checked_is_no_error(deployment, toy):
     deployment.operator.stops = 1
     connect(deployment)
-    assert Arm not in {type(message) for _, message in toy.heard}
+    assert Arm not in {type(message) for _, message in toy.received}

@@ -88,7 +88,7 @@ def deploy(toy, link, robot, policy, stop, monitor, tmp_path):
 
 
 def sent(toy, kind):
-    return [(time, message) for time, message in toy.heard if isinstance(message, kind)]
+    return [(time, message) for time, message in toy.received if isinstance(message, kind)]
 
 
 def end_of(outcome):
@@ -301,14 +301,14 @@ def test_a_robot_that_damps_itself_ends_the_run(deploy, toy):
 
 
 def test_a_robot_that_sends_no_states_is_damped_after_three_steps(deploy, toy):
-    silent, say = [], toy._say
+    silent, send = [], toy._send
 
     def pongs_only():
         frames = toy.firmware.take()
         toy.firmware._out = [frame for frame in frames if isinstance(frame.message, Pong)] if silent else frames
-        say()
+        send()
 
-    toy._say = pongs_only
+    toy._send = pongs_only
     once(toy, lambda: silent.append(True))
     outcome, saved, timing = deploy(steps=300)
     assert end_of(outcome) == ("fault", "stale state", True)

@@ -1,4 +1,4 @@
-"""A motion capture file at the rows of a trace."""
+"""Motion capture at the rows of a trace."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LEGS = ("left", "right")
 HEAD = "time,x,y,z,qw,qx,qy,qz"
 
 
-def turn(yaw: float) -> list[float]:
+def rotation(yaw: float) -> list[float]:
     return [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
 
 
@@ -24,7 +24,7 @@ def straight(tmp_path):
     lines = [HEAD + ",contact_left"]
     for k in range(401):
         time = 0.005 * k
-        row = [time, 5 + time * np.cos(yaw), 7 + time * np.sin(yaw), 0.2 + 0.01 * time, *turn(yaw), k % 2]
+        row = [time, 5 + time * np.cos(yaw), 7 + time * np.sin(yaw), 0.2 + 0.01 * time, *rotation(yaw), k % 2]
         lines.append(",".join(map(str, row)))
     path.write_text("\n".join(lines) + "\n")
     return path
@@ -46,9 +46,9 @@ def test_feet_have_switches_or_none(straight):
     assert np.isnan(contact[:, 1]).all()
 
 
-def test_a_turn_is_kept(tmp_path):
+def test_a_rotation_is_kept(tmp_path):
     path = tmp_path / "capture.csv"
-    lines = [HEAD] + [",".join(map(str, [0.1 * k, 0, 0, 0, *turn(1.0 + 0.1 * k)])) for k in range(11)]
+    lines = [HEAD] + [",".join(map(str, [0.1 * k, 0, 0, 0, *rotation(1.0 + 0.1 * k)])) for k in range(11)]
     path.write_text("\n".join(lines))
     quat = base_and_feet(read_capture(path), 0.0, 0.1, 10, LEGS)["base_quat_world"]
     assert [quat_yaw(row) for row in quat] == pytest.approx(0.1 * np.arange(11))
@@ -57,7 +57,7 @@ def test_a_turn_is_kept(tmp_path):
 
 def test_quaternions_of_either_sign_are_the_same(tmp_path):
     path = tmp_path / "capture.csv"
-    rows = [[0.1 * k, 0, 0, 0, *((-1) ** k * np.array(turn(0.01 * k)))] for k in range(11)]
+    rows = [[0.1 * k, 0, 0, 0, *((-1) ** k * np.array(rotation(0.01 * k)))] for k in range(11)]
     path.write_text("\n".join([HEAD, *(",".join(map(str, row)) for row in rows)]))
     quat = base_and_feet(read_capture(path), 0.0, 0.05, 20, LEGS)["base_quat_world"]
     assert [quat_yaw(row) for row in quat] == pytest.approx(0.005 * np.arange(21), abs=1e-6)
@@ -70,8 +70,8 @@ def test_a_tilted_start_keeps_its_tilt(tmp_path):
     c, s = np.cos(0.5), np.sin(0.5)
     quat = [c * w, -s * y, c * y, s * w]
     path.write_text("\n".join([HEAD, *(",".join(map(str, [0.1 * k, 0, 0, 0, *quat])) for k in range(3))]))
-    found = base_and_feet(read_capture(path), 0.0, 0.1, 1, LEGS)["base_quat_world"]
-    assert found[0] == pytest.approx([w, 0.0, y, 0.0])
+    quats = base_and_feet(read_capture(path), 0.0, 0.1, 1, LEGS)["base_quat_world"]
+    assert quats[0] == pytest.approx([w, 0.0, y, 0.0])
 
 
 def test_a_line_that_is_still_written_is_left_out(straight):
@@ -90,7 +90,7 @@ def test_a_line_that_is_still_written_is_left_out(straight):
         (HEAD + "\n0,0,0,nan,1,0,0,0\n1,a,0,0,1,0,0,0\n", "has 0 whole rows"),
     ],
 )
-def test_a_file_that_is_none_is_refused(text, match, tmp_path):
+def test_a_file_without_the_columns_or_two_rows_is_refused(text, match, tmp_path):
     path = tmp_path / "capture.csv"
     path.write_text(text)
     with pytest.raises(SurefootError, match=match):

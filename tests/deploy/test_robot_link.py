@@ -51,19 +51,19 @@ def test_states_for_another_operator_are_forgotten(toy, link):
 
 
 def test_a_repeated_handshake_changes_nothing(toy, link):
-    said = []
-    say = toy._say
+    sent = []
+    send = toy._send
 
     def keep():
         before = len(toy._out)
-        say()
-        said.append(bytes(toy._out[before:]))
+        send()
+        sent.append(bytes(toy._out[before:]))
 
-    toy._say = keep
+    toy._send = keep
     first = link.connect(state_period=0.006)
     link.wait_for(lambda: link.states > 3, 0.1)
     state, sync = link.state, link.sync.offset
-    for data in said:
+    for data in sent:
         toy._out += data
     link.update()
     assert link.handshake is first
@@ -114,7 +114,7 @@ def test_an_armed_robot_sends_a_state_just_before_the_next_command(period, link)
 def test_a_state_is_requested_the_lead_before_the_next_command(toy, link):
     link.connect()
     link.arm(Mode.POSITION, 0.006, lead=LEAD)
-    arm = next(message for _, message in toy.heard if isinstance(message, Arm))
+    arm = next(message for _, message in toy.received if isinstance(message, Arm))
     assert arm.command_period == pytest.approx(0.006)
     assert arm.report_after == pytest.approx(0.006 - LEAD)
 

@@ -1,4 +1,4 @@
-"""The robot and a small operator that tests of this package share."""
+"""Operators and emulators that tests of this package share."""
 
 from __future__ import annotations
 
@@ -54,22 +54,22 @@ class Host:
     def send(self, message: Message, at: float | None = None) -> None:
         os.write(self.file, self.bytes.frame(message, self.now() if at is None else at))
 
-    def look(self, wait: float = 0.0) -> list[Packet]:
+    def receive(self, wait: float = 0.0) -> list[Packet]:
         """Wait for something, at most so long, and return what has arrived."""
         if wait > 0:
             select.select([self.file], [], [], wait)
         try:
-            found = self.bytes.decoder.feed(os.read(self.file, 65536))
+            packets = self.bytes.decoder.feed(os.read(self.file, 65536))
         except BlockingIOError:
-            found = []
-        self.frames += found
-        return found
+            packets = []
+        self.frames += packets
+        return packets
 
     def of(self, kind: type[Any], condition: Callable[[Any], bool] = lambda message: True) -> Packet:
         """Return the first frame to arrive of a kind for which a condition holds."""
         end = time.monotonic() + 20.0
         while time.monotonic() < end:
-            for frame in self.look(0.05):
+            for frame in self.receive(0.05):
                 if isinstance(frame.message, kind) and condition(frame.message):
                     return frame
         raise AssertionError(f"no such frame; last {self.frames[-3:]}")

@@ -49,9 +49,9 @@ class Rig:
 
     def run(self, microseconds: int) -> list[Packet]:
         self.board.run_to(self.board.now + microseconds)
-        found = self.wire.decoder.feed(self.line.take(self.board.now))
-        self.frames += found
-        return found
+        faults = self.wire.decoder.feed(self.line.take(self.board.now))
+        self.frames += faults
+        return faults
 
     def arm(self) -> None:
         self.send(Hello(ME, 0.010))
@@ -92,18 +92,18 @@ def rig(robot, wire_bytes):
 
 
 def test_faults_are_parsed_from_words():
-    found = parse_faults(["drop=0.2", "unplug=1.5", "battery-low=13@3.5", "other-robot", "hang", "corrupt@2"])
-    assert list(found) == ["drop", "unplug", "battery-low", "other-robot", "hang", "corrupt"]
-    assert (found["drop"].value, found["drop"].start) == (0.2, 0.0)
-    assert found["unplug"].start == 1.5
-    assert (found["battery-low"].value, found["battery-low"].start) == (13.0, 3.5)
-    assert math.isnan(found["other-robot"].value)
-    assert (found["hang"].value, found["hang"].start) == (FAULTS["hang"].value, 1.0)
-    assert found["corrupt"].start == 2.0
+    faults = parse_faults(["drop=0.2", "unplug=1.5", "battery-low=13@3.5", "other-robot", "hang", "corrupt@2"])
+    assert list(faults) == ["drop", "unplug", "battery-low", "other-robot", "hang", "corrupt"]
+    assert (faults["drop"].value, faults["drop"].start) == (0.2, 0.0)
+    assert faults["unplug"].start == 1.5
+    assert (faults["battery-low"].value, faults["battery-low"].start) == (13.0, 3.5)
+    assert math.isnan(faults["other-robot"].value)
+    assert (faults["hang"].value, faults["hang"].start) == (FAULTS["hang"].value, 1.0)
+    assert faults["corrupt"].start == 2.0
 
 
 @pytest.mark.parametrize(
-    ("word", "said"),
+    ("word", "message"),
     [
         ("melt", "'melt' is no fault; choices: corrupt, drop"),
         ("drop=2", r"fault drop is 2; it must be 0 to 1 \(unit: chance a frame\)"),
@@ -120,8 +120,8 @@ def test_faults_are_parsed_from_words():
         ("flip-sign=0.5", "fault flip-sign is 0.5; it must be a whole number"),
     ],
 )
-def test_a_fault_that_does_not_exist_or_a_number_out_of_range_is_refused(word, said):
-    with pytest.raises(SurefootError, match=said):
+def test_a_fault_that_does_not_exist_or_a_number_out_of_range_is_refused(word, message):
+    with pytest.raises(SurefootError, match=message):
         parse_faults([word])
 
 

@@ -133,15 +133,15 @@ def fault_of(messages: list[Message]) -> tuple[int, Reason]:
 
 
 def test_a_hello_is_answered_by_the_handshake_and_frames_are_counted_from_one(bench, robot):
-    (said,) = bench.send(Hello(ME, 0.010))
-    assert isinstance(said, Handshake)
-    assert (said.session, said.robot, said.motor_names) == (ME, "minitaur", robot.motor_names)
-    np.testing.assert_array_equal(said.motor_signs, robot.motor_sign)
-    assert said.servo_period == 0.001
-    np.testing.assert_allclose([said.servo_kp, said.servo_kd], [[1.0] * 8, [0.015] * 8])
-    assert (said.command_timeout, said.rearm_after) == (0.050, 0.5)
+    (sent,) = bench.send(Hello(ME, 0.010))
+    assert isinstance(sent, Handshake)
+    assert (sent.session, sent.robot, sent.motor_names) == (ME, "minitaur", robot.motor_names)
+    np.testing.assert_array_equal(sent.motor_signs, robot.motor_sign)
+    assert sent.servo_period == 0.001
+    np.testing.assert_allclose([sent.servo_kp, sent.servo_kd], [[1.0] * 8, [0.015] * 8])
+    assert (sent.command_timeout, sent.rearm_after) == (0.050, 0.5)
     # Leg space: extension 0.6 to 2.7, swing up to 1; and 1 rad of room.
-    np.testing.assert_allclose([said.angle_low[0], said.angle_high[0]], [-1.4, 4.7])
+    np.testing.assert_allclose([sent.angle_low[0], sent.angle_high[0]], [-1.4, 4.7])
     bench.run(30)
     assert [frame.sequence for frame in bench.sent] == list(range(1, len(bench.sent) + 1))
 
@@ -150,22 +150,22 @@ def test_a_hello_is_answered_by_the_handshake_and_frames_are_counted_from_one(be
 def test_a_command_at_the_limits_of_the_handshake_is_obeyed(robot, monkeypatch, room):
     monkeypatch.setattr("surefoot.emulator.limits.ANGLE_ROOM", room)
     bench = Bench(robot, "serial line")
-    (said,) = bench.send(Hello(ME, 0.010))
+    (sent,) = bench.send(Hello(ME, 0.010))
     bench.arm()
-    for angles in (said.angle_low, said.angle_high):
+    for angles in (sent.angle_low, sent.angle_high):
         target = angles.astype(np.float32).astype(np.float64)  # what the host is told
         assert bench.send(Position(ME, target)) == []
         bench.run(1)
         assert bench.firmware.mode == Mode.POSITION
         np.testing.assert_array_equal(bench.order.values, target)
-    bench.send(Position(ME, np.nextafter(said.angle_high.astype(np.float32), np.float32(9))))
+    bench.send(Position(ME, np.nextafter(sent.angle_high.astype(np.float32), np.float32(9))))
     assert bench.firmware.reason == Reason.COMMAND
 
 
 def test_states_come_at_the_requested_period_and_stop_with_the_session(owned):
-    said = owned.run(100)
-    assert [round(frame.time * 1e3) for frame in said] == list(range(10, 101, 10))
-    state = said[0].message
+    sent = owned.run(100)
+    assert [round(frame.time * 1e3) for frame in sent] == list(range(10, 101, 10))
+    state = sent[0].message
     assert isinstance(state, State)
     assert (state.session, state.mode, state.command, state.energy) == (ME, Mode.DISARMED, 0, 0.0)
     owned.send(Hello(ME, 0.020))
@@ -216,11 +216,11 @@ def test_states_follow_each_command_and_keep_its_period_in_silence(armed):
     start = armed.now
     armed.send(Position(ME, TARGET))
     number = armed.number
-    said = armed.run(20)
+    sent = armed.run(20)
     # 3 ms after the command, and then every 6 ms.
-    assert [round(frame.time * 1e6) - start for frame in said] == [3 * MS, 9 * MS, 15 * MS]
-    assert [frame.message.command for frame in said] == [number] * 3
-    np.testing.assert_allclose([frame.message.command_age for frame in said], [0.003, 0.009, 0.015])
+    assert [round(frame.time * 1e6) - start for frame in sent] == [3 * MS, 9 * MS, 15 * MS]
+    assert [frame.message.command for frame in sent] == [number] * 3
+    np.testing.assert_allclose([frame.message.command_age for frame in sent], [0.003, 0.009, 0.015])
 
 
 def test_arming_again_changes_the_times_only(armed):
@@ -262,13 +262,13 @@ def test_silence_damps_after_50_ms(armed):
     start = armed.now
     armed.run(50)
     assert armed.mode == (Mode.POSITION, Reason.NONE)
-    said = armed.run(1)
+    sent = armed.run(1)
     assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
     assert armed.order.mode == Mode.DISARMED
-    fault, state = (frame.message for frame in said)
+    fault, state = (frame.message for frame in sent)
     assert (fault.session, fault.reason) == (ME, Reason.TIMEOUT)
     assert (state.mode, state.reason) == (Mode.FAULT, Reason.TIMEOUT)
-    assert said[0].time * 1e6 - start == 50 * MS
+    assert sent[0].time * 1e6 - start == 50 * MS
 
 
 def test_pings_do_not_reset_the_watchdog(armed):
@@ -362,10 +362,10 @@ def test_two_old_numbers_between_good_ones_are_dropped_and_counted(armed):
         armed.command(1)
         for _ in range(2):
             armed.send(Position(ME, 0 * TARGET), number=1)
-    said = armed.run(10)
+    sent = armed.run(10)
     assert armed.mode == (Mode.POSITION, Reason.NONE)
     np.testing.assert_array_equal(armed.order.values, TARGET)
-    assert said[0].message.dropped == 20
+    assert sent[0].message.dropped == 20
 
 
 def test_commands_older_than_three_periods_are_dropped(armed):
@@ -456,9 +456,9 @@ def test_another_operator_may_connect_after_a_second_of_silence(armed):
     # Last heard 1.001 s ago, when it was armed.
     assert fault_of(armed.send(Hello(OTHER, 0.01), sent=3.0, number=1)) == (OTHER, Reason.BUSY)
     armed.run(1)
-    (said,) = armed.send(Hello(OTHER, 0.01), sent=3.0, number=1)
-    assert isinstance(said, Handshake)
-    assert said.session == OTHER
+    (sent,) = armed.send(Hello(OTHER, 0.01), sent=3.0, number=1)
+    assert isinstance(sent, Handshake)
+    assert sent.session == OTHER
     assert armed.mode == (Mode.DISARMED, Reason.TIMEOUT)
     assert fault_of(armed.send(messages.Arm(ME, 1, 0.006, 0.003))) == (ME, Reason.SESSION)
 
@@ -522,11 +522,11 @@ def test_no_message_makes_it_fail_or_give_an_order_beyond_the_limits(robot, wher
     bench = Bench(robot, where)
     bench.send(Hello(ME, 0.01))
     low, high = bench.firmware.handshake.angle_low, bench.firmware.handshake.angle_high
-    for said, pause, number in talk:
-        if isinstance(said, bytes):
-            bench.put(said)
+    for sent, pause, number in talk:
+        if isinstance(sent, bytes):
+            bench.put(sent)
         else:
-            bench.send(said, number=number)
+            bench.send(sent, number=number)
         bench.run(pause)
         if bench.order is not None and bench.order.mode == Mode.POSITION:
             assert ((bench.order.values >= low) & (bench.order.values <= high)).all()

@@ -22,10 +22,10 @@ def line(chances: dict[str, float] | None = None, **config: float) -> Line:
 
 
 def arrivals(line: Line) -> list[tuple[int, bytes]]:
-    found = []
+    arrived = []
     while line.next_time < math.inf:
-        found.append((line.next_time, line.take()))
-    return found
+        arrived.append((line.next_time, line.take()))
+    return arrived
 
 
 def test_bytes_take_their_time():
@@ -69,26 +69,26 @@ def test_a_cable_that_is_pulled_loses_what_is_on_its_way():
 @pytest.mark.parametrize("harm", HARMS)
 def test_each_harm_strikes_at_its_rate_and_only_its_own_frames(harm):
     codec = Codec(8)
-    struck, decoder, heard, count = line({harm: 0.2}), Decoder(codec), [], 2000
+    struck, decoder, received, count = line({harm: 0.2}), Decoder(codec), [], 2000
     for number in range(1, count + 1):
         struck.send(number, encode_frame(codec, Ping(number), number, 0.0))
         for _, data in arrivals(struck):
-            heard += [frame.sequence for frame in decoder.feed(data)]
+            received += [frame.sequence for frame in decoder.feed(data)]
     times = struck.counts.total()
     assert times == struck.counts[harm] == pytest.approx(0.2 * count, rel=0.15)
-    in_order = all(a < b for a, b in itertools.pairwise(heard))
+    in_order = all(a < b for a, b in itertools.pairwise(received))
     if harm in ("corrupt", "drop", "cut-frames"):
         # A bit turned over in the zeros around a frame, or a cut that takes only one of them, harms nothing.
-        assert count - times <= len(heard) <= count - (times if harm == "drop" else 0)
+        assert count - times <= len(received) <= count - (times if harm == "drop" else 0)
         assert in_order
     elif harm == "duplicate":
-        assert len(heard) == count + times
-        assert sorted(set(heard)) == list(range(1, count + 1))
+        assert len(received) == count + times
+        assert sorted(set(received)) == list(range(1, count + 1))
     elif harm == "reorder":
-        assert set(range(1, count)) <= set(heard)
+        assert set(range(1, count)) <= set(received)
         assert not in_order
     else:
-        assert heard == list(range(1, count + 1))
+        assert received == list(range(1, count + 1))
     assert (decoder.statistics.damaged > 0) == (harm in ("corrupt", "cut-frames", "garbage"))
 
 

@@ -29,14 +29,14 @@ def follow(host, robot, seconds: float) -> list[float]:
     """Go from the angles that the robot has to others, in real time; return times of the states, on its clock."""
     first = host.of(State).message.motor_angle
     last = robot.pose_angles(0.0, 1.2)
-    start, came = host.now(), []
+    start, times = host.now(), []
     for step in itertools.count():
         at = start + step * STEP
         share = min(step * STEP / (seconds - 0.2), 1.0)
         while (left := at - host.now()) > 0:
-            came += [frame.time for frame in host.look(left) if isinstance(frame.message, State)]
+            times += [frame.time for frame in host.receive(left) if isinstance(frame.message, State)]
         if at - start > seconds:
-            return came
+            return times
         host.send(Position(ME, first + (last - first) * share))
     raise AssertionError
 
@@ -46,9 +46,9 @@ def test_a_session_in_real_time(emulate, robot):
     process = emulate("--rack")
     host = process.host()
     host.send(Hello(ME, 0.010))
-    said = host.of(Handshake).message
-    assert (said.session, said.robot) == (ME, "minitaur")
-    assert said.firmware.startswith("surefoot emulator ")
+    handshake = host.of(Handshake).message
+    assert (handshake.session, handshake.robot) == (ME, "minitaur")
+    assert handshake.firmware.startswith("surefoot emulator ")
 
     # States come at the period that was asked for, on the robot's clock.
     times = [host.of(State).time for _ in range(30)]
@@ -57,16 +57,16 @@ def test_a_session_in_real_time(emulate, robot):
     # Armed, it follows.
     host.send(Arm(ME, int(Mode.POSITION), STEP, STEP - 0.003))
     host.of(State, lambda state: state.mode == Mode.POSITION)
-    came = follow(host, robot, 0.6)
-    assert np.median(np.diff(came)) == pytest.approx(STEP, abs=0.0015)
+    times = follow(host, robot, 0.6)
+    assert np.median(np.diff(times)) == pytest.approx(STEP, abs=0.0015)
     newest = [frame.message for frame in host.frames if isinstance(frame.message, State)][-1]
     assert newest.mode == Mode.POSITION
     np.testing.assert_allclose(newest.motor_angle, 1.2, atol=0.05)
     assert 15.0 < newest.voltage < 16.1
 
-    code, said = process.stop()
+    code, output = process.stop()
     assert code == 0
-    assert "of robot time" in said
+    assert "of robot time" in output
 
 
 def test_hosts_come_and_go_and_the_robot_never_blocks(emulate_here):
@@ -78,7 +78,7 @@ def test_hosts_come_and_go_and_the_robot_never_blocks(emulate_here):
         time.sleep(0.01)
     # Once there is room, the robot is heard again.
     reader = emulator.host()
-    while reader.look():
+    while reader.receive():
         pass
     reader.send(Ping(99))
     reader.of(Pong, lambda pong: pong.token == 99)
@@ -101,10 +101,10 @@ def test_a_signal_ends_it_and_removes_its_link(emulate, tmp_path, number, words)
         assert len(seen.read_text().splitlines()) == 101  # each row is written as it happens
     process.process.send_signal(number)
     process.process.wait(timeout=20)
-    code, said = process.stop()
+    code, output = process.stop()
     assert code == 0
     assert not link.is_symlink()
-    assert "Traceback" not in said
+    assert "Traceback" not in output
 
 
 @pytest.mark.realtime
@@ -119,12 +119,12 @@ def test_in_lockstep_time_is_that_of_the_frames(emulate_here):
     host = emulate_here("--lockstep").host()
     # Robot time begins with the first frame.
     host.send(Hello(ME, 0.010), 5.0)
-    said = host.run_to(6.0)
-    assert isinstance(said[0].message, Handshake)
+    output = host.run_to(6.0)
+    assert isinstance(output[0].message, Handshake)
     np.testing.assert_allclose(
-        [f.time for f in said if isinstance(f.message, State)], np.arange(1, 101) / 100, atol=1e-9
+        [f.time for f in output if isinstance(f.message, State)], np.arange(1, 101) / 100, atol=1e-9
     )
-    assert said[-1].time == 1.0
+    assert output[-1].time == 1.0
     # A time that goes back leaves the robot's where it is.
     assert host.run_to(5.5)[-1].time == 1.0
     assert [f.time for f in host.run_to(6.012, State)] == [1.01]
@@ -166,8 +166,8 @@ def test_in_lockstep_a_second_host_may_have_another_clock(emulate_here):
     # Its own clock goes on; after a second without the first one it has the robot.
     for at in (1.0, 1.5, 2.0):
         second.send(Hello(OTHER, 0.010), at)
-    said = second.run_to(2.0)
-    assert any(isinstance(frame.message, Handshake) for frame in second.frames), said
+    output = second.run_to(2.0)
+    assert any(isinstance(frame.message, Handshake) for frame in second.frames), output
     times = [frame.time for frame in second.run_to(2.1, State)]
     np.testing.assert_allclose(np.diff(times), 0.010, atol=1e-9)
 

@@ -73,7 +73,7 @@ def test_load_refuses_damaged_files(recorded: Recording, robot: RobotDescription
     if share is None:
         content[len(content) // 2] ^= 16
     path.write_bytes(content if share is None else content[: int(share * len(content))])
-    assert "is no file of arrays" in refused(path, robot)
+    assert "no file of arrays" in refused(path, robot)
 
 
 def test_load_names_missing_and_unknown_entries(recorded: Recording, robot: RobotDescription, tmp_path: Path):

@@ -114,7 +114,7 @@ def test_a_schedule_holds_each_command_until_the_next() -> None:
 
 def test_robots_follow_their_own_commands_in_turn() -> None:
     config = CommandConfig(forward=(-1, 2), yaw_rate=(-1, 1), each=((0.5, 0.0, 0.0), (0.0, 0.0, 0.3)))
-    source = config.source(LIMITS, 3, seed=0)
+    source = config.make_generator(LIMITS, 3, seed=0)
     source.reset(np.arange(3))
     assert source.command.tolist() == [[0.5, 0.0, 0.0], [0.0, 0.0, 0.3], [0.5, 0.0, 0.0]]
     source.update(np.full(3, 7.0))

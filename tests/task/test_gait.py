@@ -54,14 +54,6 @@ def test_each_action_moves_its_own_leg(robot):
         np.testing.assert_allclose(moved[0], list(expected.values()), atol=1e-12)
 
 
-def test_zero_bounds_give_exactly_the_reference(robot):
-    gait = HybridGait(robot, trot(robot), (0.0, 0.0), (0.0, 0.0))
-    time = np.linspace(0, 1, 11)
-    feedback = gait.feedback(np.random.default_rng(1).uniform(-1, 1, (11, 8)))
-    targets = gait.motor_targets(time, feedback)
-    assert np.array_equal(targets, robot.to_motors(gait.reference.pose(time)))
-
-
 def test_reference_and_feedback_add(robot):
     gait = HybridGait(robot, trot(robot), (-0.25, 0.25), (-0.25, 0.25))
     # At .125 s the front left leg has swing .3 and extension 2.35; feedback adds .25 to each:

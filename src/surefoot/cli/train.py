@@ -90,12 +90,14 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     base = load_train_config(argv[0], _robot_name(argv))
     words, range_options = take_ranges(argv[1:])
     ranges = range_options.apply(base.task.robot, base.task.randomize)
-    preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize=ranges)})
+    # Ranges have options of their own: tyro's would take any count of numbers.
+    preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize={})})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
     # Parameters given by name go over a file of parameters, which replaces the task's own.
     params = {name: value for name, value in command.task.params.items() if base.task.params.get(name) != value}
     task = command.simulator.apply(replace(command.task, params=base.task.params), params)
-    task = replace(task, pushes=replace(task.pushes, enabled=task.pushes.enabled or command.pushes))
+    pushes = replace(task.pushes, enabled=task.pushes.enabled or command.pushes)
+    task = replace(task, pushes=pushes, randomize=ranges)
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
 
 

@@ -31,14 +31,11 @@ from surefoot.task.commands import CommandSchedule, read_schedule
 
 FRESH = 0.3
 """Age [s] up to which a command of the channel holds."""
-_MAX_BYTES = 1024
-"""Length of a datagram that is read."""
-_MAX_DATAGRAMS = 64
-"""Datagrams that are read in one control step; older ones wait, or are dropped by the system."""
+_MAX_BYTES, _MAX_DATAGRAMS = 1024, 64
+"""Length of a datagram, and datagrams in one control step, that are read."""
 _STEP = 0.1
 """Change of a command by one key, as a share of the greatest command."""
 _KEYS = {"w": (0, 1), "s": (0, -1), "a": (1, 1), "d": (1, -1), "q": (2, 1), "e": (2, -1)}
-KEYS = "w/s forward, a/d sideways, q/e turn, space stand"
 _ESCAPE = re.compile(r"\x1b(?:\[[0-9;]*[ -~]|O?.)?")
 """Sequences of arrows and other keys without a letter; they end in letters that have another meaning."""
 _AXES = {1: (0, -1), 0: (1, -1), 3: (2, -1)}
@@ -210,7 +207,7 @@ class GamepadCommands:
         self._rest += events
         whole = len(self._rest) // _EVENT.size * _EVENT.size
         for _, value, kind, number in _EVENT.iter_unpack(self._rest[:whole]):
-            # The first events have the axes' initial values and 0x80 in their kind.
+            # Events with initial values have 0x80 in their kind.
             if kind & 0x7F == 2 and number in _AXES:
                 axis, sign = _AXES[number]
                 share = sign * value / 32767

@@ -26,10 +26,8 @@ FLAT, FOLD, PAUSE, RISE, HOLD = 1.0, 1.0, 0.3, 1.5, 0.5
 (as long as a robot settles in simulation)."""
 UP = FLAT + FOLD + PAUSE + RISE + HOLD
 """Time [s] from arming to the policy's start."""
-DROP, REST = 0.2, 0.7
-"""Time [s] to drop from a gait to sitting, and to come to rest there."""
-SIT = 1.5
-"""Time [s] to sit down from standing, or from a fall."""
+DROP, REST, SIT = 0.2, 0.7, 1.5
+"""Time [s] to drop from a gait to sitting, to come to rest there, and to sit down from standing or from a fall."""
 DOWN = max(DROP + REST, SIT)
 """Longest time [s] from the policy's end to disarming."""
 STILL_SPEED = 0.5
@@ -124,10 +122,7 @@ class MotionRunner:
         return False
 
     def ping_until(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Wait until a condition holds, at most `timeout` [s], with pings that show that the link is clean.
-
-        Return whether it holds.
-        """
+        """Wait until a condition holds, at most `timeout` [s], and ping meanwhile; return whether it does."""
         clock, last = self.link.clock, -math.inf
 
         def ping() -> None:
@@ -180,9 +175,8 @@ class MotionRunner:
     def stand_up(self, standing: Array) -> Verdict:
         """Rise to motor angles (M,) [rad] from wherever the legs lie.
 
-        A damped robot sinks onto its belly, and its legs slide out from under it. They are laid flat and drawn in
-        first. With the feet out at the side, motors that push the body up stall at full current, and then the robot
-        leaps.
+        A damped robot sinks onto its belly, and its legs slide out. They are laid flat and drawn in first: with the
+        feet out at the side, motors stall at full current, and then the robot leaps.
         """
         present = self.state.motor_angle
         flat, drawn = lying_pose(self.robot, present), sitting_pose(self.robot)
@@ -200,11 +194,9 @@ class MotionRunner:
         return GO
 
     def drop(self) -> Verdict:
-        """Drop from a gait to sitting, and come to rest there.
+        """Drop from a gait to sitting, and come to rest there: a fast robot would stumble in a slow change to standing.
 
-        Low and with all feet on the ground, a robot stops from any speed of its gaits; a slow change from the gait to
-        standing makes a fast robot stumble. A tilt beyond the limit is no fall here, since damped motors would do no
-        better. The robot's own limit still holds.
+        A tilt beyond the limit is no fall here, since damped motors would do no better. The robot's own limit holds.
         """
         drawn = sitting_pose(self.robot)
         verdict = self.move("drop", drawn, DROP, upright=False, sitting=True)
@@ -222,11 +214,7 @@ class MotionRunner:
         return GO if self.release() else Verdict(Act.DAMP, "disarm", "the robot does not report that it has disarmed")
 
     def recover_from_fall(self) -> str:
-        """Wait until a damped robot lies still, then let it sit, unless it lies on its side; return the result.
-
-        Raises:
-            LinkLostError: the robot is gone.
-        """
+        """Wait until a damped robot lies still, then let it sit, unless it lies on its side; return the result."""
         self.release(damp=True)
         self.loop.monitor.phase("lie still", _STILL_PATIENCE)
         clock = self.link.clock

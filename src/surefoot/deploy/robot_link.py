@@ -86,7 +86,7 @@ class RobotLink(ABC):
     @property
     @abstractmethod
     def next_number(self) -> int:
-        """Number of the next message, as `State.command` reports it; consecutive while only commands are sent."""
+        """Number of the next message, as in `State.command`; consecutive while only commands are sent."""
 
     @abstractmethod
     def send(self, message: Message) -> object:

@@ -139,10 +139,10 @@ class Guard:
         Args:
             time: this computer's clock [s].
             state: the newest state.
-            state_age: how old it is [s].
-            missed: control steps that passed since the last one that was done.
-            stops: how often the operator has asked to stop.
-            armed: whether the robot should be following commands.
+            state_age: its age [s].
+            missed: control steps missed since the last one.
+            stops: the operator's requests to stop.
+            armed: whether the robot should follow commands.
             upright: whether a tilt beyond the limit is a fall; False while a fallen robot sits down.
         """
         for verdict in (

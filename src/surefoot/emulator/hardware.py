@@ -67,14 +67,13 @@ class PowerConfig(NamedTuple):
 def power_tick(state: ActuationState, power: PowerConfig, dt: float, temperature: Array) -> float:
     """Warm the motors of a robot for one step, and return the current that they draw from the battery [A].
 
-    A motor's current follows from its torque by the inverse of the torque table; with I and speed w it takes the power
-    I (R I + K_t w) from the battery, and turns R I^2 of it into heat:
+    A motor's current follows from its torque by the inverse of the torque table, the least one where the table is flat.
+    With I and speed w it takes the power I (R I + K_t w) from the battery, and turns R I^2 of it into heat:
 
         C dT/dt = R I^2 - (T - T_air) / R_heat
 
-    Where the table is flat, the least current that gives the torque is taken. Joint actuators are known by their limits
-    alone: their heat is `HEAT_LOSS` of the power at full torque and the speed up to which they have it, times the
-    square of torque over limit.
+    The heat of a joint actuator is `HEAT_LOSS` of its power at full torque and the speed up to which it has that, times
+    the square of torque over limit.
 
     Args:
         state: a batch of one robot, after the step.

@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import Policy
 from surefoot.robot.params import PARAMETERS
 from surefoot.rotations import in_heading_frame
-from surefoot.task.commands import CommandSource
+from surefoot.task.commands import CommandGenerator
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.reward import base_rates
@@ -76,7 +76,7 @@ class DrivenRobot:
     def __init__(self, policy: Policy, task: TaskConfig, make_world: SimulationFactory) -> None:
         pushes = replace(task.pushes, enabled=False)
         task = replace(task, pushes=pushes, max_steps=_MAX_STEPS, randomize={})
-        self._command = CommandSource(1)
+        self._command = CommandGenerator(1)
         self.policy = policy
         self.env = LocomotionEnv(task, 1, make_world, seed=1, autoreset=False, threads=1, source=self._command)
         self.robot, self.step_time = self.env.robot, float(self.env.world.params.control_step[0])

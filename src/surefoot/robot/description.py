@@ -18,13 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_toml
 from surefoot.errors import SurefootError, check_name, choices, prefix_errors
-from surefoot.robot import sheet as tables
 from surefoot.robot.actuator import ActuatorData, DcMotorData, nominal_params, read_actuator
 from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.serial_leg import SerialLegs
-from surefoot.robot.sheet import GRAVITY, Battery, ContactData, Leg, Loop, Poses, Range, Sheet, Timing, read_legs
+from surefoot.robot.sheet import GRAVITY, Battery, ContactData, Leg, Loop, Poses, Range, Sheet, Timing, check_ranges
 from surefoot.robot.urdf import Urdf
 from surefoot.robot.urdf_file import read_urdf
 
@@ -97,20 +96,19 @@ class RobotDescription:
 
     @classmethod
     def _from_sheet(cls, sheet: Sheet, urdf: Urdf, folder: Path) -> RobotDescription:
-        legs, order = read_legs(sheet, urdf), sheet.motors.order
+        legs, order = sheet.read_legs(urdf), sheet.motors.order
         sign = np.array(sheet.motors.sign or [1] * len(order), float)
         bounds = {name: item.bounds for name, item in PARAMETERS.items()}
         if unknown := [name for name in sheet.allowed if name not in bounds]:
             raise SurefootError(f"allowed.{unknown[0]} is unknown; choices: {choices(bounds)}")
-        tables.check_ranges("allowed", sheet.allowed)
+        check_ranges("allowed", sheet.allowed)
         places, axes, feet = _place_joints(urdf, sheet.base, legs)
         mounts = _mounts(places, feet, bool(sheet.leg_geometry))
         signs = sign[[[order.index(name) for name in leg.motors] for leg in legs]]
         geometry = sheet.leg_geometry or SerialLegs.from_places(legs, mounts, places, axes, signs, feet)
-        space, rest = tables.complete_leg_space(sheet.leg_space, geometry)
+        space, rest = sheet.complete_leg_space(geometry)
         actuator = read_actuator(sheet.actuator, order, [leg.motors for leg in legs])
         voltage = actuator.voltage if isinstance(actuator, DcMotorData) else _VOLTAGE
-        contact = {"self_collision": not sheet.loops} | sheet.contact
         description = cls(
             name=sheet.name,
             folder=folder,
@@ -127,9 +125,9 @@ class RobotDescription:
             rest=rest,
             actuator=actuator,
             timing=sheet.timing,
-            contact=tables.complete_contact(contact, GRAVITY * urdf.total_mass / len(legs), geometry.length),
-            poses=tables.complete_poses(sheet.poses, space),
-            battery=tables.complete_battery(sheet.battery, voltage),
+            contact=sheet.complete_contact(GRAVITY * urdf.total_mass / len(legs), geometry.length),
+            poses=sheet.complete_poses(space),
+            battery=sheet.complete_battery(voltage),
             experiments=read_experiments(sheet.experiments, space["extension"], actuator),
             allowed={**bounds, **sheet.allowed},
         )

@@ -236,24 +236,33 @@ class Randomizer:
 
     def __init__(self, ranges: Mapping[str, ParamRange], robot: RobotDescription, nominal: PhysicalParams, seed: int):
         check_ranges(ranges, robot)
+        self.nominal = nominal
         self.ranges = {name: ranges[name] for name in PARAMETERS if name in ranges}
-        self.nominal, self._robot = nominal, robot
         self.streams = generators(seed, "randomize", nominal.num_envs)
-        self._counts = [0, 0, 0]
-        self._slots: dict[str, tuple[int, NDArray[np.int64]]] = {}
-        part = 0
-        for name, declared in PARAMETERS.items():
-            size = getattr(nominal, name)[0].size
-            slot = self._reserve(size if declared.independent else 1, part)
-            each = slot if declared.independent else self._reserve(size, 2)
-            if name in self.ranges:
-                self._slots[name] = each if is_independent(name, self.ranges[name]) else (part, slot[1][:1])
-            part = 1 if name == _FIRST_STREAM_ENDS else part
-
-    def _reserve(self, count: int, part: int) -> tuple[int, NDArray[np.int64]]:
-        """Return a part of the stream and the places of the next `count` numbers in it."""
-        self._counts[part] += count
-        return part, np.arange(self._counts[part] - count, self._counts[part])
+        self.columns: list[str] = []
+        """Names of the numbers of `scaled`, in order."""
+        self._parts, numbers = _number_places(nominal)
+        # K values are drawn: those of all motors and axes of every parameter with a range.
+        self._columns: dict[str, slice] = {}
+        places, low, high = [np.zeros(0, np.int64)], list[Array](), list[Array]()
+        allowed, shown = list[Interval](), list[int]()
+        for name, param_range in self.ranges.items():
+            ends = [end.reshape(nominal.num_envs, -1) for end in resolve_range(param_range, getattr(nominal, name))]
+            independent, size, first = is_independent(name, param_range), ends[0].shape[1], len(allowed)
+            place = numbers[name, independent and not PARAMETERS[name].independent]
+            places.append(np.broadcast_to(place if independent else place[:1], size))
+            low.append(ends[0])
+            high.append(ends[1])
+            allowed += [robot.allowed[name]] * size
+            self._columns[name] = slice(first, first + size)
+            if np.ptp(_intervals(param_range), axis=-1).any():
+                parts = PARAMETERS[name].parts(robot.motor_names) if independent else ()
+                self.columns += [f"{name}.{part}" for part in parts] or [name]
+                shown += range(first, first + (len(parts) or 1))
+        self._places, self._shown = np.concatenate(places), np.array(shown, np.int64)
+        none = np.zeros((nominal.num_envs, 0))
+        self._low, self._high = np.concatenate([none, *low], axis=1), np.concatenate([none, *high], axis=1)
+        self._allowed = np.reshape(allowed, (-1, 2)).T
 
     @property
     def enabled(self) -> bool:
@@ -262,50 +271,51 @@ class Randomizer:
 
     def draw(self, index: NDArray[np.int64]) -> PhysicalParams:
         """Return the parameters of new episodes of the robots at `index`, one row each."""
-        units = {
-            part: np.array([_ahead(self.streams[i], part).uniform(size=self._counts[part]) for i in index])
+        unit = np.empty((len(index), self._parts[-1].stop))
+        for jumps, part in reversed([*enumerate(self._parts)]):
+            if jumps and not np.any((self._places >= part.start) & (self._places < part.stop)):
+                continue
             # The stream itself comes last: the other parts are counted from where it stands.
-            for part in sorted({0, *(part for part, _ in self._slots.values())}, reverse=True)
-        }
+            size = part.stop - part.start
+            unit[:, part] = [_ahead(self.streams[i], jumps).uniform(size=size) for i in index]
+        low, high = self._low[index], self._high[index]
+        drawn = np.clip(low + (high - low) * unit[:, self._places], *self._allowed)
         params = self.nominal.rows(index)
-        for name, (part, slot) in self._slots.items():
-            values, unit = getattr(params, name), units[part][:, slot]
-            low, high = resolve_range(self.ranges[name], values)
-            drawn = low + (high - low) * (unit if values.ndim == 2 else unit[:, 0])
-            values[...] = np.clip(drawn, *self._robot.allowed[name])
+        for name, columns in self._columns.items():
+            values = getattr(params, name)
+            values[...] = drawn[:, columns].reshape(values.shape)
         return params
-
-    @property
-    def _varied(self) -> list[str]:
-        """Names of the parameters whose ranges have a width."""
-        return [name for name, param_range in self.ranges.items() if np.ptp(_intervals(param_range), axis=-1).any()]
-
-    @property
-    def columns(self) -> list[str]:
-        """Names of the numbers of `scaled`, in order."""
-        names = []
-        for name in self._varied:
-            parts = PARAMETERS[name].parts(self._robot.motor_names)
-            names += [f"{name}.{part}" for part in parts] if self._is_vector(name) else [name]
-        return names
-
-    def _is_vector(self, name: str) -> bool:
-        """Return whether a parameter's draw has a number for each motor or axis."""
-        return bool(PARAMETERS[name].per) and is_independent(name, self.ranges[name])
 
     def scaled(self, params: PhysicalParams) -> Array:
         """Return drawn parameters scaled to -1 to 1 (N, P), for a privileged critic."""
-        columns = [np.zeros((params.num_envs, 0))]
-        for name in self._varied:
-            nominal = getattr(self.nominal, name)[: params.num_envs]
-            kept = slice(None) if self._is_vector(name) else slice(1)
-            values, low, high = (
-                array.reshape(params.num_envs, -1)[:, kept]
-                for array in (getattr(params, name), *resolve_range(self.ranges[name], nominal))
-            )
-            width = high - low
-            columns.append(np.divide(2 * values - low - high, width, out=np.zeros(width.shape), where=width != 0))
-        return np.concatenate(columns, axis=1)
+        num = params.num_envs
+        values = np.concatenate(
+            [np.zeros((num, 0)), *(getattr(params, name).reshape(num, -1) for name in self.ranges)], 1
+        )
+        low, high = self._low[:num, self._shown], self._high[:num, self._shown]
+        width = high - low
+        return np.divide(2 * values[:, self._shown] - low - high, width, out=np.zeros(width.shape), where=width != 0)
+
+
+def _number_places(nominal: PhysicalParams) -> tuple[list[slice], dict[tuple[str, bool], NDArray[np.int64]]]:
+    """Return the parts of an episode's numbers in [0, 1), and each parameter's places among them.
+
+    The parts are the stream itself, and two far ahead in it: of later parameters, and of parameters that share a
+    number, where a range makes motors or axes independent (True in the key).
+    """
+    sizes = {name: getattr(nominal, name)[0].size for name in PARAMETERS}
+    own = {name: sizes[name] if declared.independent else 1 for name, declared in PARAMETERS.items()}
+    names = list(PARAMETERS)
+    later = names.index(_FIRST_STREAM_ENDS) + 1
+    shared = [name for name in names if not PARAMETERS[name].independent]
+    parts, places, end = list[slice](), {}, 0
+    for part, counts in ((names[:later], own), (names[later:], own), (shared, sizes)):
+        start = end
+        for name in part:
+            places[name, counts is sizes] = np.arange(end, end + counts[name])
+            end += counts[name]
+        parts.append(slice(start, end))
+    return parts, places
 
 
 def _ahead(stream: np.random.Generator, jumps: int) -> np.random.Generator:

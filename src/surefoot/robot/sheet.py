@@ -142,42 +142,84 @@ class Sheet:
     experiments: dict[str, Any] = field(default_factory=dict)
     allowed: dict[str, Range] = field(default_factory=dict)
 
-
-def read_legs(sheet: Sheet, urdf: Urdf) -> tuple[Leg, ...]:
-    """Return the legs of a sheet, in order; refuse names that the URDF does not have, and legs of different kinds."""
-    hinges = [name for name, joint in urdf.joints.items() if joint.kind != "fixed"]
-    motors, tables = sheet.motors.order, dict(sheet.legs)
-    order = tables.pop("order", None)
-    if not isinstance(order, list) or not order or sorted(map(str, order)) != sorted(tables):
-        raise SurefootError(f"legs.order is {quote(order)}; it must name each leg once: {choices(tables)}")
-    legs = tuple(replace(from_mapping(Leg, tables[name], f"legs.{name}"), name=name) for name in order)
-    check_names("base", (sheet.base,), urdf.links)
-    check_names("motors.order", motors, hinges)
-    if sheet.motors.sign and len(sheet.motors.sign) != len(motors):
-        raise SurefootError(f"motors.sign has {len(sheet.motors.sign)} numbers; it must have {len(motors)}")
-    for index, loop in enumerate(sheet.loops):
-        check_names(f"loops[{index}].links", loop.links, [joint.child for joint in urdf.joints.values()])
-    for leg in legs:
-        where = f"legs.{leg.name}"
-        check_names(f"{where}.motors", leg.motors, motors)
-        check_names(f"{where}.knees", leg.knees, hinges)
-        check_names(f"{where}.foot", (leg.foot,), urdf.links)
-        counts, knees = ((2,), 2) if sheet.leg_geometry else ((2, 3), 0)
-        if len(leg.motors) not in counts or len(leg.motors) != len(legs[0].motors) or len(leg.knees) != knees:
-            rule = "2 motors and 2 knees, with leg_geometry" if knees else "2 or 3 motors, all legs alike, and no knees"
-            raise SurefootError(f"{where} has {len(leg.motors)} motors and {len(leg.knees)} knees; a leg has {rule}")
-        feet = [shape.kind for shape in urdf.links[leg.foot].collisions]
-        if feet != ["sphere"]:
+    def read_legs(self, urdf: Urdf) -> tuple[Leg, ...]:
+        """Return the legs in order; refuse names that the URDF does not have, and legs of different kinds."""
+        hinges = [name for name, joint in urdf.joints.items() if joint.kind != "fixed"]
+        motors, tables = self.motors.order, dict(self.legs)
+        order = tables.pop("order", None)
+        if not isinstance(order, list) or not order or sorted(map(str, order)) != sorted(tables):
+            raise SurefootError(f"legs.order is {quote(order)}; it must name each leg once: {choices(tables)}")
+        legs = tuple(replace(from_mapping(Leg, tables[name], f"legs.{name}"), name=name) for name in order)
+        check_names("base", (self.base,), urdf.links)
+        check_names("motors.order", motors, hinges)
+        if self.motors.sign and len(self.motors.sign) != len(motors):
+            raise SurefootError(f"motors.sign has {len(self.motors.sign)} numbers; it must have {len(motors)}")
+        for index, loop in enumerate(self.loops):
+            check_names(f"loops[{index}].links", loop.links, [joint.child for joint in urdf.joints.values()])
+        for leg in legs:
+            where = f"legs.{leg.name}"
+            check_names(f"{where}.motors", leg.motors, motors)
+            check_names(f"{where}.knees", leg.knees, hinges)
+            check_names(f"{where}.foot", (leg.foot,), urdf.links)
+            allowed, knees = ((2,), 2) if self.leg_geometry else ((2, 3), 0)
+            if len(leg.motors) not in allowed or len(leg.motors) != len(legs[0].motors) or len(leg.knees) != knees:
+                rule = "2 motors and 2 knees, with leg_geometry" if knees else "2 or 3 motors, all alike, and no knees"
+                counts = f"{len(leg.motors)} motors and {len(leg.knees)} knees"
+                raise SurefootError(f"{where} has {counts}; a leg has {rule}")
+            feet = [shape.kind for shape in urdf.links[leg.foot].collisions]
+            if feet != ["sphere"]:
+                raise SurefootError(
+                    f"{where}.foot: link '{leg.foot}' has as collision shapes: {choices(feet) or 'none'}; "
+                    "a foot has one, a sphere"
+                )
+        used = [name for leg in legs for name in leg.motors]
+        if sorted(used) != sorted(motors):
             raise SurefootError(
-                f"{where}.foot: link '{leg.foot}' has as collision shapes: {choices(feet) or 'none'}; "
-                "a foot has one, a sphere"
+                f"motors.order names {len(motors)} motors; each must belong to one leg; legs use {choices(used)}"
             )
-    used = [name for leg in legs for name in leg.motors]
-    if sorted(used) != sorted(motors):
-        raise SurefootError(
-            f"motors.order names {len(motors)} motors; each must belong to one leg; legs use {choices(used)}"
-        )
-    return legs
+        return legs
+
+    def complete_leg_space(self, legs: Legs) -> tuple[dict[str, Range], tuple[float, ...]]:
+        """Return the range of each coordinate and the resting pose: the sheet's, or usual ones for serial legs."""
+        names, table = legs.coordinates, self.leg_space
+        if "abduction" not in names and table.abduction is not None:
+            raise SurefootError("leg_space.abduction is given; these legs have no abduction")
+        if legs.units[-1] == "rad" and not (table.swing and table.extension and table.rest):
+            raise SurefootError("leg_space has no swing, extension or rest; legs with leg_geometry need them")
+        space = {name: getattr(table, name) or _USUAL_SPACE[name] for name in names}
+        check_ranges("leg_space", space)
+        rest = table.rest or (*[0.0] * (len(names) - 1), _USUAL_REST)
+        if len(rest) != len(names):
+            raise SurefootError(f"leg_space.rest has {len(rest)} numbers; it must have {choices(names)}")
+        return space, rest
+
+    def complete_poses(self, space: Mapping[str, Range]) -> Poses:
+        """Return the poses between gaits; robots sit with legs straight down, as short as commands allow."""
+        sit = [*[0.0] * (len(space) - 1), space["extension"][0]]
+        poses = from_mapping(Poses, {"sit": sit, **self.poses}, "poses")
+        if len(poses.sit) != len(space):
+            raise SurefootError(f"poses.sit has {len(poses.sit)} numbers; it must have {choices(space)}")
+        for (name, (low, high)), value in zip(space.items(), poses.sit, strict=True):
+            if not low <= value <= high:
+                raise SurefootError(f"poses.sit has {name} {value:g}; leg_space allows {low:g} to {high:g}")
+        return poses
+
+    def complete_battery(self, voltage: float) -> Battery:
+        """Return the battery's voltages: cells of 3.7 V are low at 3.3 V and empty at 2.9 V."""
+        nominal = _number(self.battery, "nominal", voltage)
+        usual = {"nominal": nominal, "warn": 0.9 * nominal, "low": 0.88 * nominal, "empty": 0.78 * nominal}
+        return from_mapping(Battery, {**usual, **self.battery}, "battery")
+
+    def complete_contact(self, weight: float, length: float) -> ContactData:
+        """Return the feet's contact, by default from a foot's share of the weight [N] and the leg's length [m].
+
+        A foot sinks in by 1 % of the leg's length under its share, and its damping is that of a quarter of the robot on
+        this spring at a damping ratio of .5.
+        """
+        stiffness = _number(self.contact, "stiffness", weight / (_SINK * length))
+        damping = math.sqrt(max(stiffness, 0.0) * weight / GRAVITY)
+        usual = {"stiffness": stiffness, "damping": damping, "self_collision": not self.loops}
+        return from_mapping(ContactData, {**usual, **self.contact}, "contact")
 
 
 def check_names(key: str, names: Sequence[str], valid: Iterable[str]) -> None:
@@ -194,51 +236,6 @@ def check_ranges(where: str, ranges: Mapping[str, Range]) -> None:
     for name, (low, high) in ranges.items():
         if not low <= high:
             raise SurefootError(f"{where}.{name} is [{low:g}, {high:g}]; the lower bound must come first")
-
-
-def complete_leg_space(table: LegSpace, legs: Legs) -> tuple[dict[str, Range], tuple[float, ...]]:
-    """Return the range of each coordinate and the resting pose: the sheet's, or usual ones for serial legs."""
-    names = legs.coordinates
-    if "abduction" not in names and table.abduction is not None:
-        raise SurefootError("leg_space.abduction is given; these legs have no abduction")
-    if legs.units[-1] == "rad" and not (table.swing and table.extension and table.rest):
-        raise SurefootError("leg_space has no swing, extension or rest; legs with leg_geometry need them")
-    space = {name: getattr(table, name) or _USUAL_SPACE[name] for name in names}
-    check_ranges("leg_space", space)
-    rest = table.rest or (*[0.0] * (len(names) - 1), _USUAL_REST)
-    if len(rest) != len(names):
-        raise SurefootError(f"leg_space.rest has {len(rest)} numbers; it must have {choices(names)}")
-    return space, rest
-
-
-def complete_poses(table: Mapping[str, Any], space: Mapping[str, Range]) -> Poses:
-    """Return the poses between gaits; robots sit with legs straight down, as short as commands allow."""
-    sit = [*[0.0] * (len(space) - 1), space["extension"][0]]
-    poses = from_mapping(Poses, {"sit": sit, **table}, "poses")
-    if len(poses.sit) != len(space):
-        raise SurefootError(f"poses.sit has {len(poses.sit)} numbers; it must have {choices(space)}")
-    for (name, (low, high)), value in zip(space.items(), poses.sit, strict=True):
-        if not low <= value <= high:
-            raise SurefootError(f"poses.sit has {name} {value:g}; leg_space allows {low:g} to {high:g}")
-    return poses
-
-
-def complete_battery(table: Mapping[str, Any], voltage: float) -> Battery:
-    """Return the battery's voltages: cells of 3.7 V are low at 3.3 V and empty at 2.9 V."""
-    nominal = _number(table, "nominal", voltage)
-    usual = {"nominal": nominal, "warn": 0.9 * nominal, "low": 0.88 * nominal, "empty": 0.78 * nominal}
-    return from_mapping(Battery, {**usual, **table}, "battery")
-
-
-def complete_contact(table: Mapping[str, Any], weight: float, length: float) -> ContactData:
-    """Return the feet's contact; stiffness and damping from a foot's share of the weight [N] and the leg's length [m].
-
-    A foot sinks in by 1 % of the leg's length under its share, and its damping is that of a quarter of the robot on
-    this spring at a damping ratio of .5.
-    """
-    stiffness = _number(table, "stiffness", weight / (_SINK * length))
-    usual = {"stiffness": stiffness, "damping": math.sqrt(max(stiffness, 0.0) * weight / GRAVITY)}
-    return from_mapping(ContactData, {**usual, **table}, "contact")
 
 
 def _number(table: Mapping[str, Any], key: str, usual: float) -> float:

@@ -81,8 +81,8 @@ class CommandConfig:
         """Whether the task has commands at all."""
         return any(getattr(self, name) != (0.0, 0.0) for name in COMMANDS)
 
-    def source(self, limits: CommandLimits, num_envs: int, seed: int) -> CommandSource:
-        """Return the source of commands to the robots of a batch."""
+    def make_generator(self, limits: CommandLimits, num_envs: int, seed: int) -> CommandGenerator:
+        """Return the generator of the commands of a batch."""
         if self.schedule:
             return CommandSchedule([self.schedule], limits, num_envs)
         if self.each:
@@ -140,7 +140,7 @@ def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
         return from_mapping(CommandConfig, {"schedule": table}, "commands").schedule
 
 
-class CommandSource:
+class CommandGenerator:
     """Commands to the robots of a batch; this class holds those that it was given last, until an episode starts.
 
     Args:
@@ -163,7 +163,7 @@ class CommandSource:
         """Set the commands of robots whose episodes are `time` (N,) [s] old."""
 
 
-class CommandSchedule(CommandSource):
+class CommandSchedule(CommandGenerator):
     """Gives robots the commands of schedules, within their limits: robot i those of schedule i, in turn.
 
     Args:
@@ -200,7 +200,7 @@ class CommandSchedule(CommandSource):
         return np.asarray(commands[np.searchsorted(times, np.asarray(time) + 5e-7, side="right")])
 
 
-class CommandSampler(CommandSource):
+class CommandSampler(CommandGenerator):
     """Draws commands for each robot of a batch, each from its own stream.
 
     Args:

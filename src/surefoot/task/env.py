@@ -14,7 +14,7 @@ from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import Randomizer
 from surefoot.rotations import in_heading_frame
-from surefoot.task.commands import CommandFilter, CommandSource, CommandState
+from surefoot.task.commands import CommandFilter, CommandGenerator, CommandState
 from surefoot.task.config import TaskConfig
 from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
@@ -68,7 +68,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         seed: int = 0,
         autoreset: bool = True,
         threads: int = 0,
-        source: CommandSource | None = None,
+        source: CommandGenerator | None = None,
     ) -> None:
         self.task, self.num_envs, self.autoreset, self._threads = task, num_envs, autoreset, threads
         self._given_source = source
@@ -99,10 +99,10 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.world: Simulation = self._make_world(self.robot, self.num_envs, self.nominal, seed, config)
         self.pusher = Pusher(task.pushes, self.num_envs, seed, self.robot.weight)
         self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed)
-        self.source: CommandSource | None = None
+        self.source: CommandGenerator | None = None
         self.commands: CommandFilter | None = None
         if limits := task.commands.limits(self.robot):
-            self.source = self._given_source or task.commands.source(limits, self.num_envs, seed)
+            self.source = self._given_source or task.commands.make_generator(limits, self.num_envs, seed)
             self.commands = CommandFilter.from_reference(self.gait.reference, limits, self.robot, self.num_envs)
         self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)

@@ -408,7 +408,7 @@ def test_a_motion_is_smooth_and_ends_disarmed(ready: RobotLink, robot: RobotDesc
     with motion_of(ready, robot, max_error=1.0) as motion:
         motion.go(end, 0.6)
     assert np.allclose(toy.angle, end, atol=1e-6)
-    targets = np.array([message.target[0] for _, message in toy.heard if type(message).__name__ == "Position"])
+    targets = np.array([message.target[0] for _, message in toy.received if type(message).__name__ == "Position"])
     assert np.abs(np.diff(targets, prepend=0.9)).max() < 0.3 * 1.9 * 0.006 / 0.6  # least jerk: 15/8 of the mean speed
     assert len(motion.states) >= 100
     assert toy.kinds() == ["Hello", "Arm", "Position", "Disarm"]

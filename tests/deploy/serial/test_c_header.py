@@ -200,17 +200,17 @@ def test_a_wrong_size_does_not_compile(tmp_path: Path, standard: str):
 
 @needs_cc
 def test_structs_filled_in_c_give_the_frames_of_python(program: Path):
-    said, _ = run(program, "examples")
-    frames = [bytes(1) + piece + bytes(1) for piece in said.split(b"\0") if piece]
+    output, _ = run(program, "examples")
+    frames = [bytes(1) + piece + bytes(1) for piece in output.split(b"\0") if piece]
     assert len(frames) == len(MESSAGES)
     for example, frame in zip(EXAMPLES, frames, strict=True):
         assert frame == example.data, type(example.message).__name__
-    assert said == b"".join(frames)
+    assert output == b"".join(frames)
 
 
 @needs_cc
 def test_frames_of_python_give_the_fields_in_c(program: Path):
-    said, counts = run(program, "fields", b"".join(example.data for example in EXAMPLES))
+    output, counts = run(program, "fields", b"".join(example.data for example in EXAMPLES))
     expected = []
     for example in EXAMPLES:
         kind = type(example.message)
@@ -221,7 +221,7 @@ def test_frames_of_python_give_the_fields_in_c(program: Path):
                 shown = number.decode() if isinstance(number, bytes) else f"{number:.9g}"
                 shown = str(number) if isinstance(number, int) else shown
                 expected.append(f"{kind.__name__} {item.name}{f'[{at}]' if many else ''} {shown}")
-    assert said.decode().splitlines() == expected
+    assert output.decode().splitlines() == expected
     assert counts.split() == [str(len(EXAMPLES)), "0", "0", "0"]
 
 
@@ -257,7 +257,7 @@ def whole_frame(body: bytes) -> bytes:
 
 
 def odd_frames(rng: random.Random) -> list[bytes]:
-    """Whole frames that are none of ours: foreign, unknown, too short."""
+    """Return whole frames that are foreign, unknown or too short."""
     schema = CODEC.schema
     made = []
     for version, foreign in [(VERSION, schema ^ 1), (2, schema), (0, 0)]:
@@ -288,16 +288,16 @@ def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak:
             expected.append((NUMBERS[type(frame.message)], frame.sequence, round(frame.time * 1e6), payload))
         if decoder.statistics.foreign > foreign:
             expected.append(("foreign", *decoder.foreign))
-    said, counts = run(program, "list", stream)
-    found = []
-    for line in said.decode().splitlines():
+    output, counts = run(program, "list", stream)
+    decoded = []
+    for line in output.decode().splitlines():
         first, *rest = line.split()
         if first == "foreign":
-            found.append((first, *map(int, rest)))
+            decoded.append((first, *map(int, rest)))
         else:
             message = CODEC.unpack(int(first), bytes.fromhex(rest[2]))
-            found.append((int(first), int(rest[0]), int(rest[1]), CODEC.pack(message)))
-    assert found == expected
+            decoded.append((int(first), int(rest[0]), int(rest[1]), CODEC.pack(message)))
+    assert decoded == expected
     seen = decoder.statistics
     assert counts.split() == [str(count) for count in (seen.received, seen.damaged, seen.foreign, seen.unknown)]
     assert seen.received > 400
@@ -318,9 +318,9 @@ def test_cobs_and_crc32_are_those_of_the_libraries(program: Path):
     texts += [
         bytes(rng.choices(range(256), [rng.choice((0, 1, 50)), *[1] * 255], k=rng.randrange(900))) for _ in range(500)
     ]
-    said, _ = run(program, "stuff", b"".join(struct.pack("<H", len(text)) + text for text in texts))
+    output, _ = run(program, "stuff", b"".join(struct.pack("<H", len(text)) + text for text in texts))
     expected = [f"{zlib.crc32(text):08x} {cobs.encode(text).hex()}" for text in texts]
-    assert said.decode().splitlines() == expected
+    assert output.decode().splitlines() == expected
     assert expected[2].startswith("cbf43926")
 
 
@@ -337,5 +337,5 @@ def test_both_refuse_what_is_no_cobs(program: Path):
     texts = [rng.randbytes(rng.randrange(12)) for _ in range(3000)]
     texts += [bytes(rng.choices((0, 1, 2, 3, 255), [1, 9, 9, 9, 1], k=rng.randrange(20))) for _ in range(3000)]
     texts += [b"\xff" + b"\1" * size for size in (253, 254, 255)] + [b"\xff" + b"\1" * 254 + b"\1"]
-    said, _ = run(program, "unstuff", b"".join(struct.pack("<H", len(text)) + text for text in texts))
-    assert [line.partition(" ")[2] for line in said.decode().splitlines()] == [unstuff(text).hex() for text in texts]
+    output, _ = run(program, "unstuff", b"".join(struct.pack("<H", len(text)) + text for text in texts))
+    assert [line.partition(" ")[2] for line in output.decode().splitlines()] == [unstuff(text).hex() for text in texts]

@@ -49,8 +49,8 @@ def test_state_and_command_at_200_hz_take_under_half_of_the_line():
     assert frame_bytes(Codec(8), State) == 1 + 1 + 18 + 130 + 4 + 1 == 155
     assert frame_bytes(Codec(8), Position) == 1 + 1 + 18 + 34 + 4 + 1 == 59
     assert round((155 + 59) * 10 * 200 / BAUD, 3) == 0.464
-    for told in ("= 155 ", "= 59 ", "428,000 bits a second", "**46.4 %** of 921,600 baud", "1.68 ms"):
-        assert told in part("bandwidth")
+    for text in ("= 155 ", "= 59 ", "428,000 bits a second", "**46.4 %** of 921,600 baud", "1.68 ms"):
+        assert text in part("bandwidth")
 
 
 def test_the_hash_in_the_document_is_that_of_the_text_in_the_document():
@@ -68,15 +68,15 @@ def test_the_vectors_in_the_document_are_frames_with_the_values_in_the_document(
         title = re.match(r"(\w+), number (\d+), sent at ([\d.]+) s: (\d+) bytes", block)
         assert title is not None
         assert title.groups() == (kind.__name__, str(example.sequence), f"{example.time:g}", str(len(example.data)))
-        told = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", block, re.M))
-        assert list(told) == list(encodings(kind))
-        for name, value in told.items():
-            found = getattr(example.message, name)
-            if isinstance(found, str | tuple):
-                assert value == (found if isinstance(found, str) else ", ".join(found))
+        values = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", block, re.M))
+        assert list(values) == list(encodings(kind))
+        for name, value in values.items():
+            actual = getattr(example.message, name)
+            if isinstance(actual, str | tuple):
+                assert value == (actual if isinstance(actual, str) else ", ".join(actual))
             else:
                 numbers = [float(number.split(" (")[0]) for number in value.split(", ")]
-                assert numbers == (list(found) if len(numbers) > 1 else [found]), name
+                assert numbers == (list(actual) if len(numbers) > 1 else [actual]), name
 
 
 def test_the_ping_taken_apart_adds_up():

@@ -177,12 +177,12 @@ def test_zeros_alone_are_no_frames():
 
 @pytest.mark.parametrize("cut", range(len(PING) + 1))
 def test_a_frame_whose_end_or_start_is_cut_leaves_the_next_one_whole(cut: int):
-    found, counts = decode(PING[:cut] + PONG)
+    sequences, counts = decode(PING[:cut] + PONG)
     whole = cut >= len(PING) - 1  # the next frame's zero ends it, too
-    assert found == ([2, 3] if whole else [3])
+    assert sequences == ([2, 3] if whole else [3])
     assert counts.damaged == (not whole and cut > 1)
-    found, counts = decode(PING[cut:] + PONG)
-    assert found == ([2, 3] if cut <= 1 else [3])
+    sequences, counts = decode(PING[cut:] + PONG)
+    assert sequences == ([2, 3] if cut <= 1 else [3])
     assert counts.damaged == (1 < cut < len(PING) - 1)
 
 
@@ -192,8 +192,8 @@ def test_a_flipped_bit_damages_one_frame_alone(example: Example):
     for at, bit in itertools.product(range(len(data)), range(8)):
         flipped = bytearray(data)
         flipped[at] ^= 1 << bit
-        found, counts = decode(PING + flipped + PONG)
-        assert found == [2, 3], f"byte {at}, bit {bit}"
+        sequences, counts = decode(PING + flipped + PONG)
+        assert sequences == [2, 3], f"byte {at}, bit {bit}"
         assert counts.damaged >= 1
 
 
@@ -216,20 +216,20 @@ def test_a_byte_lost_doubled_or_swapped_is_detected():
             doubled = data[: at + 1] + data[at:]
             swapped = data[:at] + data[at : at + 2][::-1] + data[at + 2 :]
             for damaged in (lost, doubled, swapped):
-                found, _ = decode(damaged + PONG)
-                assert found == ([example.sequence, 3] if damaged == data else [3])
+                sequences, _ = decode(damaged + PONG)
+                assert sequences == ([example.sequence, 3] if damaged == data else [3])
 
 
 def test_garbage_between_frames_is_counted_and_costs_no_frame():
-    found, counts = decode(PING + b"garbage" + PONG + b"\x01\0more" + PING)
-    assert found == [2, 3, 2]
+    sequences, counts = decode(PING + b"garbage" + PONG + b"\x01\0more" + PING)
+    assert sequences == [2, 3, 2]
     assert counts == LinkStatistics(received=3, damaged=3)
 
 
 @pytest.mark.parametrize("body", [b"", b"\0" * 17, header(2)[:17]])
 def test_a_checksum_alone_makes_no_frame(body: bytes):
-    found, counts = decode(frame_of(body) + PONG)
-    assert found == [3]
+    sequences, counts = decode(frame_of(body) + PONG)
+    assert sequences == [3]
     assert counts.damaged == 1
 
 
@@ -249,8 +249,8 @@ def test_a_foreign_frame_is_recognized_up_to_the_longest():
     for size in range(980, 1010):
         data = frame_of(header(NUMBERS[Ping], version=2) + b"\7" * size)
         whole = len(data) - 2 <= MAX_FRAME
-        found, counts = decode(data + PONG)
-        assert found == [3]
+        sequences, counts = decode(data + PONG)
+        assert sequences == [3]
         assert (counts.foreign, counts.damaged) == (whole, not whole)
         assert whole or size > 980
 
@@ -269,8 +269,8 @@ def test_a_foreign_frame_is_recognized_up_to_the_longest():
     ],
 )
 def test_a_type_a_length_or_a_text_that_does_not_exist_is_unknown(body: bytes):
-    found, counts = decode(frame_of(body) + PONG)
-    assert found == [3]
+    sequences, counts = decode(frame_of(body) + PONG)
+    assert sequences == [3]
     assert (counts.unknown, counts.damaged, counts.foreign) == (1, 0, 0)
 
 
@@ -328,13 +328,13 @@ def test_the_split_of_a_stream_changes_nothing(pieces: list[bytes], data: st.Dat
     whole, parts, single = Decoder(CODEC), Decoder(CODEC), Decoder(CODEC)
     expected = [(frame.sequence, frame.time, CODEC.pack(frame.message)) for frame in whole.feed(stream)]
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=20)))
-    found, alone = [], []
+    split, bytewise = [], []
     for start, end in itertools.pairwise([0, *cuts, len(stream)]):
-        found += parts.feed(stream[start:end])
+        split += parts.feed(stream[start:end])
         assert len(parts._held) <= MAX_FRAME
     for byte in stream:
-        alone += single.feed(bytes([byte]))
-    for frames, decoder in ((found, parts), (alone, single)):
+        bytewise += single.feed(bytes([byte]))
+    for frames, decoder in ((split, parts), (bytewise, single)):
         assert [(frame.sequence, frame.time, CODEC.pack(frame.message)) for frame in frames] == expected
         assert decoder.statistics == whole.statistics
         assert decoder.foreign == whole.foreign
@@ -344,5 +344,5 @@ def test_the_split_of_a_stream_changes_nothing(pieces: list[bytes], data: st.Dat
 def test_every_whole_frame_between_any_garbage_is_found(pieces: list[Example | bytes]):
     # Garbage makes no frame but with a chance of 2^-32.
     stream = b"".join(piece if isinstance(piece, bytes) else piece.data for piece in pieces)
-    found, _ = decode(stream)
-    assert found == [piece.sequence for piece in pieces if isinstance(piece, Example)]
+    sequences, _ = decode(stream)
+    assert sequences == [piece.sequence for piece in pieces if isinstance(piece, Example)]

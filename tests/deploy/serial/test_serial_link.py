@@ -41,12 +41,12 @@ def frame(sequence: int, token: int = 0) -> bytes:
 
 def receive(link: SerialLink, count: int) -> list[int]:
     """Return the numbers of the frames that arrive, `count` at least or all within 5 s."""
-    found: list[int] = []
+    sequences: list[int] = []
     end = time.monotonic() + 5.0
-    while len(found) < count and time.monotonic() < end:
+    while len(sequences) < count and time.monotonic() < end:
         link.port.wait(0.05)
-        found += [arrival.packet.sequence for arrival in link.receive()]
-    return found
+        sequences += [arrival.packet.sequence for arrival in link.receive()]
+    return sequences
 
 
 def test_frames_go_both_ways(pty):
@@ -157,19 +157,19 @@ def test_in_lockstep_a_command_goes_with_the_next_ping(toy):
     clock = LockstepClock()
     link = SerialLink(toy, CODEC, clock, 7)
     link.send(Position(7, np.zeros(8)))
-    assert toy.heard == []
+    assert toy.received == []
     clock.wait_until(0.01)
-    assert [(time, type(message)) for time, message in toy.heard] == [(0.0, Position), (0.01, Ping)]
+    assert [(time, type(message)) for time, message in toy.received] == [(0.0, Position), (0.01, Ping)]
     link.send(Position(7, np.zeros(8)))
     link.close()
-    assert toy.heard[-1][0] == 0.01
+    assert toy.received[-1][0] == 0.01
 
 
 def test_a_repeated_ping_takes_no_number(toy):
     link = SerialLink(toy, CODEC, LockstepClock(), 7)
     toy.silent = True
     assert not link.ping_through((0.01, 0.01, 0.01))
-    assert [message for _, message in toy.heard] == 3 * [Ping(1)]
+    assert [message for _, message in toy.received] == 3 * [Ping(1)]
     assert link.statistics.sent == 1
     toy.silent = False
     assert link.ping_through((1.0,))

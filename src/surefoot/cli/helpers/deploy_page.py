@@ -44,13 +44,7 @@ _PATIENCE = 30.0
 class DeployPage(PlainLines, LiveDisplay):
     """Prints lines, starts the page's process, and sends it the robot's state.
 
-    Args:
-        title: of the run.
-        robot: name or folder.
-        policy: its name.
-        limits: of the commands; none: the policy follows none, and the page only shows.
-        port: TCP port of the page.
-        channel: UDP port that takes commands.
+    Without limits of commands, the page only shows. `port` is its TCP port; commands go to the UDP port `channel`.
 
     Raises:
         SurefootError: the page can't be served.

@@ -45,7 +45,7 @@ class PtyPort:
                 raise SurefootError(f"link {link} exists; give another name") from None
 
     def read(self) -> bytes:
-        """Return what hosts have written since the last call."""
+        """Return what hosts have written."""
         try:
             return os.read(self._master, _CHUNK)
         except OSError:  # nothing there, or nobody

@@ -14,8 +14,12 @@ from surefoot.robot import RobotDescription
 
 SIZE = (960, 720)
 """Width and height of the picture [px]."""
-_AXES = {"x forward": ((1.0, 0.0, 0.0), (200, 40, 40)), "y left": ((0.0, 1.0, 0.0), (30, 140, 50))}
-_UP = {"z up": ((0.0, 0.0, 1.0), (40, 70, 200))}
+_AXES = {
+    "x forward": ((0.6, 0.0, 0.0), (200, 40, 40)),
+    "y left": ((0.0, 0.6, 0.0), (30, 140, 50)),
+    "z up": ((0.0, 0.0, 0.35), (40, 70, 200)),
+}
+"""Vectors of the axes, in leg lengths, and their colors."""
 
 
 def save_robot_picture(robot: RobotDescription, path: Path) -> None:
@@ -36,10 +40,11 @@ def save_robot_picture(robot: RobotDescription, path: Path) -> None:
         return float(pixel[0] / SUPERSAMPLE), float(pixel[1] / SUPERSAMPLE)
 
     start = np.array([0.0, 0.0, height + 0.2 * length])
-    for name, (direction, color) in {**_AXES, **_UP}.items():
-        end = start + (0.35 if name in _UP else 0.6) * length * np.array(direction)
-        pen.line([at(start), at(end)], fill=color, width=4)
-        pen.text(at(end + 0.06 * length * np.array(direction)), name, fill=color, font=font, anchor="mm")
+    for name, (vector, color) in _AXES.items():
+        axis = length * np.array(vector)
+        pen.line([at(start), at(start + axis)], fill=color, width=4)
+        label = start + axis + 0.06 * length * axis / np.linalg.norm(axis)
+        pen.text(at(label), name, fill=color, font=font, anchor="mm")
     for leg in robot.legs:
         foot = placed[leg.foot][0, :3, 3]
         pen.text(at(foot - [0.0, 0.0, 0.12 * length]), leg.name.replace("_", " "), fill=INK, font=font, anchor="mm")
