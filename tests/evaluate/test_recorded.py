@@ -35,7 +35,7 @@ def test_find_traces_refuses_a_damaged_file(tmp_path: Path, make_run: MakeRun):
     make_run().save(tmp_path / "good.npz")
     whole = (tmp_path / "good.npz").read_bytes()
     (tmp_path / "zcut.npz").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(SurefootError, match=r"zcut.npz: cut off or damaged"):
+    with pytest.raises(SurefootError, match=r"zcut.npz: is cut off, damaged"):
         find_traces(tmp_path)
 
 
