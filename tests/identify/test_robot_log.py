@@ -16,11 +16,6 @@ from surefoot.robot import RobotDescription
 DATA = Path(__file__).parents[2] / "data" / "pupper_v2"
 
 
-@pytest.fixture(scope="module")
-def pupper() -> RobotDescription:
-    return RobotDescription.load("pupper_v2")
-
-
 def arrays(rows: int = 50, motors: int = 12) -> dict[str, np.ndarray]:
     time = 0.01 * np.arange(1, rows + 1)
     command = np.zeros((rows, motors))
