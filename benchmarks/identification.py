@@ -3,7 +3,7 @@
     python benchmarks/identification.py --seeds 1-10 --worlds mujoco bullet --out build/identification.jsonl
 
 Each draw is a process of its own (`surefoot emulate --hidden-seed`), on its rack and then on the ground; experiments
-and fits see what comes over the link and nothing else. The hidden values are read when everything has been found.
+and fits see what comes over the link and nothing else. The hidden values are read after all fits.
 Reported are the share of hidden values within their 95 % intervals, median errors, how many values were not
 identifiable, which count as neither, and the time that robot and fits took.
 """
@@ -46,9 +46,9 @@ ORDER = ("motor", "mass", "contact", "latency")
 
 def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
     """Identify one robot."""
-    known = PhysicalParams.nominal(robot)
+    params = PhysicalParams.nominal(robot)
     sensors: dict[str, Any] = {}
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     times: dict[str, tuple[float, float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name in ORDER:
@@ -72,21 +72,21 @@ def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
             if recording.meta["ended"] != COMPLETE:
                 return {"world": world, "seed": seed, "failed": f"{name}: {recording.meta['ended']}"}
             start = time.perf_counter()
-            result = experiment.fit(robot, recording, known, sensors)
+            result = experiment.fit(robot, recording, params, sensors)
             times[name] = (recording.duration, time.perf_counter() - start)
-            found[name] = result
+            results[name] = result
             if name != "latency":
-                known, sensors = result.params(robot, known), sensors | result.sensors
+                params, sensors = result.params(robot, params), sensors | result.sensors
         truth = read_params(Path(folder) / "motor.toml", robot).params
-    return {"world": world, "seed": seed, "times": times, "values": compare(robot, found, truth)}
+    return {"world": world, "seed": seed, "times": times, "values": compare(robot, results, truth)}
 
 
-def compare(robot: RobotDescription, found: dict[str, Identification], truth: PhysicalParams) -> list[dict[str, Any]]:
-    """Each hidden value beside what was found."""
+def compare(robot: RobotDescription, results: dict[str, Identification], truth: PhysicalParams) -> list[dict[str, Any]]:
+    """Return each hidden value beside its estimate."""
     rows = []
     for name in HIDDEN:
         true = np.atleast_1d(getattr(truth, name)[0])
-        for result in found.values():
+        for result in results.values():
             for item in result.estimates:
                 if item.name == name:
                     low, high = item.interval
@@ -94,16 +94,17 @@ def compare(robot: RobotDescription, found: dict[str, Identification], truth: Ph
                     rows.append(
                         {
                             "name": name, "experiment": result.experiment, "index": item.index, "true": value,
-                            "found": item.value, "low": low, "high": high, "identifiable": item.identifiable,
+                            "estimate": item.value, "low": low, "high": high, "identifiable": item.identifiable,
                         }
                     )  # fmt: skip
     legs = robot.urdf.total_mass - body_mass(robot)
     mass = truth.base_mass_ratio[0] * body_mass(robot) + truth.leg_mass_ratio[0] * legs
-    total = found["mass"].estimate("total_mass")
-    rows.append({"name": "total_mass", "experiment": "mass", "index": None, "true": float(mass), "found": total.value,
-                 "low": total.interval[0], "high": total.interval[1], "identifiable": True})  # fmt: skip
+    total = results["mass"].estimate("total_mass")
+    low, high = total.interval
+    rows.append({"name": "total_mass", "experiment": "mass", "index": None, "true": float(mass),
+                 "estimate": total.value, "low": low, "high": high, "identifiable": True})  # fmt: skip
     rows.append(
-        {"name": "saturation_curve", "experiment": "motor", "index": None, **curve(robot, found["motor"], truth)}
+        {"name": "saturation_curve", "experiment": "motor", "index": None, **curve(robot, results["motor"], truth)}
     )
     return rows
 
@@ -122,7 +123,7 @@ def curve(robot: RobotDescription, motor: Identification, truth: PhysicalParams)
     true = motor_torque(volts / truth.resistance[0], truth.motor_strength[0], *table)
     return {
         "true": 0.0,
-        "found": float(np.mean(np.abs(ours / true - 1))),
+        "estimate": float(np.mean(np.abs(ours / true - 1))),
         "low": None,
         "high": None,
         "identifiable": True,
@@ -147,7 +148,7 @@ def summary(draws: list[dict[str, Any]]) -> str:
         if not identifiable:
             lines.append(line.rstrip())
             continue
-        errors = np.array([abs(row["found"] - row["true"]) for row in identifiable])
+        errors = np.array([abs(row["estimate"] - row["true"]) for row in identifiable])
         if name == "saturation_curve":
             lines.append(line + f"{'':>7} {'':>14} {100 * np.median(errors):>8.2f}%  {100 * errors.max():.2f}%")
             continue

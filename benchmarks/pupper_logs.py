@@ -47,8 +47,8 @@ def main() -> None:
         names = [name for name in PRIORS if name not in without]
         cells = []
         for held in runs:
-            found = fit_logs(robot, [run for name, run in runs.items() if name != held], [], names, nominal)
-            params = found.params(robot, nominal)
+            result = fit_logs(robot, [run for name, run in runs.items() if name != held], [], names, nominal)
+            params = result.params(robot, nominal)
             for world in ("mujoco", "bullet")[: 1 + options.bullet]:
                 replayer = Replayer(robot, 1, runs[held].rack, world, torques=False)
                 error = replay_log(logs[held], robot, params.rows(np.zeros(1, np.int64)), replayer).rms

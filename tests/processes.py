@@ -44,6 +44,14 @@ def refused(done: subprocess.CompletedProcess[str], *parts: str) -> None:
         assert part in done.stderr
 
 
+def wait_until(condition: Callable[[], bool], seconds: float = 400.0) -> None:
+    """Wait until a condition holds, or fail after some time."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come in time"
+        time.sleep(0.05)
+
+
 def run_surefoot(*words: object, timeout: float = 200, **how: Any) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
     return subprocess.run([*SUREFOOT, *map(str, words)], capture_output=True, text=True, timeout=timeout, **how)

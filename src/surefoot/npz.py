@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import zipfile
+import zlib
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.errors import SurefootError
 from surefoot.files import DATA_BYTES, atomic_write, check_readable
 
 
@@ -28,22 +30,22 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
     """Read every array of an .npz file whole, so that each member's checksum is verified.
 
     Raises:
-        OSError: no such file, or one that can't be read.
-        ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error: a damaged file, one that unpacks to more
-            than `DATA_BYTES`, or one with objects in it.
+        SurefootError: no such file, or one that is damaged, unpacks to more than `DATA_BYTES` or holds objects; without
+            its path.
     """
-    check_readable(path)
-    with path.open("rb") as file:
-        start = file.read(2)
-        if not start:
-            raise EOFError("the file is empty")
-        if start != b"PK":
-            raise ValueError("not an .npz file")
-        file.seek(0)
-        with zipfile.ZipFile(file) as archive:
+    try:
+        check_readable(path)
+        with zipfile.ZipFile(path) as archive:
             if sum(member.file_size for member in archive.infolist()) > DATA_BYTES:
                 raise ValueError(f"it unpacks to more than {DATA_BYTES} bytes")
             return {name.removesuffix(".npy"): _read_array(archive.read(name)) for name in archive.namelist()}
+    except OSError as error:
+        raise SurefootError(f"can't be read: {error.strerror or error}") from error
+    # RuntimeError: a flipped bit that makes a member look encrypted, or packed in another way.
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, MemoryError) as error:
+        raise SurefootError(
+            f"is cut off, damaged or no file of arrays (.npz): {' '.join(str(error).split())}"
+        ) from error
 
 
 def _read_array(content: bytes) -> NDArray[Any]:

@@ -255,20 +255,21 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     words = ("evaluate", "go2-steer", "--command-grid", "--threads", 1, "--out", tmp_path)
     done = surefoot(*words, "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
+    result = json.loads(done.stdout)
     # Two speeds with two yaw rates, and two with two sideways.
-    assert told["episodes"] == 8
-    assert str(tmp_path / "tracking.png") in told["files"]
+    assert result["episodes"] == 8
+    assert str(tmp_path / "tracking.png") in result["files"]
     traces = [EpisodeTrace.load(path) for path in sorted(tmp_path.glob("*.npz"))]
     assert len({tuple(trace.command[-1]) for trace in traces}) == 8
     assert all(np.ptp(trace.command, axis=0).max() == 0 for trace in traces)
     # It follows: errors are small beside the commands of 1 m/s and 1 rad/s.
-    assert set(told["rmse"]) == set(told["rmse_stride"]) == {"forward", "sideways", "yaw_rate"}
-    assert max(told["rmse_stride"].values()) < 0.3
+    assert set(result["rmse"]) == set(result["rmse_stride"]) == {"forward", "sideways", "yaw_rate"}
+    assert max(result["rmse_stride"].values()) < 0.3
     read = surefoot("evaluate", "--trace", *sorted(tmp_path.glob("*.npz")))
     row = re.search(r"RMSE over strides: forward, sideways, yaw rate +(.*?) *$", read.stdout, re.MULTILINE)
     errors = ", ".join(
-        f"{value:.3f} {unit}" for value, unit in zip(told["rmse_stride"].values(), ("m/s", "m/s", "rad/s"), strict=True)
+        f"{value:.3f} {unit}"
+        for value, unit in zip(result["rmse_stride"].values(), ("m/s", "m/s", "rad/s"), strict=True)
     )
     assert row is not None
     assert row[1] == errors

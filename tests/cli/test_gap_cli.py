@@ -58,8 +58,8 @@ def result(words: list[str]) -> dict[str, Any]:
     done = surefoot("gap", *words, *ONE, "--json")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("\n") == 1
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    output: dict[str, Any] = json.loads(done.stdout)
+    return output
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -103,14 +103,14 @@ def test_tables_figure_and_traces(here: Path):
 
 def test_home_is_the_simulator_of_the_policy_and_away_the_robot_of_the_data_sheet(here: Path):
     words = ["trot.onnx", "--to", "mujoco", "--runs", "2", "--set", "voltage=15", "--from-set", "base_mass_ratio=1.1"]
-    found = result([*words, "--to-set", "base_mass_ratio=0.9", "voltage=14"])
-    (policy,) = found["policies"]
+    output = result([*words, "--to-set", "base_mass_ratio=0.9", "voltage=14"])
+    (policy,) = output["policies"]
     at_home = {"control_latency": 0.0, "servo_latency": 0.0, "voltage": 15.0, "base_mass_ratio": 1.1}
     assert policy["home"] == {"actuator": "constraint", "params": at_home, "params_source": {}}
     elsewhere = {"voltage": 14.0, "base_mass_ratio": 0.9}
     assert policy["away"] == {"actuator": "dc", "params": elsewhere, "params_source": {}}
-    assert (found["robot"], found["from"], found["to"], found["runs"]) == ("minitaur", "mujoco", ["mujoco"], 2)
-    assert found["pooled"] is None
+    assert (output["robot"], output["from"], output["to"], output["runs"]) == ("minitaur", "mujoco", ["mujoco"], 2)
+    assert output["pooled"] is None
     home, away = (EpisodeTrace.load(here / "gap/trot" / world / "run_001.npz") for world in ("mujoco", "mujoco-away"))
     nominal = RobotDescription.load("minitaur").nominal_params()
     for name, value in at_home.items():
@@ -142,10 +142,10 @@ def test_runs_have_the_same_duration_in_every_world(here: Path):
     result([*words, "--duration", "0.12"])
     assert [int(run["steps"]) for run in read(Path("gap/episodes.csv"))] == [20, 10]
     message = "its run was to last 0.12 s, the others last 0.36 s; give --duration 0.12 to compare"
-    refused(surefoot("gap", "gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "told", *ONE), message)
-    assert not Path("told").exists()
-    found = result(["gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "told", "--duration", "0.12"])
-    assert found["policies"][0]["worlds"][1]["runs"] == 1
+    refused(surefoot("gap", "gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "other", *ONE), message)
+    assert not Path("other").exists()
+    output = result(["gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "other", "--duration", "0.12"])
+    assert output["policies"][0]["worlds"][1]["runs"] == 1
 
 
 def test_recorded_runs_have_the_results_of_simulated_ones(here: Path):
@@ -157,12 +157,12 @@ def test_recorded_runs_have_the_results_of_simulated_ones(here: Path):
         trace = EpisodeTrace.load(path)
         trace.meta["world"] = "lab"
         trace.save(path)
-    recorded = result([*words, "--to", "trace", "robot", "--out", "told"])
+    recorded = result([*words, "--to", "trace", "robot", "--out", "other"])
     for one, other in zip(simulated["policies"], recorded["policies"], strict=True):
         assert other["worlds"][0] == one["worlds"][0]
         assert other["worlds"][1] == one["worlds"][1] | {"world": "lab"}
-    assert not Path("told/trot/lab").exists()
-    assert {run["trace"] for run in read(Path("told/episodes.csv")) if run["world"] == "lab"} == set(
+    assert not Path("other/trot/lab").exists()
+    assert {run["trace"] for run in read(Path("other/episodes.csv")) if run["world"] == "lab"} == set(
         map(str, Path("robot").rglob("*.npz"))
     )
     turned = result([*words, "--from", "trace", "robot", "--to", "mujoco", "--out", "turned"])
@@ -241,8 +241,8 @@ def test_without_bullet_the_error_names_the_extra(line: str, here: Path, monkeyp
 
 def test_bullet_is_another_world(here: Path):
     pytest.importorskip("pybullet")
-    found = result(["gallop.onnx", "--to", "bullet", "--runs", "2"])
-    home, away = found["policies"][0]["worlds"]
+    output = result(["gallop.onnx", "--to", "bullet", "--runs", "2"])
+    home, away = output["policies"][0]["worlds"]
     assert (home["world"], away["world"]) == ("mujoco", "bullet")
     assert away["gap"] != 0
     trace = EpisodeTrace.load(here / "gap/gallop/bullet/run_001.npz")

@@ -148,7 +148,7 @@ def run_bare(*words: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
-    """Folder of an experiment that was recorded on the robot's computer, and what was message."""
+    """Folder of an experiment that was recorded on the robot's computer, and the finished process."""
     pytest.importorskip("mujoco")
     folder = tmp_path_factory.mktemp("contact")
     with emulators(EmulatorHere) as start:

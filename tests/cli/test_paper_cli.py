@@ -60,15 +60,15 @@ def shipped(repository: Path, tmp_path: Path) -> Path:
 def test_runs_are_made_once_and_go_on_after_a_stop(
     repository: Path, shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    made: list[str] = []
+    runs_made: list[str] = []
 
     def once(runs: PaperRuns) -> None:
-        made.append("once")
+        runs_made.append("once")
         (runs.folder / "once").touch()
 
     def stopped(runs: PaperRuns) -> None:
-        made.append("stopped")
-        if made.count("stopped") == 1:
+        runs_made.append("stopped")
+        if runs_made.count("stopped") == 1:
             raise KeyboardInterrupt
         (runs.folder / "stopped").touch()
 
@@ -78,17 +78,17 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
     done = surefoot(*words)
     assert done.returncode == 130
     assert f"surefoot paper --root {repository} --quick" in done.stderr
-    found = json.loads((shipped / "results/policies/trot.json").read_text())
-    assert (found["policy"], found["episodes"]) == ("trot", 20)
+    summary = json.loads((shipped / "results/policies/trot.json").read_text())
+    assert (summary["policy"], summary["episodes"]) == ("trot", 20)
     assert not (tmp_path / "page.html").exists()
 
     done = surefoot(*words)
     assert done.returncode == 0, done.stderr
-    assert made == ["once", "stopped", "stopped"]
+    assert runs_made == ["once", "stopped", "stopped"]
     assert "results/policies/trot.json: is there" in done.stderr
     page = (tmp_path / "page.html").read_text()
     assert paper_runs.QUICK_NOTE.split(":")[0] in page
-    assert f"{found['speed_mean']:.2f} ± {found['speed_std']:.2f} m/s" in page
+    assert f"{summary['speed_mean']:.2f} ± {summary['speed_std']:.2f} m/s" in page
     assert "not there: results/policies/gallop.json" in done.stdout
 
 
@@ -116,12 +116,12 @@ def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repo
 
     folders = {Path(stage.makes).parts[:2] for stage in paper_runs.STAGES}
     sections = load_content().sections
-    wanted = {item.ours.file for part in sections for item in part.items if not isinstance(item.ours, str)}
+    files = {item.surefoot.file for part in sections for item in part.items if not isinstance(item.surefoot, str)}
     pictures = {one.file for part in sections for one in part.pictures}
-    wanted |= {file for file in pictures if file.startswith("results/")}
+    files |= {file for file in pictures if file.startswith("results/")}
     assert {file for file in pictures if file.startswith("docs/")} <= {stage.makes for stage in paper_runs.STAGES}
-    assert {("results", "search"), ("results", "from-scratch")} <= {Path(file).parts[:2] for file in wanted}
-    for file in wanted:
+    assert {("results", "search"), ("results", "from-scratch")} <= {Path(file).parts[:2] for file in files}
+    for file in files:
         assert Path(file).parts[:2] in folders, file
     for stage in paper_runs.STAGES:
         if stage.makes.startswith("results/") and stage.makes.endswith("summary.json"):
@@ -138,11 +138,11 @@ PARSERS = {
 
 
 def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    said: list[list[str]] = []
+    calls: list[list[str]] = []
 
     def main(words: list[str]) -> int:
         """Take the words as the command would, and leave what later runs need."""
-        said.append(words)
+        calls.append(words)
         name, *rest = words
         if name in PARSERS:
             # Ranges and bounds that --randomize and --push-force take are words like others here.
@@ -169,31 +169,31 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     quick = PaperRuns(repository, tmp_path, True, workers=2)
     for stage in paper_runs.STAGES:
         stage.make(quick)
-    told = {tuple(words) for words in said}
-    assert ("train", "trot", "--runs", "runs", "--steps", "300000") in told
+    commands = {tuple(words) for words in calls}
+    assert ("train", "trot", "--runs", "runs", "--steps", "300000") in commands
     assert (tmp_path / "policies/trot.onnx").exists()
     assert (tmp_path / "policies/trot/footfalls.png").exists()
     assert (tmp_path / "results/policies/trot.json").read_text() == "what policies/trot.onnx did\n"
     assert (tmp_path / "results/handcrafted/trot-60.yaml").exists()
-    assert len({words for words in told if "--push-force" in words and words[0] == "evaluate"}) == 12
+    assert len({words for words in commands if "--push-force" in words and words[0] == "evaluate"}) == 12
     assert (tmp_path / "docs/pushes.png").exists()
     assert run.call_args.args[0][1:3] == [str(repository / "benchmarks/handcrafted.py"), "results/handcrafted"]
     assert run.call_args.args[0][-4:] == ["--episodes", "5", "--conditions", "mujoco"]
-    studies = [words for words in said if words[0] == "study"]
+    studies = [words for words in calls if words[0] == "study"]
     assert [Path(words[1]).is_file() for words in studies] == [True] * 3
     assert studies[0][2:6] == ["--workers", "2", "--steps", "60000"]
-    assert " ".join(said[-1]) == "search gallop --out results/search --workers 2 --trials 4 --steps 60000"
+    assert " ".join(calls[-1]) == "search gallop --out results/search --workers 2 --trials 4 --steps 60000"
 
     # The full version has none of the words that make it small, and what was stopped goes on.
-    said.clear()
+    calls.clear()
     (tmp_path / "results/search/search.yaml").touch()
     full = PaperRuns(repository, tmp_path, False, ray="head:6379")
     for stage in paper_runs.STAGES:
         stage.make(full)
-    assert ["train", "--resume", str(tmp_path / "runs/trot/first")] in said
-    assert " ".join(said[-1]) == "search gallop --out results/search --workers 0 --ray head:6379 --resume"
+    assert ["train", "--resume", str(tmp_path / "runs/trot/first")] in calls
+    assert " ".join(calls[-1]) == "search gallop --out results/search --workers 0 --ray head:6379 --resume"
     assert not {"--steps", "--episodes", "--only", "--generations"} & {
-        word for words in said for word in words if "--push-force" not in words
+        word for words in calls for word in words if "--push-force" not in words
     }
     run.return_value.returncode = 1
     with pytest.raises(SurefootError, match=r"handcrafted\.py: ended with exit code 1"):

@@ -8,12 +8,10 @@ import os
 import re
 import signal
 import subprocess
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from processes import SUREFOOT, refused, surefoot
+from processes import SUREFOOT, refused, surefoot, wait_until
 from ray_nodes import cluster, free_port
 
 for module in ("optuna", "ray"):
@@ -39,13 +37,6 @@ UPDATES = STEPS // 256
 SEARCH = ("search", "tiny.yaml", "--space", "space.yaml", "--steps", str(STEPS), "--out", "out", "--seed", "5")
 
 
-def wait(what: Callable[[], bool], seconds: float = 400.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < deadline, "it did not come in time"
-        time.sleep(0.05)
-
-
 def rows(folder: Path, number: int) -> list[dict[str, object]]:
     log = folder / f"out/trials/trial_{number:04d}/figures.jsonl"
     return [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
@@ -65,23 +56,23 @@ def untimed(row: dict[str, object]) -> dict[str, object]:
 def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TASK)
     (tmp_path / "space.yaml").write_text(SPACE)
-    with cluster(tmp_path, cpus=1) as made:
-        second = made.join()
-        process = start(tmp_path, "--trials", "3", "--ray", made.address)
+    with cluster(tmp_path, cpus=1) as nodes:
+        second = nodes.join()
+        process = start(tmp_path, "--trials", "3", "--ray", nodes.address)
         # One trial on each computer, both well before their ends, whichever of the three they are.
-        wait(lambda: sum(5 <= len(rows(tmp_path, number)) <= 2 * UPDATES // 3 for number in range(3)) == 2)
+        wait_until(lambda: sum(5 <= len(rows(tmp_path, number)) <= 2 * UPDATES // 3 for number in range(3)) == 2)
         second.kill()
 
         # The search itself is killed when it has noticed that, and its journal is cut off.
         assert process.stdout is not None
         lost = next(found[1] for line in process.stdout if (found := re.match(r"trial_(\d{4}) .* lost ", line)))
-        wait(lambda: len(rows(tmp_path, 2)) >= 5)
+        wait_until(lambda: len(rows(tmp_path, 2)) >= 5)
         os.kill(process.pid, signal.SIGKILL)
         _, errors = process.communicate(timeout=60)
         assert errors == ""
         journal = tmp_path / "out/trials.log"
         journal.write_bytes(journal.read_bytes()[:-3])
-        result = surefoot(*SEARCH, "--trials", "3", "--ray", made.address, "--resume", cwd=tmp_path)
+        result = surefoot(*SEARCH, "--trials", "3", "--ray", nodes.address, "--resume", cwd=tmp_path)
         assert result.returncode == 0, result.stderr
         assert result.stderr == ""
         assert "trials.log: the last record was cut off and is removed" in result.stdout

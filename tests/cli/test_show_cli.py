@@ -227,7 +227,7 @@ def test_show_refuses_what_is_no_trace_of_a_known_robot(
         ([], "no TRACE is given"),
         ([foreign], "which does not ship; give its folder with --robot"),
         ([renamed], "is of robot 'minitaur'"),
-        ([traces[0], cut], "cut.npz: cut off or damaged"),
+        ([traces[0], cut], "cut.npz: is cut off, damaged"),
         ([arrays], "arrays.npz: not an episode trace"),
         ([tmp_path / "none.npz"], "does not exist"),
         ([traces[0], "--html", "x.txt"], "must end in .html"),

@@ -8,12 +8,10 @@ import os
 import re
 import signal
 import subprocess
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from processes import SUREFOOT, refused, surefoot
+from processes import SUREFOOT, refused, surefoot, wait_until
 
 from surefoot.studies.training import Training
 
@@ -36,13 +34,6 @@ BROKEN = TINY.replace("evaluate:", "  broken: {train: {task: {randomize: none}}}
 def start(cwd: Path, *words: str) -> subprocess.Popen[str]:
     command = [*SUREFOOT, "study", "tiny.yaml", "--workers", "2", "--train-only", *words]
     return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def wait(what: Callable[[], bool], seconds: float = 400.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < deadline, "it did not come in time"
-        time.sleep(0.05)
 
 
 def updates(folder: Path, group: str) -> int:
@@ -70,28 +61,28 @@ def test_a_study_goes_on_after_kills_and_interrupts(tmp_path: Path) -> None:
 
     # Killed: the workers end with it.
     process = start(tmp_path)
-    wait(lambda: all(updates(tmp_path, group) >= 3 for group in groups))
+    wait_until(lambda: all(updates(tmp_path, group) >= 3 for group in groups))
     workers = [worker(tmp_path, group) for group in groups]
     process.kill()
     process.communicate(timeout=60)
-    wait(lambda: not any(map(alive, workers)))
+    wait_until(lambda: not any(map(alive, workers)))
     done = {group: updates(tmp_path, group) for group in groups}
 
     # It goes on from the last checkpoints. A worker that dies is replaced, and passes the same places again.
     process = start(tmp_path)
-    wait(lambda: all(updates(tmp_path, group) >= done[group] + 2 for group in groups))
+    wait_until(lambda: all(updates(tmp_path, group) >= done[group] + 2 for group in groups))
     os.kill(first := worker(tmp_path, "drawn"), signal.SIGKILL)
-    wait(lambda: worker(tmp_path, "drawn") != first)
+    wait_until(lambda: worker(tmp_path, "drawn") != first)
     again = updates(tmp_path, "drawn")
-    wait(lambda: updates(tmp_path, "drawn") >= again + 2)
+    wait_until(lambda: updates(tmp_path, "drawn") >= again + 2)
 
     # Ctrl-C saves.
     process.send_signal(signal.SIGINT)
-    shown, errors = process.communicate(timeout=300)
+    output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
-    assert re.search(r"drawn +seed 0 +lost ", shown)
-    assert re.search(r"drawn +seed 0 +stopped ", shown)
-    assert "The same command goes on" in shown
+    assert re.search(r"drawn +seed 0 +lost ", output)
+    assert re.search(r"drawn +seed 0 +stopped ", output)
+    assert "The same command goes on" in output
     assert errors == ""
     assert all((tmp_path / "runs/tiny" / g / "seed_0/checkpoints/latest.ckpt").exists() for g in groups)
 
@@ -219,9 +210,9 @@ def test_a_study_of_the_reality_gap(
     worlds.clear()
     before = (out / "episodes.csv").read_text()
     assert main(["study", "gaps.yaml"]) == 0
-    shown = capsys.readouterr().out
-    assert "all 2 trainings are finished" in shown
-    assert "return at home" not in shown
+    output = capsys.readouterr().out
+    assert "all 2 trainings are finished" in output
+    assert "return at home" not in output
     assert (out / "episodes.csv").read_text() == before
 
 

@@ -20,9 +20,9 @@ def test_a_gait_is_found_written_measured_and_started_from(tmp_path: Path):
     assert done.returncode == 0, done.stderr
     assert "trot-40 in mujoco" in done.stdout
     assert "cost of transport" in done.stdout
-    found = yaml.safe_load((tmp_path / "trot-40.yaml").read_text())
-    assert found["reference"]["kind"] == "foot"
-    assert found["handcrafted"]["about"]["speed"] == 0.4
+    result = yaml.safe_load((tmp_path / "trot-40.yaml").read_text())
+    assert result["reference"]["kind"] == "foot"
+    assert result["handcrafted"]["about"]["speed"] == 0.4
     words = ("tune", "--raibert", "--start", "trot-40.yaml", "--out", "again.yaml", *QUICK)
     again = surefoot(*words, cwd=tmp_path)
     assert again.returncode == 0, again.stderr
@@ -56,9 +56,9 @@ def test_a_handcrafted_gait_is_evaluated_and_played_as_a_policy_is(tmp_path: Pat
     (tmp_path / "stand.yaml").write_text(text)
     done = surefoot("evaluate", "stand.yaml", "--episodes", 2, "--json", "--threads", 1, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert (found["policy"], found["episodes"], found["falls"]) == ("stand", 2, 0)
-    assert len(found["config_hash"]) == 64
+    result = json.loads(done.stdout)
+    assert (result["policy"], result["episodes"], result["falls"]) == ("stand", 2, 0)
+    assert len(result["config_hash"]) == 64
     (tmp_path / "task.yaml").write_text("reference: {kind: foot}\n")
     refused(surefoot("evaluate", "task.yaml", cwd=tmp_path), "task.yaml: handcrafted is missing")
     played = surefoot("play", "stand.yaml", "--seconds", 0.1, "--out", "stand.mp4", cwd=tmp_path)

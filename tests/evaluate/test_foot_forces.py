@@ -21,22 +21,22 @@ def test_motors_that_hold_a_force_do_no_work_with_it(name: str):
     """Torques are made for a force by the power of slow movements, without the legs' jacobians."""
     robot = RobotDescription.load(name)
     angles = robot.resting_angles + np.array([[0.0], [0.05], [-0.1]])
-    wanted = np.tile([3.0, 0.0 if len(robot.coordinates) == 2 else -2.0, 11.0], (3, len(robot.legs), 1))
+    forces = np.tile([3.0, 0.0 if len(robot.coordinates) == 2 else -2.0, 11.0], (3, len(robot.legs), 1))
     torques = np.zeros_like(angles)
     for motor in range(robot.num_motors):
         moved = np.zeros(robot.num_motors)
         moved[motor] = 1e-5
         shift = (feet(robot, angles + moved) - feet(robot, angles - moved)) / 2e-5
-        torques[:, motor] = -np.einsum("tli,tli->t", shift, wanted)
-    np.testing.assert_allclose(foot_forces(robot, angles, torques), wanted, atol=1e-5)
+        torques[:, motor] = -np.einsum("tli,tli->t", shift, forces)
+    np.testing.assert_allclose(foot_forces(robot, angles, torques), forces, atol=1e-5)
 
 
 def test_a_leg_whose_readings_are_missing_has_no_force():
     robot = RobotDescription.load("go2")
     angles, torques = np.tile(robot.resting_angles, (2, 1)), np.ones((2, robot.num_motors))
     angles[0, robot.leg_motor_index[1, 0]] = torques[1, robot.leg_motor_index[2, 2]] = np.nan
-    known = np.isfinite(foot_forces(robot, angles, torques)).all(axis=-1)
-    assert known.tolist() == [[True, False, True, True], [True, True, False, True]]
+    finite = np.isfinite(foot_forces(robot, angles, torques)).all(axis=-1)
+    assert finite.tolist() == [[True, False, True, True], [True, True, False, True]]
 
 
 def test_a_straight_leg_has_no_force_along_itself():

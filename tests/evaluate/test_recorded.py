@@ -19,8 +19,8 @@ def test_traces_are_found_in_all_folders_below(tmp_path: Path, make_run: MakeRun
     for distance, place in enumerate(places):
         make_run(float(distance)).save(place)
     (tmp_path / "notes.txt").write_text("not a trace")
-    found = find_traces(tmp_path)
-    assert [path for path, _ in found] == sorted(places)
+    recorded = find_traces(tmp_path)
+    assert [path for path, _ in recorded] == sorted(places)
     assert [path for path, _ in find_traces(places[1])] == [places[1]]
 
 
@@ -35,13 +35,13 @@ def test_find_traces_refuses_a_damaged_file(tmp_path: Path, make_run: MakeRun):
     make_run().save(tmp_path / "good.npz")
     whole = (tmp_path / "good.npz").read_bytes()
     (tmp_path / "zcut.npz").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(SurefootError, match=r"zcut.npz: cut off or damaged"):
+    with pytest.raises(SurefootError, match=r"zcut.npz: is cut off, damaged"):
         find_traces(tmp_path)
 
 
 def test_traces_are_assigned_to_the_policies_that_they_name(make_run: MakeRun):
-    found = [(Path(f"{i}.npz"), make_run(policy=name)) for i, name in enumerate(("gallop", "trot", "gallop"))]
-    assigned = assign_to_policies(found, ["trot", "gallop"], "minitaur")
+    recorded = [(Path(f"{i}.npz"), make_run(policy=name)) for i, name in enumerate(("gallop", "trot", "gallop"))]
+    assigned = assign_to_policies(recorded, ["trot", "gallop"], "minitaur")
     assert {name: [path.stem for path, _ in traces] for name, traces in assigned.items()} == {
         "trot": ["1"],
         "gallop": ["0", "2"],
@@ -49,10 +49,10 @@ def test_traces_are_assigned_to_the_policies_that_they_name(make_run: MakeRun):
 
 
 def test_a_trace_without_a_policy_belongs_to_the_only_one(make_run: MakeRun):
-    found = [(Path("a.npz"), make_run(policy="")), (Path("b.npz"), make_run(policy="trot"))]
-    assert len(assign_to_policies(found, ["trot"], "minitaur")["trot"]) == 2
+    recorded = [(Path("a.npz"), make_run(policy="")), (Path("b.npz"), make_run(policy="trot"))]
+    assert len(assign_to_policies(recorded, ["trot"], "minitaur")["trot"]) == 2
     with pytest.raises(SurefootError, match=r"a.npz: names no policy; policies: trot, gallop"):
-        assign_to_policies(found, ["trot", "gallop"], "minitaur")
+        assign_to_policies(recorded, ["trot", "gallop"], "minitaur")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from run_tables import policy_gap
 
 from surefoot.errors import SurefootError
 from surefoot.evaluate.footfalls import FEET
-from surefoot.evaluate.gap import PolicyGap, away_task, home_task
+from surefoot.evaluate.gap import PolicyGap, away_task, gap_text, home_task
 from surefoot.evaluate.runs import measure_runs, summarize
 from surefoot.evaluate.statistics import MeanEstimate
 from surefoot.task.config import TaskConfig
@@ -84,7 +84,11 @@ def test_a_gap_has_a_row_for_each_world():
     assert [home[name] for name in ("return_mean", "return_error", "power_mean", "runs", "falls")] == [4, 1, 10, 2, 0]
     assert (bullet["gap"], bullet["gap_error"]) == (2, pytest.approx(math.sqrt(2)))
     assert np.isnan([home["gap"], robot["gap"], robot["gap_error"], robot["return_mean"]]).all()
-    assert [row["gap (m)"] for row in policy.text_rows()] == ["", "+2.00 ± 1.41", "-"]
+    assert [gap_text(row, row["side"] == "home", sign=True)["gap (m)"] for row in policy.rows()] == [
+        "",
+        "+2.00 ± 1.41",
+        "-",
+    ]
 
 
 TRAINED = TaskConfig(

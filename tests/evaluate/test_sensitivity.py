@@ -163,19 +163,19 @@ def test_the_default_duration_is_that_of_the_task():
 
 
 def test_robots_are_pushed_only_with_the_option():
-    made: list[Walker] = []
+    worlds: list[Walker] = []
 
     def make(*arguments: Any) -> Walker:
-        made.append(Walker(*arguments))
-        return made[-1]
+        worlds.append(Walker(*arguments))
+        return worlds[-1]
 
     task = trot(pushes=replace(trot().pushes, enabled=True, probability=0.5), randomize=load_ranges("table1"))
     ranges: Ranges = {MASS: (0.8, 1.2)}
     for pushes in (False, True):
         run_sensitivity(Constant(), task, make, ranges=ranges, values=2, episodes=1, duration=1.3, pushes=pushes)
-    assert made[0].pushes == 0
+    assert worlds[0].pushes == 0
     # Of the start, its restart, and the one push at 1.2 s: on and off.
-    assert made[1].pushes == 4
+    assert worlds[1].pushes == 4
 
 
 def test_an_episode_is_the_one_that_evaluate_runs():

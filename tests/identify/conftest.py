@@ -16,9 +16,19 @@ from surefoot.deploy.robot_link import LinkLostError
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import ExperimentLimits, Phase, Plan, chirps, go_to, steps
 from surefoot.identify.recording import COMPLETE, Recording
-from surefoot.robot import RobotDescription
+from surefoot.robot import PhysicalParams, RobotDescription
 
 MIDDLE, REACH, DUTY = 1.7, 0.3, 0.2
+
+
+@pytest.fixture(scope="session")
+def pupper() -> RobotDescription:
+    return RobotDescription.load("pupper_v2")
+
+
+@pytest.fixture(scope="session")
+def nominal(robot: RobotDescription) -> PhysicalParams:
+    return PhysicalParams.nominal(robot)
 
 
 @pytest.fixture(scope="session")

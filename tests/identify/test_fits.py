@@ -57,11 +57,6 @@ def shortened(plan: Plan, lengths: Short, counts: dict[str, int]) -> Plan:
 
 
 @pytest.fixture(scope="module")
-def nominal(robot: RobotDescription) -> PhysicalParams:
-    return PhysicalParams.nominal(robot)
-
-
-@pytest.fixture(scope="module")
 def rack(robot: RobotDescription, record: Record) -> tuple[Recording, Recording]:
     """Parts of the motor and of the latency experiment."""
     motor = shortened(

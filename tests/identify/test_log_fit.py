@@ -22,11 +22,6 @@ NAMES = ("servo_kp", "damping_ratio", "motor_friction", "control_latency")
 
 
 @pytest.fixture(scope="module")
-def pupper() -> RobotDescription:
-    return RobotDescription.load("pupper_v2")
-
-
-@pytest.fixture(scope="module")
 def hanging(pupper: RobotDescription) -> RobotLog:
     """One second of a hip and a knee on a rack, read every 10 ms."""
     time = 0.01 * np.arange(101)

@@ -18,11 +18,6 @@ from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 
-@pytest.fixture(scope="module")
-def pupper() -> RobotDescription:
-    return RobotDescription.load("pupper_v2")
-
-
 def mapping(path: Path, robot: RobotDescription, command: str, angle: str, first: str = "", head: str = "") -> Path:
     lines = [head, "motors:"]
     for k, name in enumerate(robot.motor_names):

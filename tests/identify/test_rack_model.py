@@ -26,11 +26,6 @@ START = np.array([[u.start for u in UNKNOWNS]])
 
 
 @pytest.fixture(scope="module")
-def nominal(robot: RobotDescription) -> PhysicalParams:
-    return PhysicalParams.nominal(robot)
-
-
-@pytest.fixture(scope="module")
 def replayer(robot: RobotDescription) -> Replayer:
     return Replayer(robot, 2)
 

@@ -16,11 +16,6 @@ from surefoot.robot import RobotDescription
 DATA = Path(__file__).parents[2] / "data" / "pupper_v2"
 
 
-@pytest.fixture(scope="module")
-def pupper() -> RobotDescription:
-    return RobotDescription.load("pupper_v2")
-
-
 def arrays(rows: int = 50, motors: int = 12) -> dict[str, np.ndarray]:
     time = 0.01 * np.arange(1, rows + 1)
     command = np.zeros((rows, motors))
@@ -65,7 +60,7 @@ def test_the_published_logs_are_read(pupper: RobotDescription):
         ({"time": np.full(50, np.nan)}, "time has values that are not finite"),
         ({"imu": np.zeros((49, 4))}, r"imu has shape \(49, 4\).*a row for each time"),
         ({"command": np.full((50, 12), "a")}, "command holds <U1; it must hold numbers"),
-        ({"motor_angle": np.array([{}] * 50, object)}, "is no file of arrays"),
+        ({"motor_angle": np.array([{}] * 50, object)}, "no file of arrays"),
     ],
 )
 def test_read_log_refuses_arrays_of_another_shape(

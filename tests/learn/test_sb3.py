@@ -54,7 +54,7 @@ def test_ppo_trains_on_a_batch_and_sees_its_episodes():
     assert [episode["l"] for episode in model.ep_info_buffer] == [10] * 9
 
 
-def test_the_end_of_an_episode_is_told_as_stable_baselines_wants_it():
+def test_the_end_of_an_episode_has_the_infos_of_stable_baselines():
     venv, plain = SB3VecEnv(batch(2, max_steps=3)), batch(2, max_steps=3, autoreset=False)
     venv.seed(7)
     first = venv.reset()

@@ -24,7 +24,7 @@ def make_env(task: TaskConfig, num_envs: int = 2) -> LocomotionEnv:
     return LocomotionEnv(task, num_envs, SimWorld, seed=3, threads=1)
 
 
-def test_columns_by_hand():
+def test_mirrored_columns_worked_by_hand():
     names = ["roll", "pitch", "angle.front_left_1", "angle.front_right_1", "phase_sin"]
     assert mirror_name("back_right_2_motor") == "back_left_2_motor"
     source, sign = mirror_columns(names)
@@ -57,7 +57,7 @@ def wave(*phase: float) -> TaskConfig:
         ((0.0, np.pi, 0.0, np.pi), False),  # bound
     ],
 )
-def test_a_symmetric_reference_is_its_own_image_at_once_or_half_a_period_later(phases, half):
+def test_the_mirror_image_of_a_reference_is_itself_at_once_or_half_a_period_later(phases, half):
     assert reference_shift(make_env(wave(*phases))) is half
 
 
@@ -78,7 +78,7 @@ def trot_env() -> LocomotionEnv:
     return make_env(task)
 
 
-def test_the_mirror_image_of_the_mirror_image_is_the_sample(trot_env):
+def test_mirroring_twice_gives_the_sample(trot_env):
     mirror = MirrorSamples(trot_env)
     generator = torch.Generator().manual_seed(0)
     width = trot_env.single_observation_space.shape[0]

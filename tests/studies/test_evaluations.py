@@ -157,17 +157,6 @@ def test_a_gap_is_measured_once_and_its_traces_are_stored(policy: Path, rollouts
     assert len(rollouts.calls) == 3
 
 
-@pytest.mark.parametrize(("kind", "key"), [("gap", "away"), ("gap", "home"), ("nominal", "world")])
-def test_a_result_belongs_to_its_world(
-    kind: str, key: str, policy: Path, rollouts: Rollouts, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    evaluate(policy, kind)
-    assert stored_result(policy, kind) is not None
-    other = replace(EVALUATIONS[kind], settings={**EVALUATIONS[kind].settings, key: "elsewhere"})
-    monkeypatch.setitem(EVALUATIONS, kind, other)
-    assert stored_result(policy, kind) is None
-
-
 def test_a_cached_result_belongs_to_a_policy_and_its_settings(policy: Path) -> None:
     made: list[int] = []
 

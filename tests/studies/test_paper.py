@@ -108,8 +108,8 @@ def test_the_difference_in_words(paper: float | str, ours: Interval | None, word
 def sources() -> Iterator[NumberSource | ValueCounts]:
     for section in load_content().sections:
         for item in section.items:
-            if not isinstance(item.ours, str):
-                yield item.ours
+            if not isinstance(item.surefoot, str):
+                yield item.surefoot
 
 
 def test_every_number_of_the_page_is_among_the_results(repository: Path):

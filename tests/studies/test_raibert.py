@@ -31,9 +31,9 @@ SPEED = 0.4
 
 
 def reference(**other: Any) -> FootReference:
-    found = read_reference({"kind": "foot", "foot": {"frequency": 2.0, **PATH, **other}}, ROBOT)
-    assert isinstance(found, FootReference)
-    return found
+    reference_path = read_reference({"kind": "foot", "foot": {"frequency": 2.0, **PATH, **other}}, ROBOT)
+    assert isinstance(reference_path, FootReference)
+    return reference_path
 
 
 def controller(history: int = 1, **gains: float) -> RaibertController:

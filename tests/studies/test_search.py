@@ -44,10 +44,10 @@ def evaluated(steps: int, value: float) -> dict[str, Any]:
 def finish(search: Search, training: Training, value: float, steps: int = STEPS) -> None:
     """Train to some steps, all evaluations with the same return, and leave the folder that a worker would leave."""
     every = search.config.train.evaluate_every
-    found = tuple(evaluated(n * every, value) for n in range(1, steps // every + 1))
+    evaluations = tuple(evaluated(n * every, value) for n in range(1, steps // every + 1))
     training.path.mkdir(parents=True, exist_ok=True)
     write_yaml(training.path / "config.yaml", training.config)
-    search.on_report(training, ProgressReport(steps, None, found, True))
+    search.on_report(training, ProgressReport(steps, None, evaluations, True))
 
 
 def values(search: Search) -> list[tuple[int, str, Any, Any]]:
@@ -55,7 +55,7 @@ def values(search: Search) -> list[tuple[int, str, Any, Any]]:
 
 
 def test_the_same_seed_proposes_the_same_trials_stopped_or_not(tmp_path: Path) -> None:
-    found = []
+    evaluations = []
     for name, seed, stops in (("a", 3, False), ("b", 3, True), ("c", 4, False)):
         (tmp_path / name).mkdir()
         search, proposed = Search(make(tmp_path, seed), tmp_path / name, False), []
@@ -65,11 +65,11 @@ def test_the_same_seed_proposes_the_same_trials_stopped_or_not(tmp_path: Path) -
             training = next(search.trainings(100))
             proposed.append(settings(training))
             finish(search, training, training.config.ppo.learning_rate)
-        found.append(proposed)
+        evaluations.append(proposed)
         # Returns that grow with the learning rate: what the sampler proposes in the end does too.
         assert len({seed for seed, *_ in proposed}) == 15
-    assert found[0] == found[1]
-    assert not set(map(str, found[0])) & set(map(str, found[2]))
+    assert evaluations[0] == evaluations[1]
+    assert not set(map(str, evaluations[0])) & set(map(str, evaluations[2]))
 
 
 def test_a_trial_under_way_goes_on_as_itself(tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_a_journal_that_is_cut_off_loses_nothing(tmp_path: Path, left: float) ->
     assert [note.count("\n") for note in search.notes] == [0] * bool(content)
     for training in search.trainings(4):
         number = int(training.group[-4:])
-        # The worker finds the training over, and tells the evaluations that are in its folder.
+        # The worker finds the training finished, and reports the evaluations in its folder.
         finish(search, training, (0.1, 0.3, 0.2, 0.4)[number])
     assert [(number, params) for number, _, _, params in values(search)] == wanted
     assert [value for *_, value, _ in values(search)] == [0.1, 0.3, 0.2, 0.4]

@@ -103,7 +103,7 @@ def test_the_table_of_the_best_has_each_and_all_of_them(result: SearchResult, tm
 
 def test_the_page_of_the_paper_finds_its_numbers_in_the_report(result: SearchResult, tmp_path: Path) -> None:
     write_report(result, tmp_path / "results/search", "surefoot search gallop")
-    items = [item.ours for section in load_content().sections for item in section.items]
+    items = [item.surefoot for section in load_content().sections for item in section.items]
     read = [one for one in items if not isinstance(one, str) and one.file.startswith("results/search/")]
     assert {type(one) for one in read} == {NumberSource, ValueCounts}
     for one in read:

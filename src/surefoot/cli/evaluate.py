@@ -49,15 +49,15 @@ class EvaluateCommand(RunOptions):
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; returns the exit code."""
-    words, given = take_ranges(argv)
+    """Run the command with the words after its name; return the exit code."""
+    words, ranges = take_ranges(argv)
     command = parse(EvaluateCommand, words, "surefoot evaluate")
     if command.trace:
-        traces, robot, about = _recorded(command, given != RangeOptions(None, {}))
+        traces, robot, about = _load_traces(command, ranges != RangeOptions(None, {}))
     elif command.policy is None:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
     else:
-        traces, robot, about = _simulated(command, given)
+        traces, robot, about = _simulate(command, ranges)
     from surefoot.evaluate.runs import summarize
 
     summary = summarize(traces, robot.urdf.total_mass)
@@ -67,12 +67,12 @@ def main(argv: list[str]) -> int:
     summary |= about | {"robot": robot.name}
     if command.out is not None:
         files = [] if command.trace else [t.save(command.out / f"episode_{i:03d}.npz") for i, t in enumerate(traces)]
-        drawn = draw_episode(command.out, traces[0], robot)
+        figures = draw_episode(command.out, traces[0], robot)
         if command.command_grid:
             from surefoot.report.figures.tracking import tracking_figure
 
-            drawn.append(tracking_figure(traces, command.out / "tracking.png"))
-        summary["files"] = [str(file) for file in [*files, *drawn]]
+            figures.append(tracking_figure(traces, command.out / "tracking.png"))
+        summary["files"] = [str(file) for file in [*files, *figures]]
     if command.json:
         print_json(summary)
     else:
@@ -85,17 +85,17 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _simulated(
-    command: EvaluateCommand, given_ranges: RangeOptions
+def _simulate(
+    command: EvaluateCommand, range_options: RangeOptions
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
-    """Run the policy; returns its traces, the robot, and how it was run."""
+    """Run the policy; return its traces, the robot, and the settings of the run."""
     from surefoot.cli.helpers.policies import find_policy, load_gait, run_policy
     from surefoot.world.registry import find_world
 
     path = find_policy(str(command.policy))
     find_world(command.world)
-    policy, robot, task, known = load_gait(path, command.robot)
-    ranges = given_ranges.apply(robot.folder)
+    policy, robot, task, names = load_gait(path, command.robot)
+    ranges = range_options.apply(robot.folder)
     task = command.apply(task, robot, ranges, command.thermal_protection)
     episodes = command.episodes
     if command.command_grid:
@@ -108,41 +108,43 @@ def _simulated(
         episodes = len(rows)
     make_figures_folder(command.out)
     title = f"{episodes} episodes"
-    traces = run_policy(policy, task, episodes, command.world, command.seed, command.threads, known["name"], title)
-    given = [word.split("=")[0] for group in command.settings for word in group]
+    traces = run_policy(policy, task, episodes, command.world, command.seed, command.threads, names["name"], title)
+    parameters = [word.split("=")[0] for group in command.settings for word in group]
     about = {
         "seed": command.seed,
         "pushes": task.pushes.enabled,
         "push_force": command.push_force,
         "randomize": to_mapping(ranges),
-        "set": command.simulator.latencies | {name: task.params[name] for name in given},
+        "set": command.simulator.latencies | {name: task.params[name] for name in parameters},
         **describe_simulator(task),
         "policy_file": str(path),
-        "config_hash": known["config_hash"],
+        "config_hash": names["config_hash"],
     }
     return traces, robot, about
 
 
-def _recorded(command: EvaluateCommand, drawn: bool) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
-    """Load runs that were recorded, by a robot or by a simulation; returns traces, robot, and the traces' files."""
-    heeded = ("trace", "robot", "out", "json", "simulator")
-    options: list[tuple[Any, Any]] = [(item, command) for item in fields(command) if item.name not in heeded]
+def _load_traces(
+    command: EvaluateCommand, has_ranges: bool
+) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
+    """Load recorded runs of one robot; return traces, robot, and the traces' files."""
+    allowed = ("trace", "robot", "out", "json", "simulator")
+    options: list[tuple[Any, Any]] = [(item, command) for item in fields(command) if item.name not in allowed]
     options += [(item, command.simulator) for item in fields(command.simulator)]
-    given = [item.name for item, part in options if getattr(part, item.name) != item.default]
-    if given or drawn:
-        odd = given[0] if given else "randomize"
-        named = "a policy" if odd == "policy" else f"--{dict(settings='set').get(odd, odd).replace('_', '-')}"
-        raise SurefootError(f"--trace and {named} are given; recorded runs are measured as they are, nothing is run")
+    changed = [item.name for item, part in options if getattr(part, item.name) != item.default]
+    if changed or has_ranges:
+        name = changed[0] if changed else "randomize"
+        option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
+        raise SurefootError(f"--trace and {option} are given; recorded runs are measured as they are, nothing is run")
     from surefoot.evaluate.recorded import find_traces
     from surefoot.robot import RobotDescription
 
-    found = [one for path in command.trace for one in find_traces(path)]
-    robot = RobotDescription.load(command.robot or str(found[0][1].meta["robot"]))
-    for path, trace in found:
+    recorded = [one for path in command.trace for one in find_traces(path)]
+    robot = RobotDescription.load(command.robot or str(recorded[0][1].meta["robot"]))
+    for path, trace in recorded:
         if trace.meta["robot"] != robot.name:
             raise SurefootError(
                 f"trace file {path}: is of robot '{trace.meta['robot']}', not of '{robot.name}'; "
                 "runs that are measured together must be of one robot"
             )
     make_figures_folder(command.out)
-    return [trace for _, trace in found], robot, {"traces": [str(path) for path, _ in found]}
+    return [trace for _, trace in recorded], robot, {"traces": [str(path) for path, _ in recorded]}

@@ -133,7 +133,7 @@ class GapCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; returns the exit code."""
+    """Run the command with the words after its name; return the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
     from surefoot.cli.helpers.policies import load_policies, run_policy
     from surefoot.world.registry import find_world
@@ -212,7 +212,7 @@ def _report(
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
-    from surefoot.evaluate.gap import PolicyGap
+    from surefoot.evaluate.gap import PolicyGap, gap_text
     from surefoot.evaluate.runs import measure_runs
     from surefoot.report.figures.runs import side_by_side
     from surefoot.studies.study_figures import gap_figure
@@ -235,7 +235,12 @@ def _report(
     ]
     if not command.json:
         title = f"Reality gap: return in {gaps[0].worlds[0]} less return elsewhere, ± one standard error"
-        print_table([row for gap in (*gaps, *pooled) for row in gap.text_rows()], title, 2)
+        texts = [
+            {"policy": name} | gap_text(row, row["side"] == "home", sign=True)
+            for name, part in rows.items()
+            for row in part
+        ]
+        print_table(texts, title, 2)
         print_files(files, out)
         first = next(iter(runs.values()))
         print(show_command(recorded[0][0] for recorded in first.values()))

@@ -68,13 +68,13 @@ def _load_traces(command: ShowCommand) -> list[ShownTrace]:
     from surefoot.cli.helpers.policies import distinct_names
     from surefoot.evaluate.recorded import find_traces
     from surefoot.identify.logs.importing import import_log
-    from surefoot.identify.logs.robot_log import read_arrays
+    from surefoot.npz import read_npz
     from surefoot.report.pages.recorded_runs import ShownTrace
 
     robot = None if command.robot is None else RobotDescription.load(command.robot)
     traces = []
     for path in command.trace:
-        if robot is not None and path.is_file() and path.suffix == ".npz" and "meta" not in read_arrays(path):
+        if robot is not None and path.is_file() and path.suffix == ".npz" and "meta" not in read_npz(path):
             traces.append((path, import_log(path, robot)))
         else:
             traces += find_traces(path)

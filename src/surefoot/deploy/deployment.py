@@ -16,7 +16,7 @@ from surefoot.deploy.motion_runner import MotionRunner
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
-from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
+from surefoot.deploy.safety import GO, Act, Verdict
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 
@@ -56,8 +56,7 @@ class Deployment:
     ) -> None:
         self.link, self.controller, self.operator, self.monitor = link, controller, operator, monitor
         self.contract, self.robot, self.commands = controller.contract, controller.robot, commands
-        self.limits, self.dry_run = SafetyLimits.from_robot(self.robot), dry_run
-        self._moved = False
+        self.dry_run, self._moved = dry_run, False
 
     def connect(self, check: Callable[[Handshake], None]) -> None:
         """Connect to the robot, check its handshake, and make sure that policy and computer keep time.
@@ -77,6 +76,18 @@ class Deployment:
         except LinkLostError as error:
             raise SurefootError(f"the robot was lost before it was armed: {error}") from error
         self.controller.reset()
+
+    def _runner(self, timing: LoopTiming, tilt: float, dry_run: bool) -> MotionRunner:
+        return MotionRunner(
+            self.link,
+            self.robot,
+            self.contract.control_step,
+            self.operator,
+            self.monitor,
+            tilt=tilt,
+            timing=timing,
+            dry_run=dry_run,
+        )
 
     def _target(self, k: int, state: State, missed: int = 0) -> Array:
         moment = k * self.contract.control_step
@@ -100,11 +111,9 @@ class Deployment:
 
         First runs take longer. A busy computer, or a robot that should not be armed, is refused while nothing moves.
         """
-        step, verdict = self.contract.control_step, GO
+        verdict = GO
         for _ in range(TRIES):
-            guard = Guard(self.limits, step, self.link.session, math.inf)
-            timing = LoopTiming(PUNCTUAL + 1)
-            loop = ControlLoop(self.link, step, guard, self.operator, self.monitor, timing, dry_run=True)
+            loop = self._runner(LoopTiming(PUNCTUAL + 1), math.inf, dry_run=True).loop
             verdict = loop.follow("check timing", PUNCTUAL, self._target)
             if verdict.act in (Act.GO, Act.SIT):
                 break
@@ -118,17 +127,7 @@ class Deployment:
         Raises:
             SurefootError: the robot is not connected, or does not arm for its first run; nothing has moved.
         """
-        runner = MotionRunner(
-            self.link,
-            self.robot,
-            self.contract.control_step,
-            self.operator,
-            self.monitor,
-            self.limits,
-            self.controller.task.fall_angle,
-            timing=timing,
-            dry_run=self.dry_run,
-        )
+        runner = self._runner(timing, self.controller.task.fall_angle, self.dry_run)
         if self.operator.stops:
             return RunOutcome("stopped", "operator", "stopped before anything moved", False)
         try:

@@ -62,6 +62,9 @@ class RobotLink(ABC):
         session: number of the operator's session; drawn, if not given.
     """
 
+    advice = "check that it is switched on"
+    """Remedy for a robot that does not answer."""
+
     def __init__(self, clock: Clock, lead: float, session: int | None = None) -> None:
         self.clock, self.session = clock, session or 1 + secrets.randbelow(2**16 - 1)
         self.lockstep = isinstance(clock, LockstepClock)
@@ -135,9 +138,7 @@ class RobotLink(ABC):
                 raise SurefootError(f"the robot refuses: {self._refusal()}")
             if (different := self.protocol_error()) is not None:
                 raise SurefootError(different)
-        raise SurefootError(
-            f"no robot answers within {timeout:g} s; check port, cable and baud rate, and that it is switched on"
-        )
+        raise SurefootError(f"no robot answers within {timeout:g} s; {self.advice}")
 
     def _refusal(self) -> str | None:
         return next((fault.text for fault in self.faults if fault.reason == Reason.BUSY), None)

@@ -11,7 +11,7 @@ policies and robots stand beside it: run k of every policy away is on robot k.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -95,25 +95,22 @@ class PolicyGap:
             rows.append({"policy": self.name, "side": side, **summary, "gap": gap.mean, "gap_error": gap.error})
         return rows
 
-    def text_rows(self) -> list[dict[str, str]]:
-        """Return a row of text for each world, home first: means with one standard error."""
-        rows = []
-        for world in self.worlds:
-            runs = self.in_world(world)
-            mean = {name: MeanEstimate.from_values(runs[name]) for name in ("return", "speed", "power")}
-            rows.append(
-                {
-                    "policy": self.name,
-                    "world": world,
-                    "return (m)": mean["return"].text(),
-                    "gap (m)": "" if world == self.worlds[0] else self.gap(world).text(sign=True),
-                    "speed (m/s)": mean["speed"].text(),
-                    "power (W)": mean["power"].text(1),
-                    "falls": f"{runs.fell.sum()} of {len(runs)}",
-                    "success": f"{100 * runs.balanced.mean():.0f} %",
-                }
-            )
-        return rows
+
+def gap_text(row: Mapping[str, Any], is_home: bool, sign: bool = False) -> dict[str, str]:
+    """Return cells of text on a row with the columns of `summarize_runs`, gap and gap_error: means with one error."""
+
+    def mean(name: str, digits: int = 2) -> str:
+        return MeanEstimate(row[f"{name}_mean"], row[f"{name}_error"]).text(digits)
+
+    return {
+        "world": row["world"],
+        "return (m)": mean("return"),
+        "gap (m)": "" if is_home else MeanEstimate(row["gap"], row["gap_error"]).text(sign=sign),
+        "speed (m/s)": mean("speed"),
+        "power (W)": mean("power", 1),
+        "falls": f"{row['falls']} of {row['runs']}",
+        "success": f"{100 * row['success_rate']:.0f} %",
+    }
 
 
 def gap_difference(base: PolicyGap, other: PolicyGap) -> tuple[MeanEstimate, Interval, Interval]:

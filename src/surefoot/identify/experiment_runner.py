@@ -47,7 +47,7 @@ class _ExperimentRunner:
         # Commands that come a little early must not put off a state that is due.
         self.lead = 0.0 if link.lockstep else self.period / 4
         steps = LATE / self.period
-        # Batteries sag under what an experiment asks for, and recover: only what would stop the robot itself counts.
+        # Batteries sag under an experiment's load, and recover: only the robot's own limit counts.
         low = self.handshake.voltage_min + BATTERY_ROOM
         limits = SafetyLimits.from_robot(robot)
         self._limits = replace(limits, state_age=steps, missed_steps=int(steps) - 1, battery_low=low)
@@ -201,7 +201,7 @@ class _ExperimentRunner:
 def run_plan(link: RobotLink, plan: Plan, robot: RobotDescription, monitor: RunMonitor) -> Recording:
     """Watch a greeted robot at rest, go through all phases, let it go; return what was recorded, however it ended.
 
-    Nothing is raised once motors may have moved: `meta["ended"]` tells why an experiment did not come to its end, such
+    Nothing is raised once motors may have moved: `meta["ended"]` is why an experiment did not come to its end, such
     as a signal of the operator.
 
     Raises:

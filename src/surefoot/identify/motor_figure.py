@@ -63,10 +63,10 @@ class MotorLog:
         Raises:
             SurefootError: a file that can't be read or is no such table.
         """
-        with prefix_errors(f"motor log {path}"):
-            with describe_os_errors("it"):
-                check_readable(path)
-                columns = read_csv(path).columns
+        where = f"motor log {path}"
+        with describe_os_errors(where), prefix_errors(where):
+            check_readable(path)
+            columns = read_csv(path).columns
             if any(name not in columns for name in COLUMNS):
                 raise SurefootError(f"columns are {choices(columns)}; it takes {choices(COLUMNS)}")
         return cls(str(path), *(columns[name] for name in COLUMNS))

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices, prefix_errors
-from surefoot.identify.logs.robot_log import read_arrays
-from surefoot.npz import write_npz
+from surefoot.npz import read_npz, write_npz
 from surefoot.robot import RobotDescription
 
 SCHEMA = 1
@@ -211,7 +210,7 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
             that did not come to its end.
     """
     with prefix_errors(f"recording {path}"):
-        arrays = read_arrays(path)
+        arrays = read_npz(path)
         try:
             meta = json.loads(str(arrays.pop("meta", None)))
         except ValueError:

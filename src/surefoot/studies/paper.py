@@ -61,7 +61,7 @@ class PaperItem:
     what: str
     paper: float | str
     """The paper's number, or its words."""
-    ours: NumberSource | ValueCounts | str
+    surefoot: NumberSource | ValueCounts | str
     """surefoot's number, counts or words."""
     unit: str = ""
     digits: int = 2
@@ -93,7 +93,7 @@ class PaperSection:
     title: str
     paper: str
     """Method and result of the paper."""
-    ours: str = ""
+    surefoot: str = ""
     """Differences in surefoot's method, and its result."""
     commands: tuple[str, ...] = ()
     """Commands that reproduce surefoot's numbers."""
@@ -138,17 +138,17 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
     parts += _all_differences(root)
     for section in content.sections:
         parts += [f"<h2>{escape(section.title)}</h2>", f"<p><b>Paper:</b> {escape(section.paper)}</p>"]
-        if section.ours:
-            parts.append(f"<p><b>surefoot:</b> {escape(section.ours)}</p>")
+        if section.surefoot:
+            parts.append(f"<p><b>surefoot:</b> {escape(section.surefoot)}</p>")
         if section.items:
             lines: list[tuple[str, ...]] = [("", "paper", "surefoot", "difference", "how measured")]
             lines += [_line(root, item, missing) for item in section.items]
-            shown = [k for k in range(len(lines[0])) if any(line[k] for line in lines[1:])]
-            kept = [[line[k] for k in shown] for line in lines]
+            columns = [k for k in range(len(lines[0])) if any(line[k] for line in lines[1:])]
+            cells = [[line[k] for k in columns] for line in lines]
             kinds = [
-                "".join("n" if k in (1, 2) and len(line[k]) < _MAX_NUMBER else "t" for k in shown) for line in lines
+                "".join("n" if k in (1, 2) and len(line[k]) < _MAX_NUMBER else "t" for k in columns) for line in lines
             ]
-            rows = [row(*both, "td" if i else "th") for i, both in enumerate(zip(kept, kinds, strict=True))]
+            rows = [row(*both, "td" if i else "th") for i, both in enumerate(zip(cells, kinds, strict=True))]
             parts.append(f"<div class=wide><table>{''.join(rows)}</table></div>")
         for one in section.pictures:
             files = one.find_files(root)
@@ -166,15 +166,15 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
 def _line(root: Path, item: PaperItem, missing: list[str]) -> tuple[str, ...]:
     """Return the cells of an item's line."""
     number = None
-    if isinstance(item.ours, str):
-        text = item.ours
-    elif not (root / item.ours.file).is_file():
+    if isinstance(item.surefoot, str):
+        text = item.surefoot
+    elif not (root / item.surefoot.file).is_file():
         text = NOT_MEASURED
-        missing.append(item.ours.file)
-    elif isinstance(item.ours, ValueCounts):
-        text = find_counts(root, item.ours)
+        missing.append(item.surefoot.file)
+    elif isinstance(item.surefoot, ValueCounts):
+        text = find_counts(root, item.surefoot)
     else:
-        number = find_number(root, item.ours)
+        number = find_number(root, item.surefoot)
         text = number.text(item.digits)
     paper = f"{item.paper:.{item.digits}f}" if isinstance(item.paper, float) else item.paper
     with_unit = (f"{one} {item.unit}".strip() if any(map(str.isdigit, one)) else one for one in (paper, text))

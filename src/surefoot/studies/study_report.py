@@ -9,6 +9,7 @@ from typing import Any
 
 import pandas as pd
 
+from surefoot.evaluate.gap import gap_text
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
 from surefoot.files import atomic_write
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
@@ -188,27 +189,18 @@ def _interval(row: Any, name: str) -> Interval:
 
 def _gap_table(table: pd.DataFrame) -> str:
     """Return rows of the table `gap_groups` as text."""
-
-    def mean(row: Any, name: str, digits: int = 2) -> str:
-        return MeanEstimate(getattr(row, f"{name}_mean"), getattr(row, f"{name}_error")).text(digits)
-
-    return markdown(
-        [
-            {
-                "group": row.label,
-                "seeds": row.seeds.replace(" ", ", "),
-                "world": row.world,
-                "return (m)": mean(row, "return"),
-                "gap (m)": "" if math.isnan(row.gap) else MeanEstimate(row.gap, row.gap_error).text(),
-                "speed (m/s)": mean(row, "speed"),
-                "power (W)": mean(row, "power", 1),
-                "falls": f"{row.falls} of {row.runs}",
-                "success": f"{100 * row.success_rate:.0f} %",
-                "gap, interval (m)": "" if math.isnan(row.gap) else _interval(row, "gap").text(),
-                "distance (m)": mean(row, "distance"),
-                "least distance (m)": decimal(row.least_distance),
-                f"over {FAR:g} m": f"{row.far} of {row.runs}",
+    rows = []
+    for row in table.to_dict("records"):
+        is_home = math.isnan(row["gap"])
+        interval = "" if is_home else Interval(row["gap"], row["gap_low"], row["gap_high"]).text()
+        distance = MeanEstimate(row["distance_mean"], row["distance_error"]).text()
+        rows.append(
+            {"group": row["label"], "seeds": row["seeds"].replace(" ", ", ")}
+            | gap_text(row, is_home)
+            | {"gap, interval (m)": interval, "distance (m)": distance}
+            | {
+                "least distance (m)": decimal(row["least_distance"]),
+                f"over {FAR:g} m": f"{row['far']} of {row['runs']}",
             }
-            for row in table.itertuples()
-        ]
-    )
+        )
+    return markdown(rows)

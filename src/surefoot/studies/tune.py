@@ -186,7 +186,7 @@ class Tuner:
             """Parameters of the best gait so far."""
             if not self._refusal(self.best):
                 break
-        self.cost, self.generation = math.inf, 0
+        self.cost = math.inf
         self._firsts: list[dict[str, float]] = []
         self._low, high, _ = np.array(list(self.ranges.values())).T
         self._width = high - self._low
@@ -227,7 +227,6 @@ class Tuner:
         costs = self.costs(candidates).mean(axis=1)
         self._search.tell(points, costs.tolist())
         first = int(np.argmin(costs))
-        self.generation += 1
         self._firsts.append(candidates[first])
         if costs[first] < self.cost:
             self.cost, self.best = float(costs[first]), candidates[first]

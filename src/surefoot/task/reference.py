@@ -7,8 +7,6 @@ Tan et al. 2018, eq. 3: a(t, o) = reference(t) + feedback(o).
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +19,7 @@ from surefoot.arrays import Array
 from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError, choices
 from surefoot.files import check_readable
+from surefoot.npz import read_npz
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import CommandState
@@ -29,11 +28,6 @@ from surefoot.task.foot_references import LENGTHS, FollowingReference, FootRefer
 PerLeg = float | dict[str, float]
 """One number, or one for each leg by name."""
 Length = Annotated[PerLeg, Within(0, 10)]
-# What NumPy raises for files that are empty, cut off or of another kind.
-_UNREADABLE = (
-    *(OSError, ValueError, KeyError, EOFError, IndexError, TypeError, AttributeError),
-    *(zipfile.BadZipFile, zlib.error),
-)
 
 
 @dataclass(frozen=True)
@@ -308,14 +302,13 @@ def _read_table(path: Path, names: list[str]) -> dict[str, Array]:
     if path.suffix not in (".csv", ".npz"):
         raise SurefootError(f"{path}: is not a .csv or .npz file; {rule}")
     try:
-        check_readable(path)
         if path.suffix == ".npz":
-            with np.load(path) as archive:
-                table = {name: np.atleast_1d(archive[name]).astype(float) for name in archive.files}
+            table = {name: np.atleast_1d(values).astype(float) for name, values in read_npz(path).items()}
         else:
+            check_readable(path)
             read = np.genfromtxt(path, delimiter=",", names=True, dtype=float)
             table = {name: np.atleast_1d(read[name]) for name in read.dtype.names or ()}
-    except _UNREADABLE as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:  # Of empty and other files.
         raise SurefootError(f"{path}: can't be read as a table: {' '.join(str(error).split())}; {rule}") from error
     for name in names:
         if name not in table:

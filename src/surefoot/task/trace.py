@@ -7,8 +7,6 @@ so all worlds are measured alike. numpy only: the robot's computer writes it too
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -21,7 +19,6 @@ from surefoot.configuration import Within, from_mapping, to_mapping
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import read_npz, write_npz
 
-SCHEMA = 1
 ENERGY_WEIGHT = 0.008  # w of the paper's reward, the same in all its experiments
 
 
@@ -179,23 +176,17 @@ class EpisodeTrace:
     def load(cls, path: str | Path) -> EpisodeTrace:
         """Read a trace; refuse a file that is missing, cut off, damaged, not a trace, or of another schema."""
         path = Path(path)
-        try:
-            arrays = read_npz(path)
-            meta = json.loads(str(arrays.pop("meta")))
-        except OSError as error:
-            raise SurefootError(f"trace file {path}: cannot be read: {error.strerror}") from error
-        # RuntimeError: a flipped bit that makes a member look encrypted or packed in another way.
-        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
-            raise SurefootError(f"trace file {path}: cut off or damaged: {error}") from error
-        except (KeyError, ValueError) as error:
-            raise SurefootError(f"trace file {path}: not an episode trace: {error}") from error
-        schema = meta.get("schema") if isinstance(meta, dict) else None
-        if schema != SCHEMA:
-            raise SurefootError(f"trace file {path}: schema {schema}, but surefoot reads schema {SCHEMA}")
-        names = {f.name for f in fields(cls)} - {"meta"}
-        if odd := names ^ {*arrays, *_OPTIONAL}:
-            raise SurefootError(f"trace file {path}: not an episode trace: missing or unknown {choices(sorted(odd))}")
         with prefix_errors(f"trace file {path}"):
+            arrays = read_npz(path)
+            try:
+                meta = json.loads(str(arrays.pop("meta", None)))
+            except ValueError:
+                meta = None
+            if not isinstance(meta, dict):
+                raise SurefootError("not an episode trace: it has no meta")
+            meta = _checked_meta(meta)  # Another schema may have other arrays.
+            if odd := {f.name for f in fields(cls)} - {"meta"} ^ {*arrays, *_OPTIONAL}:
+                raise SurefootError(f"not an episode trace: missing or unknown {choices(sorted(odd))}")
             return cls(meta=meta, **arrays)
 
 

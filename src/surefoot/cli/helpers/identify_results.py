@@ -63,17 +63,9 @@ def save_and_print(
     more: dict[str, Any],
     as_json: bool,
 ) -> None:
-    """Write parameters and report of an identification, and print it.
+    """Write `params` (robot.toml in the folder, if not given) and the report of data from `source`; print the result.
 
-    Args:
-        robot: its description.
-        prior: parameters before.
-        result: the identification.
-        params: file of parameters (.toml); robot.toml in the folder, if not given.
-        folder: of the report.
-        source: where the data come from.
-        more: further entries of the JSON object.
-        as_json: print one JSON object, not tables.
+    Printed are tables, or one JSON object with `more` entries.
     """
     # First what took a robot and a fit; a figure can be drawn again.
     files = [write_overlay(params or folder / "robot.toml", robot, overlay(prior, result, robot, source))]

@@ -61,7 +61,7 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
     """Run a plan on the robot that the command names, and keep the recording at a path, however it ended.
 
     Raises:
-        SurefootError: no robot or another one, nobody who says yes, or a robot that does not arm: nothing has moved.
+        SurefootError: no robot or another one, no confirmation, or a robot that does not arm: nothing has moved.
     """
     if not command.yes:
         check_terminal(PLACES[plan.rack])

@@ -39,7 +39,7 @@ class TrainingPage:
     """The training's side: writes the newest policy into the run's folder, and owns the page's process.
 
     Args:
-        run: the training.
+        loop: the training.
         port: TCP port of the page; 0 for a free one.
     """
 
@@ -57,7 +57,6 @@ class TrainingPage:
                 self._write()
 
     def _write(self) -> None:
-
         self._loop.learner.export(self._file)
         self._written = time.monotonic()
 

@@ -31,6 +31,8 @@ class SerialLink(RobotLink):
     pieces would wake the other end twice.
     """
 
+    advice = "check port, cable and baud rate, and that it is switched on"
+
     def __init__(self, port: SerialPort, codec: Codec, clock: Clock, session: int | None = None) -> None:
         super().__init__(clock, LEAD, session)
         self.port, self.codec = port, codec

@@ -7,8 +7,6 @@ readings are apart; the middle of this interval is taken as its time.
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -133,28 +131,13 @@ def read_log(path: Path, robot: RobotDescription) -> RobotLog:
         SurefootError: no such file, a damaged one, one with other arrays, of another robot, or refused by `RobotLog`.
     """
     with prefix_errors(f"log {path}"):
-        arrays = read_arrays(path)
+        arrays = read_npz(path)
         if "meta" in arrays:
             trace = EpisodeTrace.load(path)
             if trace.meta["robot"] != robot.name or tuple(trace.meta["motor_names"]) != robot.motor_names:
                 raise SurefootError(f"is of robot '{trace.meta['robot']}', not of '{robot.name}' with its motors")
             return log_from_trace(path.name, trace)
         return _log_from_arrays(path.name, arrays, robot)
-
-
-def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an .npz file by name.
-
-    Raises:
-        SurefootError: no such file, or one that is damaged, too large or holds objects; without its path.
-    """
-    try:
-        return read_npz(path)
-    except OSError as error:
-        raise SurefootError(f"can't be read: {error.strerror}") from error
-    # The last of these: a flipped bit that makes a member look encrypted, or packed in another way.
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, MemoryError) as error:
-        raise SurefootError(f"is no file of arrays (.npz): {' '.join(str(error).split())}") from error
 
 
 def _log_from_arrays(name: str, arrays: dict[str, NDArray[Any]], robot: RobotDescription) -> RobotLog:

@@ -23,7 +23,7 @@ import yaml
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import check_readable
-from surefoot.identify.logs.robot_log import read_arrays
+from surefoot.npz import read_npz
 
 FILE_BYTES = 1 << 28
 """Size of the largest file that is read."""
@@ -66,7 +66,7 @@ def read_table(path: Path) -> ColumnTable:
 
 
 def _read_npz(path: Path) -> ColumnTable:
-    return _table_from_arrays(read_arrays(path))
+    return _table_from_arrays(read_npz(path))
 
 
 def _table_from_arrays(arrays: Mapping[Any, Any]) -> ColumnTable:

@@ -92,15 +92,8 @@ def rack_observations(
         errors,
         np.broadcast_to(noise[:, None, None], (3, len(time), len(motors))),
         time[:, None],
-        {"leg": _leg_of_motor(robot)[motors]},
+        {"leg": np.array([np.argwhere(robot.leg_motor_index == motor)[0, 0] for motor in motors])},
     )
-
-
-def _leg_of_motor(robot: RobotDescription) -> NDArray[np.int64]:
-    legs = np.empty(robot.num_motors, np.int64)
-    for leg, motors in enumerate(robot.leg_motor_index):
-        legs[motors] = leg
-    return legs
 
 
 def rank_latencies(

@@ -33,7 +33,7 @@ def motor_plan(robot: RobotDescription) -> Plan:
     draw = generator(0, "motor experiment")
     middle = robot.pose_angles(0.0, use.stance)
     shift = np.zeros(motors)
-    # A leg's motors a quarter turn apart excite swing and extension; legs differ so that they can be told apart by eye.
+    # A leg's motors a quarter turn apart excite swing and extension; legs differ, to be distinguishable by eye.
     for leg, (first, second) in enumerate(robot.leg_motor_index):
         shift[first], shift[second] = 0.4 * leg, 0.4 * leg + np.pi / 2
     all_motors = np.ones(motors)

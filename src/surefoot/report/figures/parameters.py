@@ -46,18 +46,18 @@ def parameter_figure(
         path: PNG to write.
         trained_ranges: by name, the ranges trained with, by row. Without this nothing is drawn of training.
     """
-    if not any(row in one.rows for found in groups.values() for one in found):
+    if not any(row in one.rows for results in groups.values() for one in results):
         raise SurefootError(f"parameter figure: row '{row}' is in no test world of {', '.join(groups) or 'nothing'}")
     with new_figure(path, (8.6, 3.7), columns=2) as (figure, (left, right)):
         _returns(left, groups, row)
-        for number, (label, found) in enumerate(groups.items()):
-            if row not in found[0].rows:
+        for number, (label, results) in enumerate(groups.items()):
+            if row not in results[0].rows:
                 continue
-            worlds = [one.of_row(row) for one in found]
+            worlds = [one.of_row(row) for one in results]
             falls = np.array([100 * one.falls / one.episodes for one in worlds])
             _band(right, worlds[0].value, falls, number, label)
             if trained_ranges is not None:
-                _training(left, found[0], row, number, trained_ranges.get(label, {}).get(row))
+                _training(left, results[0], row, number, trained_ranges.get(label, {}).get(row))
         left.set_title("Return (m)")
         left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))
         right.set_title("Episodes with a fall (%)")
@@ -71,7 +71,7 @@ def parameter_figure(
 
 def parameters_figure(groups: Groups, path: str | Path) -> Path:
     """Draw the return against every parameter, a panel each, on one scale."""
-    rows = tuple(dict.fromkeys(row for found in groups.values() for one in found for row in one.rows))
+    rows = tuple(dict.fromkeys(row for results in groups.values() for one in results for row in one.rows))
     columns = min(len(rows), 5)
     lines = -(-len(rows) // columns)
     with new_figure(path, (2.7 * columns, 0.9 + 2.3 * lines), rows=lines, columns=columns) as (figure, axes):
@@ -103,8 +103,8 @@ def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path) -> 
             ax.plot(means, across, "o", color=color, alpha=0.55, markersize=2.8, markeredgewidth=0)
             ax.errorbar(result.mean, place, xerr=result.std, color=INK, linewidth=1.3, capsize=4.0)
             ax.plot(result.nominal["return"].mean(), place, "D", color="white", markeredgecolor=INK, markersize=5.5)
-            said = f"{result.mean:.2f} ± {result.std:.2f} m\n{100 * result.fall_rate:.1f} % fall"
-            ax.text(1.02, place, said, transform=ax.get_yaxis_transform(), va="center", fontsize=8.5, color=INK)
+            text = f"{result.mean:.2f} ± {result.std:.2f} m\n{100 * result.fall_rate:.1f} % fall"
+            ax.text(1.02, place, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8.5, color=INK)
         ax.axvline(0.0, color=QUIET, linewidth=0.8)
         place_labels(ax, [result.policy for result in sensitivities], vertical=True)
         ax.set_ylim(len(sensitivities) - 0.5, -0.5)
@@ -115,15 +115,15 @@ def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path) -> 
 
 def _returns(ax: Axes, groups: Groups, row: str) -> None:
     """Draw the return of every group against a parameter, and mark the nominal value."""
-    for number, (label, found) in enumerate(groups.items()):
-        if row in found[0].rows:
-            worlds = [one.of_row(row) for one in found]
+    for number, (label, results) in enumerate(groups.items()):
+        if row in results[0].rows:
+            worlds = [one.of_row(row) for one in results]
             returns = np.array([one.return_mean for one in worlds])
-            if len(found) == 1:
+            if len(results) == 1:
                 error = worlds[0].return_error.fillna(0.0)
                 returns = np.array([returns[0] - error, returns[0], returns[0] + error])
             _band(ax, worlds[0].value, returns, number, label)
-    nominal = {one.nominal_values[row] for found in groups.values() for one in found if row in one.nominal_values}
+    nominal = {one.nominal_values[row] for results in groups.values() for one in results if row in one.nominal_values}
     for value in sorted(nominal)[:1]:
         ax.axvline(value, color=QUIET, linewidth=0.9, linestyle=(0, (2, 2)), zorder=0, label="nominal")
 
