@@ -133,7 +133,7 @@ def test_train_help_shows_the_table(tmp_path: Path):
     assert re.search(r"imu_bias +-0\.05 to 0\.05\n", done.stdout)
 
 
-def test_an_evaluation_says_what_was_drawn(tmp_path: Path):
+def test_an_evaluation_reports_the_drawn_parameters(tmp_path: Path):
     words = ("evaluate", "trot", "--episodes", "2", "--json", "--seed", "3")
     ranges = ("--randomize", "table1", "--randomize.voltage", "14", "15", "--randomize.leg_mass_ratio", "none")
     drawn = surefoot(*words, *ranges, cwd=tmp_path)

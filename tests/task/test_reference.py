@@ -130,7 +130,7 @@ def from_file(path: Path) -> Reference:
 
 
 @pytest.mark.parametrize("name", ["gait.csv", "gait.npz"])
-def test_a_file_gives_what_its_rows_would(tmp_path: Path, name: str):
+def test_a_reference_from_a_file_equals_one_from_its_rows(tmp_path: Path, name: str):
     write(tmp_path / name, columns())
     time = np.linspace(0, 2, 37)
     assert np.array_equal(from_file(tmp_path / name).pose(time), read_reference(ROWS, ROBOT).pose(time))

@@ -228,7 +228,7 @@ def test_spinning_friction_stops_a_turning_robot_alike(robot: RobotDescription):
             world.step(world.resting_angles)
         rates = world.readings().angular_velocity_base[:, 2]
         turned.append(rates[0] - rates[1])
-    # Readings are 20 ms old, so that 40 ms tell; .27 kg m2 and the legs.
+    # Readings are 20 ms old, so that 40 ms are significant; .27 kg m2 and the legs.
     assert turned[0] == pytest.approx(0.1 * WEIGHT * 0.04 / 0.27, rel=0.25)
     assert turned[1] == pytest.approx(turned[0], rel=0.15)
 

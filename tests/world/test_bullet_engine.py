@@ -313,7 +313,7 @@ def test_clients_end_with_the_world(make_world):
     assert not any(pybullet.isConnected(client) for client in clients)
 
 
-def test_no_room_for_another_client_is_told(robot, monkeypatch):
+def test_bullet_reports_too_many_clients(robot, monkeypatch):
     def full(_mode: int) -> int:
         raise pybullet.error("Can not connect")
 
@@ -322,7 +322,7 @@ def test_no_room_for_another_client_is_told(robot, monkeypatch):
         BulletModel(robot, WorldConfig(), BulletSettings())
 
 
-def test_nothing_is_printed_but_what_the_user_prints():
+def test_bullet_prints_nothing():
     script = """
 from surefoot.robot import RobotDescription
 from surefoot.world.sim_world import SimWorld

@@ -35,7 +35,7 @@ def test_the_same_seed_gives_the_same_world(make_world, trot, assert_same, engin
 
 
 @pytest.mark.parametrize("actuator", ["dc", "constraint"])
-def test_a_state_goes_on_exactly_in_a_world_with_another_past(make_world, trot, assert_same, varied, engine, actuator):
+def test_a_state_continues_exactly_in_another_world(make_world, trot, assert_same, varied, engine, actuator):
     config = {"actuator": actuator, "thermal_protection": actuator == "dc", **START}
     values = varied(2, bullet=engine != "mujoco")
     world = make_world(2, seed=1, config=config, engine=engine, **values)

@@ -98,7 +98,7 @@ def test_a_ratio_of_one_is_the_nominal_robot_again(make_world, motion, assert_sa
         assert_same_motion(now, nominal, slice(i, i + 1))
 
 
-def test_what_mujoco_derives_from_masses_is_all_that_masses_and_rotors_change(robot):
+def test_masses_and_rotors_change_only_what_mujoco_derives_from_them(robot):
     # The engine copies these arrays between robots; another one that mj_setConst fills would be another robot's.
     model, nominal = build_model(robot), build_model(robot)
     model.body_mass[1:] *= 1.2
@@ -186,7 +186,7 @@ def test_active_robots_move_as_if_all_were(make_world, trot, assert_same):
     assert same_state(world.get_state(), all_go.get_state(), [0, 2])
 
 
-def test_a_robot_that_waited_goes_on_as_if_it_had_not(make_world, trot, assert_same):
+def test_an_inactive_robot_later_continues_unchanged(make_world, trot, assert_same):
     waits, goes = make_world(4, **BUSY), make_world(4, **BUSY)
     for k in range(15):
         waits.step(trot(k))
@@ -198,7 +198,7 @@ def test_a_robot_that_waited_goes_on_as_if_it_had_not(make_world, trot, assert_s
     assert same_state(waits.get_state(), goes.get_state(), [2])
 
 
-def test_what_is_sent_to_a_robot_that_waits_is_not_heard(make_world, trot, assert_same):
+def test_an_inactive_robot_ignores_its_target(make_world, trot, assert_same):
     # Not even if it is no number.
     world, other = make_world(4, **BUSY), make_world(4, **BUSY)
     active = np.array([True, False, True, True])

@@ -131,7 +131,7 @@ def test_the_greatest_viscous_friction_is_no_trouble_for_the_lightest_legs(make_
     assert before < 1e-3
 
 
-def test_params_outside_what_is_allowed_are_refused(robot):
+def test_params_out_of_bounds_are_refused(robot):
     params = PhysicalParams.nominal(robot, 1)
     params.voltage[0] = 100.0
     with pytest.raises(SurefootError, match=r"voltage is 100; minitaur allows 5 to 30"):
@@ -139,10 +139,11 @@ def test_params_outside_what_is_allowed_are_refused(robot):
 
 
 @pytest.mark.parametrize(
-    ("num_envs", "said"), [(3, "params are for 2 robots; the world has 3"), (0, "num_envs is 0; a world needs 1 robot")]
+    ("num_envs", "message"),
+    [(3, "params are for 2 robots; the world has 3"), (0, "num_envs is 0; a world needs 1 robot")],
 )
-def test_a_world_of_no_or_of_other_robots_is_refused(robot, num_envs, said):
-    with pytest.raises(SurefootError, match=said):
+def test_a_wrong_number_of_robots_is_refused(robot, num_envs, error):
+    with pytest.raises(SurefootError, match=error):
         SimWorld(robot, num_envs, PhysicalParams.nominal(robot, 2))
 
 
@@ -251,7 +252,7 @@ def test_reset_brings_back_the_start(make_world, trot, assert_same):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_target_that_is_none_puts_back_that_robot_alone(make_world, trot, assert_same, bad):
+def test_a_target_that_is_not_finite_resets_only_that_robot(make_world, trot, assert_same, bad):
     world, other = make_world(3), make_world(3)
     for k in range(10):
         world.step(trot(k))

@@ -75,7 +75,7 @@ class TracesCommand:
 
 
 def check_identifiable(robot: RobotDescription) -> None:
-    """Refuse a robot that the experiments and fits are not made for."""
+    """Refuse a robot without five-bar legs and DC motors, which the experiments need."""
     if robot.actuator.kind != "dc" or not isinstance(robot.leg_geometry, FiveBar):
         raise SurefootError(f"identify takes robots with five-bar legs and DC motors; {robot.name} has others")
 

@@ -102,7 +102,7 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
 
 
 def _robot_name(argv: list[str]) -> str | None:
-    """Return the robot that the words name: it decides where the task's own values come from."""
+    """Return the value of `--task.robot`, on which the defaults of the other options depend; None without it."""
     for word, after in zip(argv, [*argv[1:], ""], strict=True):
         name, _, value = word.partition("=")
         if name == "--task.robot":

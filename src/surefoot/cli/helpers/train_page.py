@@ -36,10 +36,10 @@ _CRUISE_SHARE = 0.5
 
 
 class TrainingPage:
-    """The training's side: writes the newest policy into the run's folder, and owns the page's process.
+    """Writes the newest policy into the run's folder during a training, and starts the process that shows it.
 
     Args:
-        run: the training.
+        loop: the training.
         port: TCP port of the page; 0 for a free one.
     """
 
@@ -69,7 +69,7 @@ class TrainingPage:
 
 
 class NewestPolicy(DrivePage):
-    """The page's side: the simulation goes on with each new policy.
+    """Page of a simulated robot that runs the training's newest policy, and reloads it whenever its file changes.
 
     Args:
         file: file of the newest policy.

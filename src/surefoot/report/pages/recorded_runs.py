@@ -257,7 +257,7 @@ def _link_frames(robot: RobotDescription, base: str) -> dict[str, str]:
 def _viewer(
     traces: Sequence[ShownTrace], runs: Sequence[dict[str, Any]], paths: Sequence[Array], size: float, tinted: bool
 ) -> str:
-    """Return viser's page with the robots at rest, `tinted` by a color of their own or not."""
+    """Return viser's page with the robots in their resting poses; with `tinted`, each in a color of its own."""
     server = quiet_server()
     try:
         stage = server.scene
