@@ -218,9 +218,9 @@ def test_a_killed_host_leaves_its_run_behind_and_loses_the_robot_to_the_next_one
     assert trace.num_steps > 10
     assert trace.meta["ended"] == "fault"
     assert trace.meta["robot_time_start"] > 0.0
-    ((path, found),) = find_traces(tmp_path)
+    ((path, loaded),) = find_traces(tmp_path)
     assert path == partial
-    assert found.num_steps == trace.num_steps
+    assert loaded.num_steps == trace.num_steps
     done = deploy(port, "--duration", "0.1", "--out", str(tmp_path))
     assert done.returncode == 0, done.stderr
 

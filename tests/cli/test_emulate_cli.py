@@ -81,10 +81,10 @@ def test_hidden_parameters_go_to_the_file_alone(robot, tmp_path):
     file = tmp_path / "hidden.toml"
     done = surefoot("emulate", "--hidden-seed", "5", "--hidden-out", file, "--duration", "0.01")
     assert done.returncode == 0
-    found = read_params(file, robot)
-    assert found.tables["origin"] == {"hidden_seed": 5}
-    assert 14.0 <= found.params.voltage[0] <= 16.8
-    assert f"{found.params.voltage[0]:.2f}" not in done.stdout + done.stderr
+    file_params = read_params(file, robot)
+    assert file_params.tables["origin"] == {"hidden_seed": 5}
+    assert 14.0 <= file_params.params.voltage[0] <= 16.8
+    assert f"{file_params.params.voltage[0]:.2f}" not in done.stdout + done.stderr
     # The file makes the same robot.
     assert surefoot("emulate", "--params", file, "--set", "voltage=15.5", "--duration", "0.01").returncode == 0
 

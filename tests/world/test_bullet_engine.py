@@ -262,8 +262,8 @@ def test_robots_stand_on_feet_of_any_stiffness_from_the_start(make_world):
 def test_the_published_settings_reach_bullet(robot):
     world = SimWorld(robot, 1, engine="bullet-published")
     model = world.engine.models[0]
-    found = pybullet.getPhysicsEngineParameters(model.client)
-    assert found["gravityAccelerationZ"] == -10.0
+    parameters = pybullet.getPhysicsEngineParameters(model.client)
+    assert parameters["gravityAccelerationZ"] == -10.0
     (ground,) = pybullet.getCollisionShapeData(model.ground, -1, model.client)
     assert (ground[2], ground[3]) == (pybullet.GEOM_BOX, (200.0, 200.0, 10.0))
     for leg, link in zip(robot.legs, model.feet, strict=True):

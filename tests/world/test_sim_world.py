@@ -62,9 +62,9 @@ def test_foot_positions_are_those_of_now(make_world, trot):
     start = world.foot_positions()
     for k in range(60):
         world.step(trot(k))
-    given = world.foot_positions()
+    before = world.foot_positions()
     mujoco.mj_kinematics(world.engine.models[0], world.engine.datas[0])
-    np.testing.assert_allclose(given, world.foot_positions(), atol=1e-9)
+    np.testing.assert_allclose(before, world.foot_positions(), atol=1e-9)
     world.reset()
     np.testing.assert_allclose(world.foot_positions(), start, atol=1e-9)
 
@@ -142,8 +142,8 @@ def test_params_out_of_bounds_are_refused(robot):
     ("num_envs", "message"),
     [(3, "params are for 2 robots; the world has 3"), (0, "num_envs is 0; a world needs 1 robot")],
 )
-def test_a_wrong_number_of_robots_is_refused(robot, num_envs, error):
-    with pytest.raises(SurefootError, match=error):
+def test_a_wrong_number_of_robots_is_refused(robot, num_envs, message):
+    with pytest.raises(SurefootError, match=message):
         SimWorld(robot, num_envs, PhysicalParams.nominal(robot, 2))
 
 
@@ -287,11 +287,11 @@ def test_a_state_gives_back_noise_over_many_blocks(make_world, assert_same):
 )
 def test_refused_parameters_change_no_robot(make_world, values, rule):
     world = make_world(2)
-    given = world.params.rows([0]).with_values(world.robot, voltage=14.0, **values)
+    new_params = world.params.rows([0]).with_values(world.robot, voltage=14.0, **values)
     if not values:
-        given.imu_noise[0] = 9.0
+        new_params.imu_noise[0] = 9.0
     with pytest.raises(SurefootError, match=rule):
-        world.set_params([1], given)
+        world.set_params([1], new_params)
     assert world.params.voltage.tolist() == world.actuation.voltage.tolist() == [16.0, 16.0]
 
 

@@ -140,7 +140,7 @@ def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
     """Return the ranges that a policy of a task was trained in, by row."""
     robot = RobotDescription.load(task.robot)
     nominal = task.nominal(robot)
-    ranges = {name: mean_interval(given, getattr(nominal, name)) for name, given in task.randomize.items()}
+    ranges = {name: mean_interval(interval, getattr(nominal, name)) for name, interval in task.randomize.items()}
     return ranges | {PUSH_FORCE: task.pushes.force_range(robot.weight) if task.pushes.enabled else (0.0, 0.0)}
 
 
