@@ -98,7 +98,7 @@ def main() -> None:
     print(f"Ray started in {began:.1f} s; {options.steps:,} control steps a training")
     for name, values in rates.items():
         print(
-            f"{name:<5} {3600 * sorted(values)[len(values) // 2]:8.1f} trainings an hour (median of {len(values)} turns)"
+            f"{name:<5} {3600 * sorted(values)[len(values) // 2]:8.1f} trainings an hour (median, {len(values)} turns)"
         )
     for what, (low, middle, high) in overheads.items():
         print(f"{what}: {middle:+.1f} % of the bare loop's time (quartiles {low:+.1f} to {high:+.1f})")

@@ -42,7 +42,7 @@ Side = str | Path
 
 
 def parse_side(option: str, words: Sequence[str]) -> Side:
-    """Return the side in the words behind `--from` or `--to`: one world, or `trace FOLDER`."""
+    """Parse the values of `--from` or `--to`: one world, or `trace FOLDER`."""
     if len(words) == 2 and words[0] == TRACE:
         return Path(words[1])
     if len(words) == 1 and words[0] != TRACE:
@@ -133,7 +133,7 @@ class GapCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; returns the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
     from surefoot.cli.helpers.policies import load_policies, run_policy
     from surefoot.world.registry import find_world

@@ -186,7 +186,7 @@ def run_sensitivity(
         duration: length of an episode [s]; `task.max_steps` nominal control steps, if not given.
         seed: the one seed.
         threads: threads of the simulation; 0 means one a core.
-        pushes: whether the base is pushed, as the task says how, every push in full.
+        pushes: whether the base is pushed, with the task's settings, every push in full.
         robots: most robots side by side, for engines that take much memory for each; 0 means all. The result does not
             depend on it.
         progress: called with the share of the control steps that is done; an episode that ends early is done.

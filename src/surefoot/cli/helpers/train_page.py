@@ -93,7 +93,7 @@ class NewestPolicy(DrivePage):
 
 
 def main(argv: list[str]) -> int:
-    """Run the page's process, with the words FILE WORLD PORT, until it is terminated or its input ends."""
+    """Run the page's process, with the arguments FILE WORLD PORT, until it is terminated or its input ends."""
 
     def end_with_input() -> None:
         sys.stdin.read()
