@@ -15,7 +15,7 @@ from surefoot.report.pages.recorded_runs import ShownTrace, recording_page
 
 SECONDS = 5.0
 STEPS = ((0.0, 0.7, 0.0, 0.0), (1.7, 0.5, 0.0, 0.8), (3.4, 0.0, 0.8, 0.0))
-"""Commands of policies that take them: start [s], and shares of the greatest forward, left and yaw rate."""
+"""Commands of steered policies: start [s], and shares of the greatest forward, left and yaw rate."""
 
 
 def recorded(name: str) -> ShownTrace:

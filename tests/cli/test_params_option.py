@@ -40,7 +40,6 @@ AS_JSON = {name: list(value) if isinstance(value, tuple) else value for name, va
 SOURCE = {"file": "robot.toml", "sha256": hashlib.sha256(TEXT.encode()).hexdigest()}
 ONE = ("--threads", "1")
 SHORT = ("--episodes", "2", *ONE)
-TASK = TaskConfig(params={"voltage": 15.0, "control_latency": 0.02})
 
 
 @pytest.fixture(autouse=True)
@@ -61,19 +60,39 @@ def result(line: str, *more: str) -> dict[str, Any]:
 # --- the task ---------------------------------------------------------------------------------------------
 
 
-def test_file_replaces_the_tasks_parameters():
-    former = TaskConfig(params={"resistance": 0.2, "voltage": 14.0, "control_step": 0.008}, params_source={"file": "x"})
-    task = Simulator(params=Path("robot.toml")).apply(former)
-    assert task.params == {**VALUES, "control_step": 0.008}
-    assert task.params_source == SOURCE
-    assert Simulator().apply(task) == task
+FILE = Path("robot.toml")
+TASK = TaskConfig(params={"resistance": 0.2, "voltage": 15.0, "control_step": 0.008}, params_source={"file": "x"})
 
 
-def test_options_and_settings_override_the_file():
-    task = Simulator(servo_latency=0.001, params=Path("robot.toml")).apply(TaskConfig(), {"voltage": 15.0})
-    assert task.params == {**VALUES, "servo_latency": 0.001, "voltage": 15.0}
+@pytest.mark.parametrize(
+    ("simulator", "settings", "changes"),
+    [
+        (Simulator(), {}, {}),
+        (Simulator(params=FILE), {}, {"params": {**VALUES, "control_step": 0.008}, "params_source": SOURCE}),
+        (
+            Simulator(servo_latency=0.001, params=FILE),
+            {"voltage": 15.0},
+            {
+                "params": {**VALUES, "control_step": 0.008, "servo_latency": 0.001, "voltage": 15.0},
+                "params_source": SOURCE,
+            },
+        ),
+        (
+            Simulator("constraint", control_latency=0.0),
+            {"voltage": 14.0},
+            {"actuator": "constraint", "params": {**TASK.params, "control_latency": 0.0, "voltage": 14.0}},
+        ),
+    ],
+)
+def test_file_replaces_parameters_and_options_override_it(
+    simulator: Simulator, settings: dict[str, Any], changes: dict[str, Any]
+):
+    assert simulator.apply(TASK, settings) == replace(TASK, **changes)
+
+
+def test_latency_given_twice_is_refused():
     with pytest.raises(SurefootError, match="servo_latency is given twice"):
-        Simulator(servo_latency=0.001, params=Path("robot.toml")).apply(TaskConfig(), {"servo_latency": 0.0})
+        Simulator(servo_latency=0.001).apply(TaskConfig(), {"servo_latency": 0.0})
 
 
 def test_control_step_of_a_file_must_be_the_tasks():
@@ -83,15 +102,6 @@ def test_control_step_of_a_file_must_be_the_tasks():
     assert Simulator(params=Path("all.toml")).apply(TaskConfig()).params["control_step"] == own
     with pytest.raises(SurefootError, match=rf"all\.toml: control_step is {own:g}, and the task's is 0\.01"):
         Simulator(params=Path("all.toml")).apply(TaskConfig(params={"control_step": 0.01}))
-
-
-def test_options_override_the_task():
-    assert Simulator().apply(TASK) == TASK
-    assert Simulator().apply(TASK, {"control_latency": 0.01}).params["control_latency"] == 0.01
-    task = Simulator("constraint", 0.0, 0.003).apply(TASK)
-    assert task == replace(
-        TASK, actuator="constraint", params={"voltage": 15.0, "control_latency": 0.0, "servo_latency": 0.003}
-    )
 
 
 # --- commands that run a policy ---------------------------------------------------------------------------
@@ -148,20 +158,7 @@ TINY = ["--num-envs", "8", "--steps-per-update", "8", "--steps", "128", "--evalu
 TINY += ["--evaluation-episodes", "2", "--task.max-steps", "40", "--threads", "1", "--learning-threads", "1"]
 
 
-def test_train_keeps_the_robot_in_its_configuration():
-    pytest.importorskip("torch")
-    from surefoot.cli.train import _parse
-
-    task = _parse(["trot", "--params", "robot.toml", *TINY])[0].task
-    assert (task.params, task.params_source) == (VALUES, SOURCE)
-    task = _parse(["trot", "--control-latency", "0.012", "--params=robot.toml"])[0].task
-    assert task.params == {**VALUES, "control_latency": 0.012}
-    task = _parse(["trot", "--task.params", "voltage", "15", "--params", "robot.toml"])[0].task
-    assert task.params == {**VALUES, "voltage": 15.0}
-    assert _parse(["trot"])[0].task.params_source == {}
-
-
-def test_train_takes_the_options():
+def test_train_takes_simulator_and_file():
     pytest.importorskip("torch")
     from surefoot.cli.train import _parse
 
@@ -170,7 +167,12 @@ def test_train_takes_the_options():
     assert (config.task.actuator, command.runs) == ("constraint", Path("r"))
     assert config.task.params == {"control_latency": 0.0, "servo_latency": 0.003}
     assert (config.task.max_steps, config.task.pushes.enabled) == (60, True)
-    assert _parse(["trot"])[0].task.actuator == "dc"
+    task = _parse(["trot", "--task.params", "voltage", "15", "--control-latency", "0.012", "--params=robot.toml"])[
+        0
+    ].task
+    assert (task.params, task.params_source) == ({**VALUES, "control_latency": 0.012, "voltage": 15.0}, SOURCE)
+    task = _parse(["trot"])[0].task
+    assert (task.actuator, task.params_source) == ("dc", {})
 
 
 def test_train_refuses_a_file_of_another_robot_than_named(here: Path):

@@ -177,6 +177,7 @@ sit = [0.0, 0.9] => sit = [0.9] => poses.sit has 1 numbers ... swing, extension
 sit = [0.0, 0.9] => sit = [0.0, 0.5] => poses.sit has extension 0.5 ... 0.6 to 2.7
 low = 14.0 => low = 15.0 => battery: empty is 12.5 V, low 15 V, warn 14.4 V; they must rise
 kind = "dc" => kind = "steam" => actuator.kind is 'steam' ... choices: dc, joint
+kp = 1.0 => kp = 0.0 => actuator.kp is 0 ... over 0
 kp = 1.0 => kp = [1.0, 2.0, 3.0] => actuator.kp has 3 numbers ... it takes one, 2 for ... or 8 in the
 voltage = [5.0, 30.0] => voltage = [30.0, 5.0] => allowed.voltage ... the lower bound must come first
 voltage = [5.0, 30.0] => voltage = [17.0, 30.0] => nominal voltage is 16 ... 17 to 30 ... unit: V

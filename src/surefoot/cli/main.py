@@ -54,21 +54,8 @@ _EXTRAS = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command, by default that of the process; return 0, 2 for an error of the user, or 130 when interrupted."""
-    words = list(sys.argv[1:] if argv is None else argv)
-    if not words or words[0] in ("-h", "--help", "help"):
-        commands = table_lines({name: purpose for name, (_, purpose) in COMMANDS.items()})
-        print(_USAGE.format(commands=commands), file=sys.stdout if words else sys.stderr)
-        return 0 if words else 2
-    if words[0] == "--version":
-        print(f"surefoot {__version__}")
-        return 0
-    if words[0] not in COMMANDS:
-        return _fail(f"'{words[0]}' is not a command; choices: {choices(COMMANDS)}")
-    if not all(word.isprintable() for word in words):
-        return _fail("the arguments hold characters that can't be printed; use UTF-8 without control characters")
-    enable_interrupt()
     try:
-        code: int = importlib.import_module(COMMANDS[words[0]][0]).main(words[1:])
+        code = _run(list(sys.argv[1:] if argv is None else argv))
         sys.stdout.flush()
         return code
     except SurefootError as error:
@@ -88,6 +75,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("surefoot: interrupted", file=sys.stderr)
         return 130
+
+
+def _run(words: list[str]) -> int:
+    if not words or words[0] in ("-h", "--help", "help"):
+        commands = table_lines({name: purpose for name, (_, purpose) in COMMANDS.items()})
+        print(_USAGE.format(commands=commands), file=sys.stdout if words else sys.stderr)
+        return 0 if words else 2
+    if words[0] == "--version":
+        print(f"surefoot {__version__}")
+        return 0
+    if words[0] not in COMMANDS:
+        raise SurefootError(f"'{words[0]}' is not a command; choices: {choices(COMMANDS)}")
+    if not all(word.isprintable() for word in words):
+        raise SurefootError("the arguments hold characters that can't be printed; use UTF-8 without control characters")
+    enable_interrupt()
+    code: int = importlib.import_module(COMMANDS[words[0]][0]).main(words[1:])
+    return code
 
 
 def _find_extra(module: str) -> str | None:

@@ -57,7 +57,6 @@ class TrainingPage:
                 self._write()
 
     def _write(self) -> None:
-
         self._loop.learner.export(self._file)
         self._written = time.monotonic()
 

@@ -25,7 +25,7 @@ from surefoot.evaluate.foot_forces import foot_forces
 from surefoot.evaluate.tracking import motion
 from surefoot.report.drawing.scene import extent, poses, scene
 from surefoot.report.pages.html import document
-from surefoot.report.pages.view import add_ground, add_shape, bare_viewer, quiet_server
+from surefoot.report.pages.view import add_path, add_shape, add_world, bare_viewer, quiet_server
 from surefoot.robot import RobotDescription
 from surefoot.robot.urdf import GREY
 from surefoot.rotations import in_heading_frame, matrix_quat, quat_yaw, rpy_quat
@@ -261,9 +261,7 @@ def _viewer(
     server = quiet_server()
     try:
         stage = server.scene
-        stage.set_up_direction("+z")
-        stage.add_frame("/world", show_axes=False)
-        add_ground(stage, "/world/ground", size)
+        add_world(stage, size)
         for number, (one, run, path) in enumerate(zip(traces, runs, paths, strict=True)):
             _add_robot(stage, one.robot, run, path, _COLORS[number % len(_COLORS)] if tinted else None)
         # The page sets the distance, so that it fits the robots that are shown.
@@ -301,7 +299,5 @@ def _add_robot(
         stage.add_arrows(f"{node}/{name}", up, color, shaft_radius=0.028, head_radius=0.07, head_length=0.22)
     length = np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0, prepend=path[:1, :2]), axis=1))
     corners = np.unique(np.floor(length / (0.05 * size)), return_index=True)[1]
-    line = path[corners] * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.004]
-    if len(line) > 1:
-        stage.add_line_segments(f"{node}/path", np.stack([line[:-1], line[1:]], axis=1), tint or GREY, thickness=0.008)
+    add_path(stage, f"{node}/path", path[corners] * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.004], tint or GREY)
     stage.add_frame(f"{node}/last", show_axes=False)  # the page waits for it

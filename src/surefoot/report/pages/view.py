@@ -41,10 +41,12 @@ def quiet_server() -> viser.ViserServer:
         return viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
 
 
-def add_ground(scene: viser.SceneApi, name: str, size: float) -> None:
-    """Add the ground for robots of a size [m]."""
+def add_world(scene: viser.SceneApi, size: float) -> viser.FrameHandle:
+    """Add the frame of the world, with the ground for robots of a size [m]; return the frame."""
+    scene.set_up_direction("+z")
+    world = scene.add_frame("/world", show_axes=False)
     scene.add_grid(
-        name,
+        "/world/ground",
         infinite_grid=True,
         position=(0.0, 0.0, float(FLAT.height(np.zeros(2)))),
         cell_size=0.25,
@@ -53,6 +55,13 @@ def add_ground(scene: viser.SceneApi, name: str, size: float) -> None:
         plane_color=(208, 213, 216),
         plane_opacity=1.0,
     )
+    return world
+
+
+def add_path(scene: viser.SceneApi, name: str, points: Array, color: tuple[int, int, int]) -> None:
+    """Add a path through points (N, 3) [m]; nothing for fewer than two."""
+    if len(points) > 1:
+        scene.add_line_segments(name, np.stack([points[:-1], points[1:]], axis=1), color, thickness=0.008)
 
 
 def add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
@@ -84,9 +93,7 @@ class RobotView:
         self._at, self._size = np.zeros(2), size
         with server.atomic():
             server.scene.reset()
-            server.scene.set_up_direction("+z")
-            self._world = server.scene.add_frame("/world", show_axes=False)
-            add_ground(server.scene, "/world/ground", size)
+            self._world = add_world(server.scene, size)
             for k, shape in enumerate(scene(robot)):
                 if shape.link not in self._links:
                     self._links[shape.link] = server.scene.add_frame(f"/world/{shape.link}", show_axes=False)
@@ -109,10 +116,7 @@ class RobotView:
                 self._trail.clear()
             if not self._trail or np.linalg.norm(at[:2] - self._trail[-1][:2]) > 0.05 * self._size:
                 self._trail.append(np.array([*at[:2], FLAT.height(at[:2]) + 0.004]))
-                if len(self._trail) > 1:
-                    line = np.array(self._trail)
-                    pieces = np.stack([line[:-1], line[1:]], axis=1)
-                    self._server.scene.add_line_segments("/world/trail", pieces, GREY, thickness=0.008)
+                add_path(self._server.scene, "/world/trail", np.array(self._trail), GREY)
         self.frames += 1
 
     def stop(self) -> None:
