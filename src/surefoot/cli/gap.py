@@ -24,7 +24,7 @@ from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.simulator import RunOptions, Simulator, describe_simulator, with_duration
 from surefoot.configuration import Duration
-from surefoot.errors import SurefootError, check_name
+from surefoot.errors import SurefootError, check_name, prefix_errors
 
 if TYPE_CHECKING:
     from surefoot.cli.helpers.policies import Candidate
@@ -158,7 +158,8 @@ def main(argv: list[str]) -> int:
             continue
         traces = find_traces(side)
         recorded[side] = assign_to_policies(traces, [one.name for one in candidates], robot.name)
-        worlds.append(common_value([trace for _, trace in traces], "world"))
+        with prefix_errors(_text(side)):
+            worlds.append(common_value([trace for _, trace in traces], "world"))
     labels = make_labels(worlds, sides)
     for one, (at_home, _) in zip(candidates, tasks, strict=True):
         for path, trace in [pair for part in recorded.values() for pair in part[one.name]]:
