@@ -582,7 +582,7 @@ def test_row_10_a_full_disk(ended):
     assert (ended.run["ended"], ended.run["steps"], ended.run["trace"]) == ("time", 100, None)
     assert "surefoot: recording stopped: File too large; the robot goes on" in ended.messages
     assert any(note.startswith("recording stopped") for note in ended.run["notes"])
-    # The robot went on to the end; only the code tells that the trace was lost.
+    # The robot went on to the end; only the exit code reports the lost trace.
     assert_sat_and_disarmed(ended.record)
     assert ended.record.host_packets(Damp) == []
     assert ended.code == 3

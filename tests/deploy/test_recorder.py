@@ -61,7 +61,7 @@ def test_a_row_has_its_start_and_the_state_of_its_end(recorded):
     assert columns["energy"].tolist() == [1.0, 3.0, 5.0]
 
 
-def test_missed_steps_repeat_what_the_servos_held(recorded):
+def test_missed_steps_repeat_the_target_that_servos_held(recorded):
     recorder, state = recorded
     recorder.open(*opened(3))
     recorder.close(6, state(6), 100.036)
@@ -95,7 +95,7 @@ def test_energy_that_starts_anew_counts_nothing(recorded):
     assert LAYOUT.columns(recorder.rows)["energy"][3] == 0.0
 
 
-def test_what_the_robot_does_not_know_is_nan_in_the_trace(recorded):
+def test_quantities_the_robot_does_not_measure_are_nan_in_the_trace(recorded):
     trace = make_trace(LAYOUT, recorded[0].rows, META)
     assert trace.num_steps == 3
     assert np.isnan(trace.base_position_world).all()

@@ -153,7 +153,7 @@ def test_a_command_at_the_limits_of_the_handshake_is_obeyed(robot, monkeypatch, 
     (sent,) = bench.send(Hello(ME, 0.010))
     bench.arm()
     for angles in (sent.angle_low, sent.angle_high):
-        target = angles.astype(np.float32).astype(np.float64)  # what the host is told
+        target = angles.astype(np.float32).astype(np.float64)  # as the host receives it
         assert bench.send(Position(ME, target)) == []
         bench.run(1)
         assert bench.firmware.mode == Mode.POSITION

@@ -189,7 +189,7 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
 
 
 def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return a task file's table laid over that of its `base`, the name of a task for any robot, if it names one."""
+    """Return a task file's table merged over that of the preset that its key `base` names, if it has one."""
     base = data.pop("base", None)
     if base is None:
         return data
