@@ -67,7 +67,7 @@ class Command:
     threads: int = 0
     """Threads of the simulation; 0 means one a core."""
     missing: bool = True
-    """Run what is missing; else tell of what is there."""
+    """Run what is missing; else report the results that exist."""
     draw: bool = False
     """Draw the footfalls of each gait's first episode in MuJoCo too."""
 
@@ -137,13 +137,13 @@ def at_equal_speed(one: dict[str, Any], others: list[dict[str, Any]]) -> float:
     Only gaits without a fall count; NaN where none is as slow, or as fast.
     """
     points = sorted((row["speed"], row["power"]) for row in others if row["falls"] == 0)
-    found = [
+    selected = [
         a[1] + (b[1] - a[1]) * (one["speed"] - a[0]) / (b[0] - a[0])
         for a in points
         for b in points
         if a[0] <= one["speed"] <= b[0] and a[0] < b[0]
     ]
-    return min(found, default=math.nan)
+    return min(selected, default=math.nan)
 
 
 def figure(rows: list[dict[str, Any]], conditions: tuple[str, ...], path: Path) -> Path:
@@ -177,11 +177,11 @@ def main(command: Command) -> None:
     if path.exists():
         with path.open(newline="") as file:
             kept = list(csv.DictReader(file))
-    found = list(entries(command.folder, command.policies))
-    known = {(entry.name, entry.digest) for entry in found}
-    kept = [row for row in kept if (row["gait"], row["digest"]) in known]
+    selected = list(entries(command.folder, command.policies))
+    current = {(entry.name, entry.digest) for entry in selected}
+    kept = [row for row in kept if (row["gait"], row["digest"]) in current]
     for condition in command.conditions:
-        for entry in found:
+        for entry in selected:
             have = [row for row in kept if (row["gait"], row["condition"]) == (entry.name, condition)]
             if command.missing and len(have) < command.episodes:
                 kept = [row for row in kept if row not in have] + run(entry, condition, command)
@@ -190,7 +190,7 @@ def main(command: Command) -> None:
     weight = RobotDescription.load("minitaur").urdf.total_mass * GRAVITY
     rows = []
     for condition in command.conditions:
-        for entry in found:
+        for entry in selected:
             own = [row for row in kept if (row["gait"], row["condition"]) == (entry.name, condition)]
             rows += [summary(own, weight)] if own else []
     write_csv(command.folder / "table.csv", rows)

@@ -146,16 +146,16 @@ class Tape(SerialPort):
 
 
 class Listener(Decoder):
-    """A decoder that remembers what it has found."""
+    """A decoder that keeps all decoded packets."""
 
     def __init__(self) -> None:
         super().__init__(CODEC)
         self.heard: list[Packet] = []
 
     def feed(self, data: bytes) -> list[Packet]:
-        found = super().feed(data)
-        self.heard += found
-        return found
+        received = super().feed(data)
+        self.heard += received
+        return received
 
 
 @dataclass
@@ -167,15 +167,15 @@ class Result:
     fates: dict[str, int] = field(default_factory=dict)
     whole: int = 0
     """Frames on the line whose bytes are as they were sent; doubled ones count twice."""
-    found: int = 0
+    received: int = 0
     wrong: int = 0
     """Frames that came out and are not as they were sent, or not at their place."""
     lost: int = 0
     """Whole frames that did not come out, and frames that nothing happened to but that were not whole on the line."""
     taken: int = 0
-    """Of those found, in order of their numbers."""
+    """Of those received, in order of their numbers."""
     repeated: int = 0
-    """Of those found, dropped because their number was not above the last one's."""
+    """Of those received, dropped because their number was not above the last one's."""
     wrongly_taken: int = 0
     wrongly_dropped: int = 0
     damaged_pieces: int = 0
@@ -245,7 +245,7 @@ def soak(count: int, seed: int) -> Result:
             for frame in listener.heard
         ]
         listener.heard.clear()
-        result.found += len(heard)
+        result.received += len(heard)
         result.whole += len(whole)
         if heard != whole:
             extra, missing = Counter(heard) - Counter(whole), Counter(whole) - Counter(heard)
@@ -277,7 +277,7 @@ def main() -> int:
     print(f"{result.frames:,} frames sent, {result.bytes_on_line:,} bytes on the line, {result.seconds:.1f} s")
     for fate in [*FATES[0], "(garbage between)"]:
         print(f"  {result.fates.get(fate, 0):>9,}  {fate}")
-    print(f"  {result.whole:>9,}  whole on the line, {result.found:,} found: {result.wrong} wrong, {result.lost} lost")
+    print(f"  {result.whole:>9,}  whole, {result.received:,} received: {result.wrong} wrong, {result.lost} lost")
     print(f"  {result.taken:>9,}  taken: {result.wrongly_taken} wrongly, {result.wrongly_dropped} wrongly dropped")
     print(f"  {result.repeated:>9,}  dropped by their number, which was not above the last one's")
     print(f"  {result.damaged_pieces:>9,}  damaged pieces between zeros")

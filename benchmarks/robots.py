@@ -46,8 +46,8 @@ def with_half_step(robot: RobotDescription, folder: Path) -> Path:
     copy = folder / robot.name
     shutil.copytree(robot.folder, copy, ignore=shutil.ignore_patterns("__pycache__"))
     sheet, half = (copy / "robot.toml").read_text(), f"servo_step = {robot.timing.servo_step / 2:g}"
-    text, found = re.subn(r"^servo_step = [^ \n#]+", half, sheet, flags=re.M)
-    if not found:
+    text, count = re.subn(r"^servo_step = [^ \n#]+", half, sheet, flags=re.M)
+    if not count:
         text = re.sub(r"^\[timing\]$", f"[timing]\n{half}", sheet, flags=re.M) if "[timing]" in sheet else ""
         text = text or f"{sheet}\n[timing]\n{half}\n"
     (copy / "robot.toml").write_text(text)

@@ -92,13 +92,13 @@ def main() -> None:
         "overhead of a warm worker": [100 * (ratio - 1) for ratio in ratio_quartiles(warm, "bare", "warm")],
     }
     if options.json:
-        hourly = {name: [3600 * rate for rate in found] for name, found in rates.items()}
+        hourly = {name: [3600 * rate for rate in values] for name, values in rates.items()}
         print(json.dumps({"ray_start_seconds": began, "trainings_an_hour": hourly, "percent": overheads}))
         return
     print(f"Ray started in {began:.1f} s; {options.steps:,} control steps a training")
-    for name, found in rates.items():
+    for name, values in rates.items():
         print(
-            f"{name:<5} {3600 * sorted(found)[len(found) // 2]:8.1f} trainings an hour (median of {len(found)} turns)"
+            f"{name:<5} {3600 * sorted(values)[len(values) // 2]:8.1f} trainings an hour (median, {len(values)} turns)"
         )
     for what, (low, middle, high) in overheads.items():
         print(f"{what}: {middle:+.1f} % of the bare loop's time (quartiles {low:+.1f} to {high:+.1f})")

@@ -157,7 +157,7 @@ class Bench:
         table1 = load_ranges("table1", robot=self.env.task.robot)
         self.episode_env = self._env(self.env.task, self.env.task.randomize)
         self.drawn_env = self._env(
-            self.env.task, {name: given for name, given in table1.items() if name != "control_step"}
+            self.env.task, {name: interval for name, interval in table1.items() if name != "control_step"}
         )
         self.unequal_env = self._env(self.env.task, {"control_step": table1["control_step"]})
         self.redraw_seconds = 0.0

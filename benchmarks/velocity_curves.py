@@ -62,8 +62,8 @@ def first_under(run: Run, ending: str, limit: tuple[float, ...]) -> float:
 
 def factor(times: list[float], base: list[float]) -> Interval:
     """Return how many times longer, from the logarithms of times."""
-    found = welch_interval(np.log(times), np.log(base))
-    return Interval(math.exp(found.mean), math.exp(found.low), math.exp(found.high))
+    interval = welch_interval(np.log(times), np.log(base))
+    return Interval(math.exp(interval.mean), math.exp(interval.low), math.exp(interval.high))
 
 
 def draw(runs: dict[str, list[Run]], path: Path) -> None:
@@ -89,14 +89,14 @@ def main(folder: Annotated[Path, tyro.conf.Positional] = Path("results/steer")) 
     for ending, limits in LIMITS.items():
         for limit in limits:
             times = {start: [first_under(run, ending, limit) for run in group] for start, group in runs.items()}
-            known = all(map(math.isfinite, chain(*times.values())))
+            finite = all(map(math.isfinite, chain(*times.values())))
             texts = {STARTS[start]: ", ".join(f"{time:.1f}" for time in group) for start, group in times.items()}
             table.append(
                 {
                     "errors under": " ".join(f"{bound:.2f}" for bound in limit),
                     "of": "strides" if ending else "every step",
                     **texts,
-                    "factor": factor(times["scratch"], times["reference"]).text(1) if known else "",
+                    "factor": factor(times["scratch"], times["reference"]).text(1) if finite else "",
                 }
             )
     print_table(table, "Minutes of training to errors, for each seed", text_columns=2)

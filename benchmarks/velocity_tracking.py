@@ -70,10 +70,10 @@ def measure(learner: PpoLearner, episodes: int) -> dict[str, Any]:
     config, env = learner.config, learner.env
     task = fresh_commands(config.task, float(env.nominal.control_step[0]))
     traces = run_episodes(TrainedPolicy(learner), task, episodes, SimWorld, config.seed + FRESH, config.threads)
-    found = Tracking.from_traces(traces, env.gait.reference.period or STRIDE)
+    errors = Tracking.from_traces(traces, env.gait.reference.period or STRIDE)
     return {
-        "rmse": found.rmse.round(4).tolist(),
-        "rmse_stride": found.rmse_stride.round(4).tolist(),
+        "rmse": errors.rmse.round(4).tolist(),
+        "rmse_stride": errors.rmse_stride.round(4).tolist(),
         "falls": sum(trace.fell for trace in traces),
         "episodes": episodes,
     }

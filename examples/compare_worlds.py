@@ -85,17 +85,17 @@ class Comparison:
         plt.close(figure)
 
     def masses(self) -> None:
-        found = {}
+        bodies = {}
         for name, world in self.worlds().items():
             engine = world.engine
             engine.set_state(np.array([0]), engine.initial_state)
-            found[name] = composite(mujoco_parts(engine) if name == "MuJoCo" else bullet_parts(engine))
-        (mass, centre, inertia), (other_mass, other_centre, other_inertia) = found.values()
+            bodies[name] = composite(mujoco_parts(engine) if name == "MuJoCo" else bullet_parts(engine))
+        (mass, centre, inertia), (other_mass, other_centre, other_inertia) = bodies.values()
         print(f"masses    {mass:.6f} kg, Bullet {other_mass - mass:+.1e}; centres of mass", end=" ")
         print(f"{np.abs(other_centre - centre).max():.1e} m apart; inertia of the whole robot, resting pose,", end=" ")
         print(f"{np.round(np.diag(inertia), 6).tolist()} kg m2, apart by {np.abs(other_inertia - inertia).max():.1e}")
         figure, axes = plt.subplots(figsize=(6, 3))
-        for k, (name, (_, _, tensor)) in enumerate(found.items()):
+        for k, (name, (_, _, tensor)) in enumerate(bodies.items()):
             axes.bar(np.arange(3) + 0.4 * k - 0.2, np.diag(tensor), 0.38, color=COLOURS[name], label=name)
         axes.set_xticks(range(3), ["roll (xx)", "pitch (yy)", "yaw (zz)"])
         axes.set_ylabel("inertia [kg m$^2$]")

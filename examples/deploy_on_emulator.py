@@ -32,11 +32,11 @@ def emulator(*words: str | Path) -> Iterator[str]:
     command = [sys.executable, "-m", "surefoot", "emulate", *map(str, words)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
-        said = process.stdout.readline() if process.stdout else ""
-        if not said.startswith("robot on "):
+        line = process.stdout.readline() if process.stdout else ""
+        if not line.startswith("robot on "):
             raise SystemExit(process.wait() or 1)
-        print(f"$ surefoot emulate {' '.join(map(str, words))}\n{said}", end="", flush=True)
-        yield said.removeprefix("robot on ").split()[0]
+        print(f"$ surefoot emulate {' '.join(map(str, words))}\n{line}", end="", flush=True)
+        yield line.removeprefix("robot on ").split()[0]
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(timeout=20)

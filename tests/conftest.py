@@ -145,7 +145,7 @@ def make_run() -> Callable[..., EpisodeTrace]:
         motors = ("motor_angle", "motor_velocity", "motor_torque", "feedback", "target")
         position = np.zeros((steps + 1, 3))
         position[:, 0] = np.linspace(0.0, distance, steps + 1)
-        given: dict[str, Any] = {
+        trace_columns: dict[str, Any] = {
             **{name: np.zeros((steps, width)) for name, width in (shapes | dict.fromkeys(motors, 8)).items()},
             "time": step * np.arange(1, steps + 1),
             "base_position_world": position if np.isfinite(distance) else np.full_like(position, np.nan),
@@ -165,7 +165,7 @@ def make_run() -> Callable[..., EpisodeTrace]:
             "energy_weight": 0.008,
             "ended": "time",
         }
-        return EpisodeTrace(**given, meta=about | meta)
+        return EpisodeTrace(**trace_columns, meta=about | meta)
 
     return make
 

@@ -66,17 +66,17 @@ class Emulator:
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         if not line.startswith("robot on /dev/"):
-            raise AssertionError(f"said {line!r}, {self.process.communicate()}")
+            raise AssertionError(f"printed {line!r}, {self.process.communicate()}")
         self.port = line.split()[-1]
-        self.said: str | None = None
+        self._stderr: str | None = None
 
     def stop(self) -> tuple[int, str]:
-        """Ask it to end; return its exit code and what it said."""
-        if self.said is None:
+        """Ask it to end; return its exit code and its standard error."""
+        if self._stderr is None:
             if self.process.poll() is None:
                 self.process.terminate()
-            _, self.said = self.process.communicate(timeout=30)
-        return self.process.returncode, self.said
+            _, self._stderr = self.process.communicate(timeout=30)
+        return self.process.returncode, self._stderr
 
 
 class EmulatorHere:
@@ -105,7 +105,7 @@ class EmulatorHere:
         return self._pty.unread
 
     def hear_out(self, patience: float) -> None:
-        """Wait [s] until it has heard, in lockstep, all that hosts said that have left."""
+        """Wait, at most `patience` [s], until it has received all that hosts in lockstep sent before they left."""
         heard, deserted = threading.Event(), self._pty.deserted
 
         def look() -> bool:

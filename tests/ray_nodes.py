@@ -24,9 +24,9 @@ os.environ |= {
 
 
 def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
 
 
 class Node:
@@ -35,9 +35,9 @@ class Node:
     def __init__(self, log: Path, *words: str, cpus: int = 1) -> None:
         command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--block", *words, "--num-cpus", str(cpus)]
         command += ["--include-log-monitor", "false"]
-        with log.open("wb") as said:
+        with log.open("wb") as output:
             self._process = subprocess.Popen(
-                [*command, "--object-store-memory", str(80 << 20)], stdout=said, stderr=said, start_new_session=True
+                [*command, "--object-store-memory", str(80 << 20)], stdout=output, stderr=output, start_new_session=True
             )
         deadline = time.monotonic() + 120
         while b"monitored and a message" not in log.read_bytes():

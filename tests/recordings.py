@@ -22,7 +22,7 @@ def standing_height(robot: RobotDescription) -> float:
 
 
 def swinging(
-    make_run: Callable[..., EpisodeTrace], name: str = "go2", speed: float = 0.5, seconds: float = 2.0, **given: Any
+    make_run: Callable[..., EpisodeTrace], name: str = "go2", speed: float = 0.5, seconds: float = 2.0, **changes: Any
 ) -> ShownTrace:
     """Return a robot whose motors swing by .2 rad at 1 Hz; `arrays` and meta as `make_run` takes them."""
     robot = RobotDescription.load(name)
@@ -36,17 +36,17 @@ def swinging(
         "target": angles + 0.05,
         **{name: np.zeros_like(angles) for name in ("motor_velocity", "motor_torque", "feedback")},
         "foot_contact": (np.sin(2 * np.pi * time)[:, None] > 0.0) * np.ones(len(robot.legs)),
-        **given.pop("arrays", {}),
+        **changes.pop("arrays", {}),
     }
     meta = {"robot": name, "leg_names": robot.leg_names, "motor_names": robot.motor_names, "policy": name}
-    return ShownTrace(name, robot, make_run(steps=len(time), arrays=arrays, **(meta | given)))
+    return ShownTrace(name, robot, make_run(steps=len(time), arrays=arrays, **(meta | changes)))
 
 
 def data_of(page: str) -> dict[str, Any]:
     """Return what a page's script is given, with each run's columns as arrays (N, k)."""
-    found = re.search(r"DATA = (\{.*\}),\n", page)
-    assert found is not None
-    data: dict[str, Any] = json.loads(found[1])
+    match = re.search(r"DATA = (\{.*\}),\n", page)
+    assert match is not None
+    data: dict[str, Any] = json.loads(match[1])
     for run in data["runs"]:
         for name, packed in run["columns"].items():
             whole = np.frombuffer(base64.b64decode(packed["data"]), "<i2").reshape(-1, run["rows"]).T.astype(float)

@@ -1,4 +1,4 @@
-"""A world without physics, which answers as it is told."""
+"""A world without physics that returns scripted states."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COMMAND_LIMITS = CommandLimits(
 
 
 class ScriptedWorld:
-    """A simulation without physics: the base goes `speed` forward, takes `power`, and tilts when told to.
+    """A simulation without physics: the base goes `speed` forward, takes `power`, and tilts on demand.
 
     A robot's motors are where they were sent, one control step ago.
     """

@@ -27,7 +27,7 @@ MERGES = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 
 
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (BOMB, "it holds more than 200000 values"),
         (MERGES, "it holds more than 200000 values"),
@@ -40,8 +40,8 @@ MERGES = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 
     ],
     ids=["aliases", "merges", "itself", "deep", "digits", "date", "int", "bool"],
 )
-def test_hostile_yaml_is_refused_in_one_line(tmp_path: Path, text: str, said: str):
-    with pytest.raises(SurefootError, match=said) as caught:
+def test_hostile_yaml_is_refused_in_one_line(tmp_path: Path, text: str, message: str):
+    with pytest.raises(SurefootError, match=message) as caught:
         yaml(tmp_path, text)
     assert len(str(caught.value)) < 500
 
@@ -82,7 +82,7 @@ class Config:
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         ({"number": float("nan")}, "c.number is nan; it must be a finite number"),
         ({"number": 0.0}, "c.number is 0; it must be over 0"),
@@ -97,8 +97,8 @@ class Config:
         ({"word": "\udc80"}, "c.word is .* Unicode text"),
     ],
 )
-def test_values_out_of_bounds_are_refused(values: dict[str, Any], said: str):
-    with pytest.raises(SurefootError, match=f"^{said}"):
+def test_values_out_of_bounds_are_refused(values: dict[str, Any], message: str):
+    with pytest.raises(SurefootError, match=f"^{message}"):
         Config(**values)
 
 

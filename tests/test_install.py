@@ -36,7 +36,7 @@ def needed(roots: Iterable[Requirement]) -> dict[str, bool]:
     """Return every distribution that requirements lead to here, with whether it is installed."""
     todo = list(roots)
     seen: set[tuple[str, frozenset[str]]] = set()
-    found: dict[str, bool] = {}
+    importable: dict[str, bool] = {}
     while todo:
         requirement = todo.pop()
         name, extras = canonicalize_name(requirement.name), frozenset(requirement.extras)
@@ -46,21 +46,21 @@ def needed(roots: Iterable[Requirement]) -> dict[str, bool]:
         try:
             lines = requires(name) or []
         except PackageNotFoundError:
-            found[name] = False
+            importable[name] = False
             continue
-        found[name] = True
+        importable[name] = True
         for further in map(Requirement, lines):
             marker = further.marker
             if marker is None or any(marker.evaluate({"extra": extra}) for extra in ("", *extras)):
                 todo.append(further)
-    return found
+    return importable
 
 
 def test_the_bare_install_brings_neither_simulation_nor_learning():
-    found = needed(BARE)
-    assert all(found.values()), f"not installed: {[name for name, here in found.items() if not here]}"
-    assert not NOT_ON_THE_ROBOT & set(found)
-    assert not [name for name in found if name.startswith(LEFT_TO_TORCH)]
+    importable = needed(BARE)
+    assert all(importable.values()), f"not installed: {[name for name, here in importable.items() if not here]}"
+    assert not NOT_ON_THE_ROBOT & set(importable)
+    assert not [name for name in importable if name.startswith(LEFT_TO_TORCH)]
 
 
 def test_the_sim_extra_brings_no_learning():

@@ -39,6 +39,13 @@ def test_log_has_a_line_per_topic_and_period(monkeypatch: pytest.MonkeyPatch):
     assert stream.getvalue().splitlines() == ["first at 111", "first at 122", "second", "forced"]
 
 
+def test_lines_are_printed_as_they_are():
+    place, stream = console(terminal=False)
+    with ProgressDisplay(place, lambda: Text("picture"), line_period=0.0) as display:
+        display.refresh("trial [b] of :cat: [/]", force_line=True)
+    assert stream.getvalue() == "trial [b] of :cat: [/]\n"
+
+
 def test_bar_shows_a_percentage_on_a_terminal_and_nothing_in_a_log():
     for terminal in (True, False):
         place, stream = console(terminal)

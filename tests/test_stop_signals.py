@@ -13,7 +13,7 @@ from surefoot.stop_signals import StopSignals
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_the_first_signal_asks_to_sit_down(number):
+def test_the_first_signal_requests_to_sit_down(number):
     with StopSignals() as stop:
         assert stop.stops == 0
         os.kill(os.getpid(), number)
@@ -42,13 +42,13 @@ def test_signal_handlers_are_restored():
 
 
 def test_signals_are_counted_and_reported_and_nohup_is_respected():
-    told: list[int] = []
+    counts: list[int] = []
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with StopSignals(on_signal=told.append, respect_nohup=True) as stop:
+        with StopSignals(on_signal=counts.append, respect_nohup=True) as stop:
             for number in (signal.SIGHUP, signal.SIGTERM, signal.SIGINT):
                 os.kill(os.getpid(), number)
-        assert (stop.count, told) == (2, [1, 2])
+        assert (stop.count, counts) == (2, [1, 2])
     finally:
         signal.signal(signal.SIGHUP, before)
 

@@ -21,7 +21,7 @@ def part(name: str) -> str:
 
 @dataclass(frozen=True)
 class Example(Packet):
-    """A frame of the document, with its bytes; every value is one that the numbers on the line tell exactly."""
+    """A frame of the document, with its bytes; every value is exactly representable on the line."""
 
     data: bytes
 

@@ -35,7 +35,7 @@ def prefix_errors(where: object) -> Iterator[None]:
 
 
 def check_name(what: str, name: str) -> None:
-    """Refuse a name that is not safe as the name of a file or folder; `what` says what is so called."""
+    """Refuse a name that is not safe as the name of a file or folder; `what` is what has the name, for the message."""
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}", name):
         raise SurefootError(
             f"{what} is {quote(name)}; a name has letters, digits, - and _ only, does not start with -, and has 1 to "

@@ -58,7 +58,7 @@ def pop_meta(arrays: dict[str, NDArray[Any]]) -> dict[str, Any] | None:
 
 
 def _read_array(content: bytes) -> NDArray[Any]:
-    """Return the array of a .npy file, which must hold as many numbers as its header says."""
+    """Return the array of a .npy file, whose size must match its header."""
     file = BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

@@ -51,7 +51,7 @@ class ProgressDisplay:
     def print(self, line: str, topic: str = "") -> None:
         """Print a line that stays; on a terminal it stands above the picture."""
         self._printed[topic] = time.monotonic()
-        self._console.print(line, highlight=False, soft_wrap=True)
+        self._console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
     def refresh(self, line: str = "", topic: str = "", force_line: bool = False) -> None:
         """Redraw the picture on a terminal; elsewhere print a line, if it is forced or the topic's last one is old."""

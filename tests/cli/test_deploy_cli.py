@@ -57,11 +57,11 @@ def test_the_trot_goes_as_far_as_in_simulation(emulate, tmp_path, repository):
     robot.board.on_step.append(CaptureWriter(capture, robot.board.plant).see)
     done = deploy(robot.port, "--out", str(tmp_path / "out"), "--motion-capture", str(capture), "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    (run,) = told["runs"]
+    result = json.loads(done.stdout)
+    (run,) = result["runs"]
     assert (run["ended"], run["steps"], run["notes"]) == ("time", 1000, [])
     assert run["timing"]["missed"] == 0
-    assert told["frames"]["damaged"] == told["frames"]["missing"] == told["frames"]["commands_refused"] == 0
+    assert result["frames"]["damaged"] == result["frames"]["missing"] == result["frames"]["commands_refused"] == 0
     policy = PolicyRuntime.load(repository / "policies" / "trot.onnx")
     assert run["speed"] == pytest.approx(policy.contract.figures["training"]["speed_mean"], rel=0.05)
 
@@ -104,7 +104,7 @@ def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
     rows = ("time,forward,sideways,yaw_rate", "0.5,0.5,0,0", "2.5,0,0,0", "3.3,0,0,0.6", "5.3,0,0,0", "5.9,0,0,9")
     (tmp_path / "way.csv").write_text("\n".join(rows))
     words = ("deploy", "go2-steer", "--port", robot.port, "--lockstep", "--out", tmp_path / "out")
-    # What is wrong with commands is told before the robot is asked anything.
+    # Invalid commands are refused before anything is sent to the robot.
     refused(surefoot(*words, "--commands", tmp_path / "none.csv"), "none.csv")
     done = surefoot(
         *(*words, "--commands", tmp_path / "way.csv", "--duration", "6"),
@@ -114,9 +114,9 @@ def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
     (run,) = json.loads(done.stdout)["runs"]
     trace = EpisodeTrace.load(run["trace"])
     begins = trace.time - trace.meta["control_step"] + 1e-6
-    given = [(0.5 <= t < 2.5, 3.3 <= t < 5.3) for t in begins]
+    active = [(0.5 <= t < 2.5, 3.3 <= t < 5.3) for t in begins]
     last = begins >= 5.9
-    np.testing.assert_allclose(trace.command[~last], [(0.5 * w, 0.0, 0.6 * t) for w, t in np.array(given)[~last]])
+    np.testing.assert_allclose(trace.command[~last], [(0.5 * w, 0.0, 0.6 * t) for w, t in np.array(active)[~last]])
     most = PolicyRuntime.load(repository / "policies" / "go2-steer.onnx").contract.commands.high[2]
     np.testing.assert_allclose(trace.command[last], [(0.0, 0.0, most)] * int(last.sum()))
     assert done.stderr.count("command out of range: ") == 1
@@ -132,7 +132,7 @@ def test_a_policy_without_commands_is_not_steered(emulate):
 
 
 def assert_readings_are_20_ms_old(trace: EpisodeTrace, capture: Path) -> None:
-    """What a row tells of the pitch is what motion capture saw 20 ms before the row's end, and not at another time."""
+    """The pitch of a row is that of motion capture 20 ms before the row's end."""
     with capture.open() as file:
         rows = np.array([[float(word) for word in row] for row in list(csv.reader(file))[1:]])
     w, x, y, z = rows[:, 4:8].T
@@ -218,9 +218,9 @@ def test_a_killed_host_leaves_its_run_behind_and_loses_the_robot_to_the_next_one
     assert trace.num_steps > 10
     assert trace.meta["ended"] == "fault"
     assert trace.meta["robot_time_start"] > 0.0
-    ((path, found),) = find_traces(tmp_path)
+    ((path, loaded),) = find_traces(tmp_path)
     assert path == partial
-    assert found.num_steps == trace.num_steps
+    assert loaded.num_steps == trace.num_steps
     done = deploy(port, "--duration", "0.1", "--out", str(tmp_path))
     assert done.returncode == 0, done.stderr
 
@@ -236,7 +236,7 @@ def test_a_killed_host_leaves_its_run_behind_and_loses_the_robot_to_the_next_one
         (["trot", "--port", "x", "--out", "/dev/null"], "out is /dev/null; it must be a folder"),
     ],
 )
-def test_what_cannot_be_done_is_told_in_one_line(words, match):
+def test_deploy_reports_invalid_options_in_one_line(words, match):
     refused(surefoot("deploy", *words), match)
 
 
@@ -256,7 +256,7 @@ def test_a_contract_with_a_number_out_of_range_is_refused(tmp_path, words, chang
     refused(surefoot(command, edited_policy(tmp_path / "edited.onnx", edit, "trot"), *rest), match)
 
 
-def test_a_robot_that_says_nothing_is_told_in_one_line(tmp_path):
+def test_deploy_reports_a_silent_robot_in_one_line(tmp_path):
     """A port with nobody behind it."""
     master, slave = os.openpty()
     try:

@@ -58,11 +58,11 @@ def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
         page.goto(address)
         page.wait_for_function("points.length > 5")
         page.locator("#stop").click()
-        said, _ = deploy.communicate(timeout=30)
+        output, _ = deploy.communicate(timeout=30)
     finally:
         deploy.kill()
     assert deploy.returncode == 0
-    (run,) = json.loads(said)["runs"]
+    (run,) = json.loads(output)["runs"]
     assert run["ended"] == "stopped"
     trace = EpisodeTrace.load(run["trace"])
     forward, speeds = trace.command[:, 0], np.abs(trace.motor_velocity[1:]).mean(axis=1)
@@ -75,7 +75,7 @@ def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
     assert wrong == []
 
 
-def test_what_does_not_go_with_the_page_is_refused():
-    given = ("deploy", "go2-steer", "--port", "x", "--drive")
-    refused(run_surefoot(*given, "--commands", "5555"), "commands come from one place")
-    refused(run_surefoot(*given, "--lockstep"), "a page drives in real time")
+def test_drive_page_refuses_incompatible_options():
+    command = ("deploy", "go2-steer", "--port", "x", "--drive")
+    refused(run_surefoot(*command, "--commands", "5555"), "commands come from one place")
+    refused(run_surefoot(*command, "--lockstep"), "a page drives in real time")

@@ -16,7 +16,7 @@ from surefoot.robot.params_file import read_params
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--world", "gazebo"], "world 'gazebo' does not exist; choices: mujoco, bullet"),
         (["--robot", "cat"], "robot 'cat': no such robot"),
@@ -37,15 +37,15 @@ from surefoot.robot.params_file import read_params
         (["--params", "missing.toml"], "missing.toml: can't be read: No such file"),
     ],
 )
-def test_what_does_not_fit_is_told_in_one_line(tmp_path, words, said):
-    refused(surefoot("emulate", *words, cwd=tmp_path), said)
+def test_emulate_reports_invalid_options_in_one_line(tmp_path, words, message):
+    refused(surefoot("emulate", *words, cwd=tmp_path), message)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
     ("option", "name"), [("--motion-capture", "a.csv"), ("--hidden-out", "a.toml"), ("--link", "a")]
 )
-def test_files_that_are_there_already_are_not_touched(tmp_path, option, name):
+def test_emulate_refuses_to_overwrite_files(tmp_path, option, name):
     file = tmp_path / name
     file.write_text("mine")
     words = (option, file, "--hidden-seed", "1", "--duration", "0.01")
@@ -53,11 +53,11 @@ def test_files_that_are_there_already_are_not_touched(tmp_path, option, name):
     assert file.read_text() == "mine"
 
 
-def test_a_viewer_needs_a_display():
+def test_emulate_refuses_a_viewer_without_a_display():
     refused(surefoot("emulate", "--viewer"), "viewer: there is no display here")
 
 
-def test_a_missing_engine_is_told_before_anything_runs(monkeypatch):
+def test_emulate_reports_a_missing_engine_before_it_starts(monkeypatch):
     monkeypatch.setattr("surefoot.world.registry.find_spec", lambda name: None)
     refused(surefoot("emulate", "--world", "bullet"), "pip install 'surefoot[bullet]'")
 
@@ -67,13 +67,13 @@ def test_the_faults_are_listed():
     assert [re.split("[=:@]", line)[0] for line in lines] == list(FAULTS)
 
 
-def test_it_runs_for_a_while_and_sums_up(tmp_path):
+def test_emulate_runs_for_a_duration_and_prints_a_summary(tmp_path):
     file = tmp_path / "seen.csv"
     done = surefoot("emulate", "--duration", "0.1", "--motion-capture", file, "--rack")
     assert done.returncode == 0
     assert re.fullmatch(r"robot on /dev/pts/\d+\n", done.stdout)
-    told = r"surefoot: 0\.1\d* s of robot time in 0\.\d s; \d+ % of a processor; "
-    assert re.match(told, done.stderr.splitlines()[-1])
+    summary = r"surefoot: 0\.1\d* s of robot time in 0\.\d s; \d+ % of a processor; "
+    assert re.match(summary, done.stderr.splitlines()[-1])
     assert len(file.read_text().splitlines()) == 21
 
 
@@ -81,10 +81,10 @@ def test_hidden_parameters_go_to_the_file_alone(robot, tmp_path):
     file = tmp_path / "hidden.toml"
     done = surefoot("emulate", "--hidden-seed", "5", "--hidden-out", file, "--duration", "0.01")
     assert done.returncode == 0
-    found = read_params(file, robot)
-    assert found.tables["origin"] == {"hidden_seed": 5}
-    assert 14.0 <= found.params.voltage[0] <= 16.8
-    assert f"{found.params.voltage[0]:.2f}" not in done.stdout + done.stderr
+    file_params = read_params(file, robot)
+    assert file_params.tables["origin"] == {"hidden_seed": 5}
+    assert 14.0 <= file_params.params.voltage[0] <= 16.8
+    assert f"{file_params.params.voltage[0]:.2f}" not in done.stdout + done.stderr
     # The file makes the same robot.
     assert surefoot("emulate", "--params", file, "--set", "voltage=15.5", "--duration", "0.01").returncode == 0
 

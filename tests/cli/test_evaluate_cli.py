@@ -209,7 +209,7 @@ def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monk
 
 @pytest.fixture(scope="module")
 def recorded(policy: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, object]]:
-    """A folder with the traces of three runs, and what `evaluate` said of them when it ran them."""
+    """A folder with the traces of three runs, and the output of `evaluate` when it ran them."""
     folder = tmp_path_factory.mktemp("recorded")
     done = surefoot("evaluate", policy, "--episodes", "3", "--out", folder, "--json")
     assert done.returncode == 0, done.stderr

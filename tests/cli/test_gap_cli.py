@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -205,6 +206,13 @@ def test_policies_for_different_robots_are_refused(here: Path):
 
     edited_policy(here / "other.onnx", other, "trot")
     refused_gap(["gallop.onnx", "other.onnx", "--to", "mujoco"], "policy 'trot' is for robot 'maxitaur'")
+
+
+def test_traces_of_several_worlds_are_refused(here: Path, make_run: Callable[..., EpisodeTrace]):
+    for world in ("bullet", "lab"):
+        make_run(world=world, policy="gallop").save(here / "traces" / f"{world}.npz")
+    words = ["gallop.onnx", "--to", "trace", "traces"]
+    refused_gap(words, "trace traces: the traces come from more than one world: bullet, lab; measure one at a time")
 
 
 def test_sides_have_distinct_labels():

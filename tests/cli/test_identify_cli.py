@@ -194,15 +194,15 @@ def test_a_recording_is_fitted(recorded: Recorded, robot: RobotDescription, tmp_
     assert "surefoot: warning: contact should come after motor and mass, and " in done.stderr
     assert " contact_friction " in done.stdout
     assert f"wrote {params}, {out / 'report.png'}, {out / 'report.html'}" in done.stdout
-    found = read_params(params, robot)
-    assert {"voltage", "motor_strength", "contact_friction"} <= set(found.names)
-    assert (found.params.voltage[0], found.tables["note"]) == (15.5, {"by": "hand"})
-    low, high = found.tables["intervals"]["contact_friction"]
-    assert low <= found.params.contact_friction[0] <= high
-    assert found.params.contact_friction[0] == pytest.approx(0.7, abs=0.2)
-    output = found.tables["identified"]["contact"]
+    overlay = read_params(params, robot)
+    assert {"voltage", "motor_strength", "contact_friction"} <= set(overlay.names)
+    assert (overlay.params.voltage[0], overlay.tables["note"]) == (15.5, {"by": "hand"})
+    low, high = overlay.tables["intervals"]["contact_friction"]
+    assert low <= overlay.params.contact_friction[0] <= high
+    assert overlay.params.contact_friction[0] == pytest.approx(0.7, abs=0.2)
+    output = overlay.tables["identified"]["contact"]
     assert output["file"] == str(folder / "recording.npz")
-    assert found.tables["identified_by"]["contact_friction"] == "contact"
+    assert overlay.tables["identified_by"]["contact_friction"] == "contact"
     assert (out / "report.png").read_bytes().startswith(b"\x89PNG")
     assert output["data"] in (out / "report.html").read_text()
     # Once more, with what is known now, as one object; without --params beside the report.
@@ -330,10 +330,10 @@ def test_identify_from_traces(tmp_path: Path):
     output = json.loads(done.stdout)
     assert output["experiment"] == "traces"
     assert output["traces"] == [str(traces / f"episode_00{i}.npz") for i in range(2)]
-    found = tomllib.loads((out / "robot.toml").read_text())
-    assert set(found["params"]) == {"motor_strength"}
-    assert np.mean(found["params"]["motor_strength"]) == pytest.approx(0.9, abs=0.03)
-    assert found["identified"]["traces"]["file"] == str(traces)
+    overlay = tomllib.loads((out / "robot.toml").read_text())
+    assert set(overlay["params"]) == {"motor_strength"}
+    assert np.mean(overlay["params"]["motor_strength"]) == pytest.approx(0.9, abs=0.03)
+    assert overlay["identified"]["traces"]["file"] == str(traces)
     done = identify("--from-trace", traces, "--fit", "contact_friction")
     refused(done, "traces can't identify 'contact_friction'; choices: motor_strength")
 
@@ -365,8 +365,8 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
     assert done.returncode == 0, done.stderr
     message = json.loads(done.stdout)
     assert message["logs"] == [str(logs / name) for name in ("fast.npz", "slow.npz")]
-    found = tomllib.loads((out / "robot.toml").read_text())["params"]
-    assert found["control_latency"] == pytest.approx(0.030, abs=0.001)
+    overlay = tomllib.loads((out / "robot.toml").read_text())["params"]
+    assert overlay["control_latency"] == pytest.approx(0.030, abs=0.001)
     assert [check["what"] for check in message["checks"]] == ["slow.npz, fitted", "fast.npz, held out"]
     for check in message["checks"]:
         assert check["after"] < 0.5 * check["before"], check

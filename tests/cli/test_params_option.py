@@ -134,7 +134,7 @@ def test_gap_simulates_the_robot_on_all_sides():
     # Recorded runs stay as they are, and the robot stands beside them.
     shutil.copytree("gap/trot/mujoco-away", "recorded")
     before = [path.read_bytes() for path in sorted(Path("recorded").iterdir())]
-    words = "gap trot --to trace recorded --params robot.toml --runs 2 --duration 0.3 --out told"
+    words = "gap trot --to trace recorded --params robot.toml --runs 2 --duration 0.3 --out result"
     again = result(words, *ONE)["policies"][0]
     assert again["worlds"][0] == policy["worlds"][0]
     assert again["worlds"][1]["return_mean"] == policy["worlds"][1]["return_mean"]

@@ -19,7 +19,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("onnx")
 
 TABLE_1 = load_ranges("table1")
-WITHOUT_MASS = {name: given for name, given in TABLE_1.items() if name != "leg_mass_ratio"}
+WITHOUT_MASS = {name: interval for name, interval in TABLE_1.items() if name != "leg_mass_ratio"}
 
 
 def taken(line: str, base: Ranges | None = None) -> tuple[list[str], Ranges]:
@@ -131,7 +131,7 @@ def test_evaluate_reports_its_ranges(tmp_path: Path):
     result = json.loads(drawn.stdout)
     assert result["falls"] in (0, 1, 2)
     expected = WITHOUT_MASS | {"voltage": (14.0, 15.0)}
-    assert result["randomize"] == {name: list(given) for name, given in expected.items()}
+    assert result["randomize"] == {name: list(interval) for name, interval in expected.items()}
     # The same words draw the same, and without the options nothing is drawn.
     assert surefoot(*words, *ranges).stdout == drawn.stdout
     plain = json.loads(surefoot(*words).stdout)

@@ -65,7 +65,7 @@ def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> Non
 
         # The search itself is killed when it has noticed that, and its journal is cut off.
         assert process.stdout is not None
-        lost = next(found[1] for line in process.stdout if (found := re.match(r"trial_(\d{4}) .* lost ", line)))
+        lost = next(results[1] for line in process.stdout if (results := re.match(r"trial_(\d{4}) .* lost ", line)))
         wait_until(lambda: len(rows(tmp_path, 2)) >= 5)
         os.kill(process.pid, signal.SIGKILL)
         _, errors = process.communicate(timeout=60)
@@ -98,9 +98,9 @@ def check(folder: Path, trials: int) -> None:
     assert [row["trial"] for row in table] == [str(number) for number in range(trials)]
     assert all(row["state"] == "complete" for row in table)
     for number in range(trials):
-        found = rows(folder, number)
-        assert [row["steps"] for row in found] == [256 * (n + 1) for n in range(UPDATES)]
-        assert float(table[number]["return"]) == pytest.approx(found[-1]["evaluation"]["return_mean"], abs=1e-6)  # type: ignore[index]
+        results = rows(folder, number)
+        assert [row["steps"] for row in results] == [256 * (n + 1) for n in range(UPDATES)]
+        assert float(table[number]["return"]) == pytest.approx(results[-1]["evaluation"]["return_mean"], abs=1e-6)  # type: ignore[index]
     assert len({row["seed"] for row in table}) == trials
 
 

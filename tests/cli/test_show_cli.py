@@ -215,7 +215,7 @@ def test_page_for_other_machines_has_a_token(traces: list[Path]):
                 urllib.request.urlopen(inside)
 
 
-def test_show_refuses_what_is_no_trace_of_a_known_robot(
+def test_show_refuses_invalid_traces_and_unknown_robots(
     make_run: MakeRun, traces: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     foreign = make_run(robot="nemo/../evil").save(tmp_path / "foreign.npz")

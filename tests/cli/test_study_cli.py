@@ -55,7 +55,7 @@ def alive(pid: int) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_a_study_goes_on_after_kills_and_interrupts(tmp_path: Path) -> None:
+def test_a_study_resumes_after_kills_and_interrupts(tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TINY)
     groups = ("plain", "drawn")
 

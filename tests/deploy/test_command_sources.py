@@ -94,11 +94,11 @@ def test_the_newest_datagram_counts_and_a_flood_takes_no_time(channel: ChannelCo
         *(b'{"forward": %s}' % value for value in (b'"fast"', b"NaN", b"Infinity", b"true", b"1e999")),
     ],
 )
-def test_a_datagram_that_is_no_command_is_none(data: bytes) -> None:
+def test_parse_command_returns_none_for_an_invalid_datagram(data: bytes) -> None:
     assert parse_command(data) is None
 
 
-def test_a_datagram_that_is_no_command_changes_nothing_and_is_counted(channel: ChannelCommands) -> None:
+def test_an_invalid_datagram_is_counted_and_ignored(channel: ChannelCommands) -> None:
     send_command(channel.port, forward=0.5)
     wait_for(channel, [0.5, 0.0, 0.0])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:

@@ -22,12 +22,12 @@ class Echo:
 
     def __init__(self, contract, feedback=0.0):
         self.contract = contract
-        self.given = feedback
+        self.value = feedback
         self.seen: list[np.ndarray] = []
 
     def feedback(self, observation):
         self.seen.append(observation.copy())
-        return np.full((1, len(self.contract.action_names)), self.given)
+        return np.full((1, len(self.contract.action_names)), self.value)
 
 
 @pytest.fixture(scope="session")
@@ -63,9 +63,9 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
         assert readings.time[0] == pytest.approx(moment, abs=1e-12)
         if env.source is not None:
             assert controller.set_command(env.source.command[0]) == ""
-        given = controller.observe(moment, state)
-        assert given == pytest.approx(observation, abs=1e-6)
-        target = controller.compute_target(moment, given)
+        observed = controller.observe(moment, state)
+        assert observed == pytest.approx(observation, abs=1e-6)
+        target = controller.compute_target(moment, observed)
         observation, *_ = env.step(env.gait.action(policy.feedback(observation)))
         assert target == pytest.approx(env.target[0], abs=1e-6)
 

@@ -507,7 +507,7 @@ def test_row_8_a_bad_line_costs_nothing_but_the_damaged_frames(ended, scenario, 
     assert frames["received"] == len(packets)
     counted = frames["received"] - frames["repeated"] + frames["missing"]
     sent = max(frame.sequence for frame in packets)
-    assert sent - 3 <= counted <= sent  # what was lost before the greeting is not known
+    assert sent - 3 <= counted <= sent  # what was lost before the handshake is not known
     if scenario in ("corrupt", "cut-frames"):
         assert frames["missing"] > 10
         assert frames["damaged"] == pytest.approx(frames["missing"], rel=0.3)
@@ -582,7 +582,7 @@ def test_row_10_a_full_disk(ended):
     assert (ended.run["ended"], ended.run["steps"], ended.run["trace"]) == ("time", 100, None)
     assert "surefoot: recording stopped: File too large; the robot goes on" in ended.messages
     assert any(note.startswith("recording stopped") for note in ended.run["notes"])
-    # The robot went on to the end; only the code tells that the trace was lost.
+    # The robot went on to the end; only the exit code reports the lost trace.
     assert_sat_and_disarmed(ended.record)
     assert ended.record.host_packets(Damp) == []
     assert ended.code == 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -60,7 +61,7 @@ def test_a_row_has_its_start_and_the_state_of_its_end(recorded):
     assert columns["energy"].tolist() == [1.0, 3.0, 5.0]
 
 
-def test_missed_steps_repeat_what_the_servos_held(recorded):
+def test_missed_steps_repeat_the_target_that_servos_held(recorded):
     recorder, state = recorded
     recorder.open(*opened(3))
     recorder.close(6, state(6), 100.036)
@@ -94,7 +95,7 @@ def test_energy_that_starts_anew_counts_nothing(recorded):
     assert LAYOUT.columns(recorder.rows)["energy"][3] == 0.0
 
 
-def test_what_the_robot_does_not_know_is_nan_in_the_trace(recorded):
+def test_quantities_the_robot_does_not_measure_are_nan_in_the_trace(recorded):
     trace = make_trace(LAYOUT, recorded[0].rows, META)
     assert trace.num_steps == 3
     assert np.isnan(trace.base_position_world).all()
@@ -159,6 +160,15 @@ def test_a_file_that_cannot_be_opened_stops_recording(tmp_path):
     file.add(b"row")
     file.close()
     assert file.stopped == "No such file or directory"
+
+
+def test_an_error_that_the_disk_reports_at_the_end_is_kept(tmp_path):
+    file = BackgroundFile(tmp_path / "run.partial", None)
+    file.add(b"row")
+    file._file.close()
+    file._file = mock.Mock(close=mock.Mock(side_effect=OSError(28, "No space left on device")))
+    file.close()
+    assert file.stopped == "No space left on device"
 
 
 def test_a_file_without_data_is_not_made(tmp_path):

@@ -41,7 +41,7 @@ def tilted(roll: float = 0.0, pitch: float = 0.0) -> np.ndarray:
     return np.array([roll, pitch, 3.0])
 
 
-def test_an_ordinary_step_goes_on(guard, judge):
+def test_an_ordinary_step_continues(guard, judge):
     assert judge() is GO
     assert guard.warnings == []
 

@@ -30,7 +30,7 @@ def run(capture: CaptureWriter, plant: Plant, steps: int) -> None:
 
 
 @pytest.mark.parametrize("later", [False, True])
-def test_rows_are_what_is_seen_at_full_precision(plant, tmp_path, later):
+def test_rows_have_full_precision(plant, tmp_path, later):
     capture = CaptureWriter(tmp_path / "a.csv", plant, later)
     run(capture, plant, 100)
     seen = plant.capture()
@@ -45,7 +45,7 @@ def test_rows_are_what_is_seen_at_full_precision(plant, tmp_path, later):
     assert last[8:] == [1.0] * 4  # it has not slid yet
 
 
-def test_a_file_that_cannot_be_written_is_told_at_once(plant, tmp_path):
+def test_capture_writer_refuses_an_unwritable_file_at_once(plant, tmp_path):
     (tmp_path / "a.csv").write_text("mine")
     with pytest.raises(SurefootError, match="exists; give another name"):
         CaptureWriter(tmp_path / "a.csv", plant)

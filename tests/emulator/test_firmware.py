@@ -153,7 +153,7 @@ def test_a_command_at_the_limits_of_the_handshake_is_obeyed(robot, monkeypatch, 
     (sent,) = bench.send(Hello(ME, 0.010))
     bench.arm()
     for angles in (sent.angle_low, sent.angle_high):
-        target = angles.astype(np.float32).astype(np.float64)  # what the host is told
+        target = angles.astype(np.float32).astype(np.float64)  # as the host receives it
         assert bench.send(Position(ME, target)) == []
         bench.run(1)
         assert bench.firmware.mode == Mode.POSITION
@@ -174,7 +174,7 @@ def test_states_come_at_the_requested_period_and_stop_with_the_session(owned):
     assert owned.run(100) == []
 
 
-def test_nobody_owns_it_until_greeted(bench):
+def test_no_operator_owns_it_before_a_hello(bench):
     assert bench.run(50) == []
     assert fault_of(bench.send(messages.Arm(ME, 1, 0.006, 0.003))) == (ME, Reason.SESSION)
     assert fault_of(bench.send(Hello(0, 0.01))) == (0, Reason.SESSION)

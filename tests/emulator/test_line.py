@@ -58,7 +58,7 @@ def test_batches_come_at_multiples_of_their_period():
     assert [at for at, _ in arrivals(batched)] == [0, 16_000, 16_000, 16_000, 32_000]
 
 
-def test_a_cable_that_is_pulled_loses_what_is_on_its_way():
+def test_a_cut_line_loses_bytes_in_transit():
     pulled = line(baud=9600)
     pulled.send(0, b"\0a\0")
     pulled.cut_off()

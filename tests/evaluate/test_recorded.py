@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.recorded import assign_to_policies, find_traces
+from surefoot.evaluate.recorded import assign_to_policies, find_traces, save_runs
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
@@ -37,6 +37,12 @@ def test_find_traces_refuses_a_damaged_file(tmp_path: Path, make_run: MakeRun):
     (tmp_path / "zcut.npz").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(SurefootError, match=r"zcut.npz: is cut off, damaged"):
         find_traces(tmp_path)
+
+
+def test_save_runs_removes_earlier_runs(tmp_path: Path, make_run: MakeRun):
+    save_runs(tmp_path, [make_run(), make_run()])
+    save_runs(tmp_path, [make_run()])
+    assert [path.name for path in tmp_path.iterdir()] == ["run_000.npz"]
 
 
 def test_traces_are_assigned_to_the_policies_that_they_name(make_run: MakeRun):

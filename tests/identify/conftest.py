@@ -88,14 +88,14 @@ def record(run_on: Callable[..., Recording]) -> Callable[..., list[Recording]]:
         words = ["--lockstep", "--ideal-sensors", *(["--rack"] if plans[0].rack else [])]
         with emulators(EmulatorHere) as start:
             port = start(*words, "--set", *(f"{name}={value}" for name, value in params.items())).port
-            found = [run_on(port, plan) for plan in plans]
-        assert all(recording.meta["ended"] == COMPLETE for recording in found)
-        return found
+            runs = [run_on(port, plan) for plan in plans]
+        assert all(recording.meta["ended"] == COMPLETE for recording in runs)
+        return runs
 
     return recordings
 
 
 @pytest.fixture(scope="session")
 def recorded(healthy: EmulatorHere, make_plan: Callable[..., Plan], run_on: Callable[..., Recording]) -> Recording:
-    """What a healthy robot told in a whole experiment."""
+    """Recording of a whole experiment on a robot without faults."""
     return run_on(healthy.port, make_plan())

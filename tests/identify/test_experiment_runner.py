@@ -76,10 +76,10 @@ def test_recordings_in_lockstep_are_identical(emulate: Callable[..., Any], make_
         threading.Timer(0.3, slow.process.send_signal, [signal.SIGCONT]).start()
 
     with emulators(EmulatorHere) as start:
-        found = [run_on(start("--lockstep", "--rack").port, plan), run_on(slow.port, plan, Doing("push", hold_up))]
-    assert len({len(one.time) for one in found}) == 1
-    assert len({one.meta["digest"] for one in found}) == 1
-    assert all(one.meta["mode_changes"] == found[0].meta["mode_changes"] for one in found)
+        recordings = [run_on(start("--lockstep", "--rack").port, plan), run_on(slow.port, plan, Doing("push", hold_up))]
+    assert len({len(one.time) for one in recordings}) == 1
+    assert len({one.meta["digest"] for one in recordings}) == 1
+    assert all(one.meta["mode_changes"] == recordings[0].meta["mode_changes"] for one in recordings)
 
 
 @pytest.fixture

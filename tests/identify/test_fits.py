@@ -1,4 +1,4 @@
-"""Fits of short experiments on emulated robots, whose parameters are known here and not to them."""
+"""Fits of short experiments on emulated robots, whose parameters are hidden from the fits."""
 
 from __future__ import annotations
 
@@ -132,16 +132,16 @@ def test_a_leg_with_a_motor_that_never_moves_is_not_identifiable(
     angle[:, 3], velocity[:, 3] = 1.7, 0.0
     recording = replace(rack[0], motor_angle=angle, motor_velocity=velocity)
     assert recording.still_motors == {3}
-    known = nominal.with_values(robot, **RACK)
-    assert not [u for u in rack_unknowns(robot, known, 0.0173, moving_legs(robot, recording)) if u.index in (2, 3)]
+    prior = nominal.with_values(robot, **RACK)
+    assert not [u for u in rack_unknowns(robot, prior, 0.0173, moving_legs(robot, recording)) if u.index in (2, 3)]
     # It is a motor of the back left leg, with motor 2.
-    fit = fit_on_rack(robot, recording, segment_from_recording(recording, 1, 2), known, ignore_progress)
-    estimates = rack_estimates(robot, fit, known)
-    untold = [item for item in estimates if not item.identifiable and item.index is not None]
+    fit = fit_on_rack(robot, recording, segment_from_recording(recording, 1, 2), prior, ignore_progress)
+    estimates = rack_estimates(robot, fit, prior)
+    unidentifiable = [item for item in estimates if not item.identifiable and item.index is not None]
     names = ("motor_strength", "motor_friction", "motor_viscous_friction")
-    assert [(item.name, item.index) for item in untold] == [(name, motor) for motor in (2, 3) for name in names]
-    # What was known is left there, and the others are found as before.
-    assert [item.value for item in untold] == [0.9, 0.02, 0.002] * 2
+    assert [(item.name, item.index) for item in unidentifiable] == [(name, motor) for motor in (2, 3) for name in names]
+    # The prior's values stay, and estimates of the other motors do not change.
+    assert [item.value for item in unidentifiable] == [0.9, 0.02, 0.002] * 2
     # Only servos moved: with all of these twice as large a motor would do the same.
     value = {item.name: item.value for item in estimates if item.index is None}
     scaled = ["torque_constant", "resistance", "servo_kp", "servo_kd"]
@@ -160,8 +160,8 @@ def test_latency_experiment_identifies_latencies_by_spikes_and_by_replay(
     robot: RobotDescription, rack: tuple[Recording, Recording], motors: Identification, nominal: PhysicalParams
 ):
     message: list[str] = []
-    known = motors.params(robot, nominal)
-    result = EXPERIMENTS["latency"].fit(robot, rack[1], known, motors.sensors, lambda text, cost: message.append(text))
+    prior = motors.params(robot, nominal)
+    result = EXPERIMENTS["latency"].fit(robot, rack[1], prior, motors.sensors, lambda text, cost: message.append(text))
     assert result.estimate("control_latency").value == pytest.approx(RACK["control_latency"], abs=5e-5)
     assert result.estimate("servo_latency").value == pytest.approx(RACK["servo_latency"], abs=5e-5)
     # An engine's step moves a motor as far in its first step as it should have in 1.4 of them.
@@ -205,7 +205,7 @@ def test_mass_experiment_identifies_mass_inertia_and_centre(
 
 
 def weighed(robot: RobotDescription, nominal: PhysicalParams) -> PhysicalParams:
-    """What experiments on motors and mass have told before of the robot whose feet are dragged."""
+    """Earlier results for motors and mass of the robot whose feet are dragged."""
     return nominal.with_values(robot, **{name: GROUND[name] for name in GROUND if not name.startswith("contact")})
 
 

@@ -143,7 +143,7 @@ def test_a_derivative_at_a_bound_steps_inward():
 
 
 def test_residuals_of_one_block_count_as_one():
-    # 20 blocks of 10 equal residuals, +1 or -1: they tell the mean as 20 measurements do, not as 200.
+    # 20 blocks of 10 equal residuals, +1 or -1: they determine the mean as well as 20 measurements do, not 200.
     offsets = np.repeat(np.tile([1.0, -1.0], 10), 10)
     blocks = np.repeat(np.arange(20), 10)
     together = fit_least_squares(Linear(np.ones((200, 1)), offsets, [unknown()], blocks))
@@ -173,7 +173,7 @@ def test_terms_of_a_sum_are_not_identifiable_but_their_sum_is():
     ((first, second, strength),) = fit.strongest_correlations()
     assert (first, second) == ("a", "b[3]")
     assert strength < -0.99
-    # Their sum is known as well as if it were one, from ten values: half of the 20 blocks tell of it.
+    # Their sum is known as well as if it were one, from ten values: half of the 20 blocks depend on it.
     total = np.array([1.0, 1.0, 0.0])
     assert np.sqrt(total @ fit.covariance @ total) == pytest.approx(0.1**0.5, rel=0.05)
 
@@ -200,12 +200,12 @@ def test_a_converged_fit_ends():
             self.tried += len(values)
             return np.round(super().residuals(values), 7)
 
-    told: list[tuple[int, float]] = []
+    progress: list[tuple[int, float]] = []
     model = Rounded(30.0 * np.exp(-0.8 * Decay.time) + rng.normal(size=60))
-    fit = fit_least_squares(model, report=lambda k, cost: told.append((k, cost)))
+    fit = fit_least_squares(model, report=lambda k, cost: progress.append((k, cost)))
     assert model.tried < 40
-    assert [k for k, _ in told] == list(range(1, len(told) + 1))
-    costs = [cost for _, cost in told]
+    assert [k for k, _ in progress] == list(range(1, len(progress) + 1))
+    costs = [cost for _, cost in progress]
     assert costs == sorted(costs, reverse=True)
     assert np.mean(fit.residuals**2) <= costs[-1] * (1 + 1e-9)
 

@@ -132,7 +132,7 @@ def cut(trace: EpisodeTrace, *kept: slice) -> EpisodeTrace:
 
 @lru_cache(maxsize=1)
 def found_clean() -> Identification:
-    """What the recording without noise tells."""
+    """Readings of the recording without noise."""
     return fit_traces(ROBOT, [clean()], BATTERY_KNOWN, AT_15_V)
 
 
@@ -163,8 +163,8 @@ def test_clean_traces_give_the_true_parameters() -> None:
 def test_gains_are_identified_when_named() -> None:
     hidden = HIDDEN.with_values(ROBOT, servo_kp=1.2, servo_kd=0.018)
     names = ("motor_strength", "servo_kp", "servo_kd")
-    known = hidden.with_values(ROBOT, servo_kp=1.0, servo_kd=0.015, motor_strength=1.0)
-    result = fit_traces(ROBOT, [record(hidden)], names, known)
+    prior = hidden.with_values(ROBOT, servo_kp=1.0, servo_kd=0.015, motor_strength=1.0)
+    result = fit_traces(ROBOT, [record(hidden)], names, prior)
     assert max(map(abs, errors_of(result, hidden).values())) < 0.01
     assert result.identified_names() == names
 
@@ -180,7 +180,7 @@ def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
         truth = getattr(hidden, item.name)[0]
         low, high = item.interval
         assert low < float(truth if item.index is None else truth[item.index]) < high, item
-    # Without a known voltage only ratios to it are told, and it says so.
+    # Without a known voltage only ratios to it are identifiable, and a note reports this.
     assert not result.estimate("voltage").identifiable
     assert any("voltage of 16 V" in note for note in result.notes)
     ratio = result.estimate("torque_constant").value / result.estimate("resistance").value
@@ -189,9 +189,9 @@ def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
     assert result.estimate("servo_latency").deviation < 0.001
     assert result.date == "2026-11-22"
     assert result.checks[0].after < 0.03
-    known = fit_traces(ROBOT, traces, BATTERY_KNOWN, AT_15_V)
-    assert known.estimate("resistance").deviation < 0.02 * 0.175
-    assert all(item.identifiable for item in known.estimates)
+    from_known_battery = fit_traces(ROBOT, traces, BATTERY_KNOWN, AT_15_V)
+    assert from_known_battery.estimate("resistance").deviation < 0.02 * 0.175
+    assert all(item.identifiable for item in from_known_battery.estimates)
 
 
 def test_intervals_of_strengths_include_errors_of_torque_reports() -> None:
@@ -282,9 +282,9 @@ def test_fit_refuses_short_traces_and_motors_at_rest() -> None:
 def test_a_walk_identifies_the_mass_of_the_base() -> None:
     ratio = 1.3
     hidden = HIDDEN.with_values(ROBOT, base_mass_ratio=ratio, leg_mass_ratio=1.1)
-    known = AT_15_V.with_values(ROBOT, leg_mass_ratio=1.1)
+    prior = AT_15_V.with_values(ROBOT, leg_mass_ratio=1.1)
     walk = record(hidden, 6.0, trotting, rack=False)
-    result = fit_traces(ROBOT, [read_badly(walk, 300)], NAMES, known)
+    result = fit_traces(ROBOT, [read_badly(walk, 300)], NAMES, prior)
     mass = result.estimate("base_mass_ratio")
     low, high = mass.interval
     assert low < ratio < high
@@ -324,13 +324,15 @@ def test_motion_between_readings_is_a_polynomial() -> None:
 
 
 def test_timing_of_torques_in_real_time_is_estimated() -> None:
-    simulated, told = clean(), replace(clean(), meta={**clean().meta, "lead": 0.005})
-    assert [way.age for way in torque_timings(ROBOT, simulated)] == [0.001]
-    assert [way.age for way in torque_timings(ROBOT, told)] == pytest.approx([0.001, 0.0065])
-    late = TraceSegment(told, MotorMotion(ROBOT, told), np.array([10, 11]), 0, torque_timings(ROBOT, told)[1])
-    assert np.array_equal(late.target, told.target[[9, 10]])
+    simulated, real_time = clean(), replace(clean(), meta={**clean().meta, "lead": 0.005})
+    assert [timing.age for timing in torque_timings(ROBOT, simulated)] == [0.001]
+    assert [timing.age for timing in torque_timings(ROBOT, real_time)] == pytest.approx([0.001, 0.0065])
+    late = TraceSegment(
+        real_time, MotorMotion(ROBOT, real_time), np.array([10, 11]), 0, torque_timings(ROBOT, real_time)[1]
+    )
+    assert np.array_equal(late.target, real_time.target[[9, 10]])
     # Which it did is found from the data: here torques are of the control step's end.
-    result = fit_traces(ROBOT, [told], BATTERY_KNOWN, AT_15_V)
+    result = fit_traces(ROBOT, [real_time], BATTERY_KNOWN, AT_15_V)
     assert max(map(abs, errors_of(result).values())) < 0.01
 
 

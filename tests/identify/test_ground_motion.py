@@ -32,8 +32,8 @@ def test_deviation_of_a_mean_by_blocks():
 
 def test_a_regression_by_blocks():
     ones, values, blocks = np.ones((4, 1)), np.array([1.0, 1.0, 3.0, 3.0]), np.array([0, 0, 1, 1])
-    found, covariance = regress(ones, values, blocks)
-    assert found[0] == pytest.approx(2.0)
+    estimate, covariance = regress(ones, values, blocks)
+    assert estimate[0] == pytest.approx(2.0)
     # Gradients -2 and 2; two blocks less one coefficient; H = 4.
     assert covariance[0, 0] == pytest.approx((4 + 4) * 2 / 16)
 
@@ -41,10 +41,10 @@ def test_a_regression_by_blocks():
 def test_a_regression_on_two_columns():
     x = np.array([-1.0, 0.0, 1.0, 2.0, 5.0])
     columns = np.stack([x, np.ones(5)], axis=1)
-    found, covariance = regress(columns, 3.0 * x - 2.0, np.arange(5))
-    np.testing.assert_allclose(found, [3.0, -2.0], atol=1e-12)
+    estimate, covariance = regress(columns, 3.0 * x - 2.0, np.arange(5))
+    np.testing.assert_allclose(estimate, [3.0, -2.0], atol=1e-12)
     np.testing.assert_allclose(covariance, 0.0, atol=1e-20)
-    # A column that is not there tells nothing, and disturbs nothing.
+    # A missing column is not identifiable, and does not change the others.
     with_none, _ = regress(np.column_stack([columns, np.zeros(5)]), 3.0 * x - 2.0, np.arange(5))
     np.testing.assert_allclose(with_none, [3.0, -2.0, 0.0], atol=1e-12)
 
@@ -55,22 +55,24 @@ def test_tilt_follows_the_gyro_fast_and_the_imu_slowly():
     tilt = slow + fast + rng.normal(0.0, 0.05, len(time))
     # The gyro: what changes, exactly, from one value to the next.
     rate = np.diff(fast, prepend=fast[0]) / STEP
-    found = _filter_tilt(np.stack([tilt, np.zeros_like(tilt)], axis=1), np.stack([rate, np.zeros_like(rate)], axis=1))
-    error = found[:, 0] - slow - fast
+    estimate = _filter_tilt(
+        np.stack([tilt, np.zeros_like(tilt)], axis=1), np.stack([rate, np.zeros_like(rate)], axis=1)
+    )
+    error = estimate[:, 0] - slow - fast
     # The start is a mean of noise and of the motion; then noise of 50 mrad is averaged over some 1000 values.
     assert abs(error[0]) < 0.06
     assert np.abs(error[2000:]).max() < 0.012
     assert np.std(tilt - slow - fast) > 0.045
-    np.testing.assert_array_equal(found[:, 1], 0.0)
+    np.testing.assert_array_equal(estimate[:, 1], 0.0)
 
 
 def test_tilt_has_no_mean_error_from_a_biased_gyro():
     # Drawn back with a time constant T, an error of the rate b leaves an angle of b T (1 - exp(-t / T)), less its mean.
     time, bias = np.arange(0.0, 6.0, STEP), 0.01
-    found = _filter_tilt(np.zeros((len(time), 2)), np.full((len(time), 2), bias))
+    estimate = _filter_tilt(np.zeros((len(time), 2)), np.full((len(time), 2), bias))
     expected = bias * LEVELLING * (1 - np.exp(-(time + STEP) / LEVELLING))
-    np.testing.assert_allclose(found[:, 0], expected - expected.mean(), atol=1e-4)
-    assert abs(found[:, 0].mean()) < 1e-12
+    np.testing.assert_allclose(estimate[:, 0], expected - expected.mean(), atol=1e-4)
+    assert abs(estimate[:, 0].mean()) < 1e-12
 
 
 def test_smoothing_reproduces_cubics():
@@ -103,8 +105,8 @@ def test_mean_torque_exceeds_the_report_after_a_command(robot: RobotDescription)
     # Of two steps the second has 1 mrad less to go: .001 of 16 V, at .186 Ohm and, up to 10 A, .1 N m/A. On average
     # they have half of that more than the second.
     expected = 0.001 * 16 / 0.186 * 0.1 / 2
-    found = _torque_excess(robot, recording, nominal, 0.0)
-    np.testing.assert_allclose(found[20:], expected, rtol=1e-6)
+    estimate = _torque_excess(robot, recording, nominal, 0.0)
+    np.testing.assert_allclose(estimate[20:], expected, rtol=1e-6)
     # A motor that stands has equal torques in both.
     still = SimpleNamespace(**vars(recording) | {"motor_angle": turning * 0, "motor_velocity": turning * 0})
     np.testing.assert_allclose(_torque_excess(robot, still, nominal, 0.0)[20:], 0.0, atol=1e-12)

@@ -32,8 +32,8 @@ def hanging(pupper: RobotDescription) -> RobotLog:
         "hanging.npz", time, command, time, np.full((len(time), 12), np.nan), np.full((len(time), 4), np.nan)
     )
     truth = PhysicalParams.nominal(pupper).with_values(pupper, **TRUTH)
-    told = Replayer(pupper, 1, torques=False).run(segment_from_log(blank, pupper), truth)
-    return replace(blank, motor_angle=told.motor_angle[0])
+    readings = Replayer(pupper, 1, torques=False).run(segment_from_log(blank, pupper), truth)
+    return replace(blank, motor_angle=readings.motor_angle[0])
 
 
 def test_log_fit_identifies_the_true_parameters_on_a_rack(pupper: RobotDescription, hanging: RobotLog):
@@ -48,58 +48,58 @@ def test_log_fit_identifies_the_true_parameters_on_a_rack(pupper: RobotDescripti
 
 
 def test_candidates_combine_shared_values_and_ratios(pupper: RobotDescription):
-    known = PhysicalParams.nominal(pupper)
-    unknowns = log_unknowns(pupper, known, ["motor_friction", "friction_ratio", "damping_ratio", "motor_offset"])
+    initial = PhysicalParams.nominal(pupper)
+    unknowns = log_unknowns(pupper, initial, ["motor_friction", "friction_ratio", "damping_ratio", "motor_offset"])
     values = np.array([u.start for u in unknowns])
     at = {(u.name, u.index): k for k, u in enumerate(unknowns)}
     values[at["motor_friction", None]], values[at["friction_ratio", 4]] = 0.1, 1.5
     values[at["damping_ratio", None]], values[at["motor_offset", 2]] = 0.08, 0.05
-    params = log_params(known, unknowns, values[None])
+    params = log_params(initial, unknowns, values[None])
     np.testing.assert_allclose(params.motor_friction[0], [0.1] * 4 + [0.15] + [0.1] * 7)
-    np.testing.assert_allclose(params.servo_kd, 0.08 * known.servo_kp)
+    np.testing.assert_allclose(params.servo_kd, 0.08 * initial.servo_kp)
     assert params.motor_offset[0].tolist() == [0, 0, 0.05, *[0] * 9]
 
 
 def test_log_fit_refuses_unknown_names_no_logs_and_dc_motors(pupper: RobotDescription, hanging: RobotLog):
-    known = PhysicalParams.nominal(pupper)
+    initial = PhysicalParams.nominal(pupper)
     with pytest.raises(SurefootError, match="logs can't identify 'voltage'; choices: servo_kp"):
-        fit_logs(pupper, [LogRun(hanging, True)], [], ["voltage"], known)
+        fit_logs(pupper, [LogRun(hanging, True)], [], ["voltage"], initial)
     with pytest.raises(SurefootError, match="there are no logs to fit"):
-        fit_logs(pupper, [], [LogRun(hanging, True)], None, known)
+        fit_logs(pupper, [], [LogRun(hanging, True)], None, initial)
     minitaur = RobotDescription.load("minitaur")
     with pytest.raises(SurefootError, match="motors of minitaur are of kind dc"):
         fit_logs(minitaur, [LogRun(hanging, True)], [], None, PhysicalParams.nominal(minitaur))
 
 
 def test_search_reduces_the_cost_over_shared_unknowns(pupper: RobotDescription, hanging: RobotLog):
-    known, told = PhysicalParams.nominal(pupper), []
+    initial, progress = PhysicalParams.nominal(pupper), []
     model = log_model(
-        pupper, [LogRun(hanging.until(0.5), True)], log_unknowns(pupper, known, ["servo_kp", "motor_offset"]), known
+        pupper, [LogRun(hanging.until(0.5), True)], log_unknowns(pupper, initial, ["servo_kp", "motor_offset"]), initial
     )
     start = np.array([unknown.start for unknown in model.unknowns])
-    result = search_start(model, 2, 1, lambda step, cost: told.append((step, cost)))
+    result = search_start(model, 2, 1, lambda step, cost: progress.append((step, cost)))
     before, after = (float(np.sum(model.residuals(one[None]) ** 2)) for one in (start, result))
     assert after < before
     # What motors have of their own is left to the fit.
     assert result[0] != start[0]
     assert np.array_equal(result[1:], start[1:])
-    assert [step for step, _ in told] == ["search, generation 1", "search, generation 2"]
-    assert told[1][1] <= told[0][1]
+    assert [step for step, _ in progress] == ["search, generation 1", "search, generation 2"]
+    assert progress[1][1] <= progress[0][1]
     assert np.array_equal(result, search_start(model, 2, 1, lambda *_: None))
     with pytest.raises(SurefootError, match="a search is over numbers that all motors share"):
-        fit_logs(pupper, [LogRun(hanging, True)], [], ["motor_offset"], known, search=2)
+        fit_logs(pupper, [LogRun(hanging, True)], [], ["motor_offset"], initial, search=2)
 
 
 def test_yaw_of_the_imu_is_identified(pupper: RobotDescription, hanging: RobotLog):
     nominal = PhysicalParams.nominal(pupper)
     truth, first = nominal.rows(np.zeros(1, np.int64)), hanging.until(0.5)
     truth.imu_mount[0, 2] = np.pi
-    # Its left legs bend: it rolls and pitches, and the IMU tells both with the other sign.
+    # Its left legs bend: it rolls and pitches, and the IMU reports both with the other sign.
     command = first.command.copy()
     command[:, 2::6] -= 0.4 * np.linspace(0, 1, len(command))[:, None]
     blank = replace(first, command=command)
-    told = Replayer(pupper, 1, rack=False, torques=False).run(segment_from_log(blank, pupper), truth)
-    log = replace(blank, motor_angle=told.motor_angle[0], imu=imu_channels(told)[0])
+    readings = Replayer(pupper, 1, rack=False, torques=False).run(segment_from_log(blank, pupper), truth)
+    log = replace(blank, motor_angle=readings.motor_angle[0], imu=imu_channels(readings)[0])
     assert np.ptp(log.imu[:, :2], axis=0).min() > 0.01
     assert find_imu_yaw(pupper, [LogRun(log, False)], nominal) == np.pi
     assert find_imu_yaw(pupper, [LogRun(hanging, True)], nominal) is None

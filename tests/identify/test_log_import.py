@@ -198,9 +198,10 @@ def test_table_reads_all_numbers_that_numpy_pickles(tmp_path: Path):
             "q[1]": [1, 3, 5],
         }
         (tmp_path / "log.pkl").write_bytes(pickle.dumps(rows, protocol))
-        found = read_table(tmp_path / "log.pkl").columns
+        table_columns = read_table(tmp_path / "log.pkl").columns
         np.testing.assert_equal(
-            {k: v.tolist() for k, v in found.items()}, {"a": [2.5, 4.0], "b[0]": [1.0, np.nan], "b[1]": [1.0, np.nan]}
+            {k: v.tolist() for k, v in table_columns.items()},
+            {"a": [2.5, 4.0], "b[0]": [1.0, np.nan], "b[1]": [1.0, np.nan]},
         )
     (tmp_path / "log.pkl").write_bytes(pickle.dumps([1, 2, 3]))
     assert read_table(tmp_path / "log.pkl").columns["data"].tolist() == [1, 2, 3]

@@ -1,4 +1,4 @@
-"""What is identified goes into the file of what is known, which keeps everything else."""
+"""Overlays: identified parameters are written into a parameter file, which keeps all else."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ deep = [[1, 2], [3]]
 
 
 def motor(strength: float = 0.9, missing: int = 3) -> Identification:
-    """All motors but one are told; so is the voltage, and the resistance is not."""
+    """All motors but one and the voltage are identifiable; the resistance is not."""
     estimates = [
         ParameterEstimate("motor_strength", strength + 0.01 * i, 0.005, "1", i, i != missing, low=0.0) for i in range(8)
     ]
@@ -44,10 +44,10 @@ def motor(strength: float = 0.9, missing: int = 3) -> Identification:
 
 def test_prior_without_a_file_is_nominal(robot: RobotDescription, tmp_path: Path):
     for path in (None, tmp_path / "none.toml"):
-        known = read_prior(path, robot)
-        assert (known.names, known.tables) == ((), {})
-        assert known.params.voltage[0] == robot.dc_motor.voltage
-        assert missing_experiments(known, ("motor", "mass")) == ("motor", "mass")
+        prior = read_prior(path, robot)
+        assert (prior.names, prior.tables) == ((), {})
+        assert prior.params.voltage[0] == robot.dc_motor.voltage
+        assert missing_experiments(prior, ("motor", "mass")) == ("motor", "mass")
 
 
 def test_overlay_is_read_as_written(robot: RobotDescription, tmp_path: Path):
@@ -64,8 +64,8 @@ def test_overlay_is_read_as_written(robot: RobotDescription, tmp_path: Path):
     np.testing.assert_array_equal(again.params.motor_strength[0], expected)
     assert again.params.resistance[0] == robot.dc_motor.resistance
     assert again.tables["sensors"] == {"torque_gain": [0.01, -0.02], "torque_accuracy": 0.004}
-    told = again.tables["identified"]["motor"]
-    assert told == {"date": "2026-11-21", "data": "ab12", "file": "recording.npz", "surefoot": __version__}
+    source = again.tables["identified"]["motor"]
+    assert source == {"date": "2026-11-21", "data": "ab12", "file": "recording.npz", "surefoot": __version__}
     assert missing_experiments(again, ("motor", "mass")) == ("mass",)
 
 
@@ -77,10 +77,10 @@ def test_intervals_are_written_for_numbers_and_for_motors(robot: RobotDescriptio
     assert len(strength) == 8
     assert strength[3] == [-math.inf, math.inf]
     assert strength[0] == pytest.approx([0.9 - NORMAL_95 * 0.005, 0.9 + NORMAL_95 * 0.005])
-    # Friction was told of the first motor only, and can't be less than none.
+    # Only the first motor's friction was identifiable, and friction is not negative.
     assert tables["intervals"]["motor_friction"][0][0] == 0.0
     assert tables["intervals"]["motor_friction"][1:] == [[-math.inf, math.inf]] * 7
-    # What no simulator has is told too, but is no parameter.
+    # Quantities that no simulator models are reported too, but are not parameters.
     assert tables["intervals"]["base_height"] == [pytest.approx([0.01804, 0.02196], abs=1e-5)]
     assert "resistance" not in tables["intervals"]
     assert tables["identified_by"] == dict.fromkeys(
@@ -93,32 +93,34 @@ def test_overlay_keeps_all_else_in_the_file(robot: RobotDescription, tmp_path: P
     path.write_text(TEXT)
     write_overlay(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
     contact = ParameterEstimate("contact_friction", 0.7, 0.02, "1")
-    found = Identification("contact", "minitaur", (contact, ParameterEstimate("voltage", 15.2, 0.05, "V")), digest="cd")
-    write_overlay(path, robot, overlay(read_prior(path, robot), found, robot, "b.npz"))
-    known = read_prior(path, robot)
-    assert known.tables["owner"] == "lab 3"
-    assert known.tables["note"] == {"by": "hand", "more": {"deep": [[1, 2], [3]]}}
-    assert known.names == ("motor_friction", "motor_strength", "voltage", "contact_friction")
+    identified = Identification(
+        "contact", "minitaur", (contact, ParameterEstimate("voltage", 15.2, 0.05, "V")), digest="cd"
+    )
+    write_overlay(path, robot, overlay(read_prior(path, robot), identified, robot, "b.npz"))
+    prior = read_prior(path, robot)
+    assert prior.tables["owner"] == "lab 3"
+    assert prior.tables["note"] == {"by": "hand", "more": {"deep": [[1, 2], [3]]}}
+    assert prior.names == ("motor_friction", "motor_strength", "voltage", "contact_friction")
     # The motor that was not identifiable keeps the file's value.
-    assert known.params.motor_strength[0, 3] == 0.97
-    assert (known.params.voltage[0], known.params.contact_friction[0]) == (15.2, 0.7)
-    assert known.tables["identified_by"]["voltage"] == "contact"
-    assert known.tables["identified_by"]["motor_strength"] == "motor"
-    assert set(known.tables["identified"]) == {"motor", "contact"}
-    assert known.tables["sensors"]["torque_accuracy"] == 0.004
-    assert missing_experiments(known, ("motor", "contact")) == ()
+    assert prior.params.motor_strength[0, 3] == 0.97
+    assert (prior.params.voltage[0], prior.params.contact_friction[0]) == (15.2, 0.7)
+    assert prior.tables["identified_by"]["voltage"] == "contact"
+    assert prior.tables["identified_by"]["motor_strength"] == "motor"
+    assert set(prior.tables["identified"]) == {"motor", "contact"}
+    assert prior.tables["sensors"]["torque_accuracy"] == 0.004
+    assert missing_experiments(prior, ("motor", "contact")) == ()
 
 
 def test_a_repeated_experiment_replaces_its_results(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "robot.toml"
     write_overlay(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
     write_overlay(path, robot, overlay(read_prior(path, robot), motor(0.8, missing=5), robot, "b.npz"))
-    known = read_prior(path, robot)
-    assert known.params.motor_strength[0, 3] == pytest.approx(0.83)
+    prior = read_prior(path, robot)
+    assert prior.params.motor_strength[0, 3] == pytest.approx(0.83)
     # Of the motor that is not identifiable this time the former interval is still the best there is.
-    assert known.params.motor_strength[0, 5] == pytest.approx(0.95)
-    assert known.tables["intervals"]["motor_strength"][5][0] == pytest.approx(0.95 - NORMAL_95 * 0.005)
-    assert known.tables["identified"]["motor"]["file"] == "b.npz"
+    assert prior.params.motor_strength[0, 5] == pytest.approx(0.95)
+    assert prior.tables["intervals"]["motor_strength"][5][0] == pytest.approx(0.95 - NORMAL_95 * 0.005)
+    assert prior.tables["identified"]["motor"]["file"] == "b.npz"
 
 
 @pytest.mark.parametrize(

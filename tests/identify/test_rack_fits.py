@@ -1,4 +1,4 @@
-"""What a robot on a rack tells: answers to spikes of torque with known delays, and readings at rest."""
+"""Fits on a rack: responses to spikes of torque with known delays, and readings at rest."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STEP = 2 * np.pi / 2**14
 
 
 def answered(age: float, speed: float = 5.0, moving: int = MOTORS, noise: float = 1.0, seed: int = 0) -> Recording:
-    """Spikes of one command to and fro, which motors answer as free ones do, then brake; states tell it `age` later.
+    """Spikes of one command to and fro, which motors answer as free ones do, then brake; states report it `age` later.
 
     From 0 to T a motor's way is v t^2 / 2 T, later v (t - T / 2) - c (t - T)^2 until it stands. Odd motors go the other
     way round.

@@ -32,12 +32,12 @@ def refused(path: Path, robot: RobotDescription, experiment: str | None = None) 
 
 def test_recording_is_read_as_written(recorded: Recording, robot: RobotDescription, tmp_path: Path):
     path = recorded.save(tmp_path / "deep" / "recording.npz")
-    found = load_recording(path, robot, "motor")
+    loaded = load_recording(path, robot, "motor")
     for name in ARRAYS:
-        np.testing.assert_array_equal(getattr(found, name), getattr(recorded, name))
-    assert json.loads(json.dumps(recorded.meta)) == found.meta
-    assert found.digest == recorded.digest
-    assert found.meta["ended"] == COMPLETE
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(recorded, name))
+    assert json.loads(json.dumps(recorded.meta)) == loaded.meta
+    assert loaded.digest == recorded.digest
+    assert loaded.meta["ended"] == COMPLETE
 
 
 def test_arrival_of_commands_in_lockstep_is_their_sending(recorded: Recording):

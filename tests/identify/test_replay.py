@@ -85,7 +85,7 @@ def test_a_replay_with_the_true_parameters_is_the_recording(
 def test_control_latency_shifts_the_readings(
     one: Replayer, readings: ReplayedReadings, segment: Segment, truth: PhysicalParams, robot: RobotDescription
 ):
-    # States come every 2 ms: with 4 ms more each tells what the second before it did.
+    # States come every 2 ms: with 4 ms more each equals the second one before it.
     late = truth.with_values(robot, control_latency=TRUTH["control_latency"] + 0.004)
     shifted = one.run(segment, late)
     for name in ("motor_angle", "motor_velocity"):

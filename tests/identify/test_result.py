@@ -1,4 +1,4 @@
-"""What an identification found: intervals, and what goes into a robot's parameters."""
+"""Results of an identification: intervals, and values for a robot's parameters."""
 
 from __future__ import annotations
 

@@ -82,8 +82,8 @@ def test_feedback_is_clipped_to_the_bounds_exactly(policy_file: Path):
 def test_the_feedback_is_independent_of_the_batch(policy_file: Path, rng: np.random.Generator):
     runtime = PolicyRuntime.load(policy_file)
     observation = rng.normal(size=(7, 4))
-    alone = np.concatenate([runtime.feedback(row[None]) for row in observation])
-    assert np.allclose(runtime.feedback(observation), alone, atol=1e-6)
+    row_by_row = np.concatenate([runtime.feedback(row[None]) for row in observation])
+    assert np.allclose(runtime.feedback(observation), row_by_row, atol=1e-6)
 
 
 @pytest.mark.parametrize(

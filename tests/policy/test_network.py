@@ -129,7 +129,7 @@ def test_a_stale_file_is_refused_before_it_is_run(tmp_path: Path):
 
 
 def test_a_file_of_onnxruntimes_own_format_inside_is_read_as_onnx(tmp_path: Path):
-    """Bytes 4 to 8 would tell onnxruntime to read another model than the one that was checked."""
+    """Bytes 4 to 8 would make onnxruntime read another model than the one that was checked."""
     data, producer = find_policy("trot").read_bytes(), b"\x12\x08surefoot"
     path = tmp_path / "both.onnx"
     path.write_bytes(encode_field(2, b"..ORTM") + data.replace(producer, b"", 1))

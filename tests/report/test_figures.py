@@ -56,14 +56,14 @@ def heights(figure: Figure) -> list[float]:
 
 def lines(figure: Figure, panel: int, length: int = 2) -> list[list[float]]:
     """Values of the lines of at least so many points in a panel."""
-    found = [np.asarray(line.get_ydata(), float) for line in figure.axes[panel].lines]
-    return [values.tolist() for values in found if values.size >= length]
+    plotted = [np.asarray(line.get_ydata(), float) for line in figure.axes[panel].lines]
+    return [values.tolist() for values in plotted if values.size >= length]
 
 
-def trot(make_run: MakeRun, steps: int = 700, known: bool = True) -> EpisodeTrace:
-    """A made-up trot; without `known`, of a robot that sees neither itself nor the ground."""
+def trot(make_run: MakeRun, steps: int = 700, with_distance: bool = True) -> EpisodeTrace:
+    """A made-up trot; without `with_distance`, of a robot that sees neither itself nor the ground."""
     time, rng = 0.006 * np.arange(1, steps + 1), np.random.default_rng(0)
-    phases, gap = np.array([0.0, 0.5, 0.5, 0.0]), 0.0 if known else np.nan
+    phases, gap = np.array([0.0, 0.5, 0.5, 0.0]), 0.0 if with_distance else np.nan
     arrays = {
         "base_position_world": np.outer(np.arange(steps + 1) * 0.006, [0.6, 0.02, 0.0]) + gap,
         "base_quat_world": np.tile([1.0, 0.0, 0.0, 0.0], (steps + 1, 1)) + gap,
@@ -75,11 +75,11 @@ def trot(make_run: MakeRun, steps: int = 700, known: bool = True) -> EpisodeTrac
     return make_run(steps=steps, step=0.006, arrays=arrays)
 
 
-@pytest.mark.parametrize(("steps", "known"), [(700, True), (1, True), (700, False)])
+@pytest.mark.parametrize(("steps", "with_distance"), [(700, True), (1, True), (700, False)])
 def test_episode_figures_show_footfalls_tilt_angles_and_power(
-    steps: int, known: bool, robot: RobotDescription, make_run: MakeRun, tmp_path: Path, drawn: list[Figure]
+    steps: int, with_distance: bool, robot: RobotDescription, make_run: MakeRun, tmp_path: Path, drawn: list[Figure]
 ) -> None:
-    trace = trot(make_run, steps, known)
+    trace = trot(make_run, steps, with_distance)
     assert footfall_diagram(trace, tmp_path / "deeper" / "feet.png").exists()
     episode_plot(trace, robot, tmp_path / "episode.png")
     feet, episode = drawn
@@ -87,7 +87,7 @@ def test_episode_figures_show_footfalls_tilt_angles_and_power(
     assert [label.get_text().split(" (")[0] for label in feet.axes[0].get_yticklabels()] == [
         *("back right", "front right", "front left", "back left")
     ]
-    if steps > 1 and known:
+    if steps > 1 and with_distance:
         starts = [path.vertices[:, 0].min() for path in feet.axes[0].collections[2].get_paths()]
         np.testing.assert_allclose(np.diff(starts[1:]), 0.5, atol=0.01)
     roll, pitch = lines(episode, 0, 1)

@@ -1,4 +1,4 @@
-"""The report of an identification that was made by hand, so that what it must say is known."""
+"""The report of an identification that was made by hand, with known numbers."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ PNG = b"\x89PNG"
 
 
 @pytest.fixture(scope="module")
-def known(robot: RobotDescription) -> PhysicalParams:
+def prior(robot: RobotDescription) -> PhysicalParams:
     return PhysicalParams.nominal(robot)
 
 
 def identification(motors: bool = True) -> Identification:
-    """What a motor experiment could tell; without `motors`, what one on the ground could."""
+    """Estimates of a motor experiment; without `motors`, of one on the ground."""
     rng = np.random.default_rng(2)
     estimates = [
         ParameterEstimate("torque_constant", 0.0921, 0.0004, "N m/A"),
@@ -62,7 +62,7 @@ def identification(motors: bool = True) -> Identification:
         tuple(estimates),
         (Check("motor angles", 21.3, 2.1, "mrad"), Check("motor torques", 0.31, 0.043, "N m")),
         (("resistance", "torque_constant", -0.93), ("motor_strength[2]", "motor_friction[2]", 0.84)),
-        ("back_right_2_motor never moves & tells <nothing>",),
+        ("back_right_2_motor never moves & is <unused>",),
         series if motors else (),
         {"torque_gain": [0.0] * 8},
         "ab" * 32,
@@ -97,21 +97,21 @@ class Page(HTMLParser):
             self.rows[-1][-1] += data
 
 
-def test_report_writes_picture_and_page(robot: RobotDescription, known: PhysicalParams, tmp_path: Path):
-    picture, html = write_report(identification(), robot, known, tmp_path / "a" / "b", "runs/recording.npz")
+def test_report_writes_picture_and_page(robot: RobotDescription, prior: PhysicalParams, tmp_path: Path):
+    picture, html = write_report(identification(), robot, prior, tmp_path / "a" / "b", "runs/recording.npz")
     assert (picture.name, html.name) == ("report.png", "report.html")
     assert picture.read_bytes().startswith(PNG)
     text = html.read_text(encoding="utf-8")
-    found = Page(text)
-    assert found.open == []
+    parsed = Page(text)
+    assert parsed.open == []
     # It holds its picture and loads nothing.
-    (source,) = found.loads
+    (source,) = parsed.loads
     assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == picture.read_bytes()
     assert not re.search(r"https?:|url\(|<script|<link", text)
 
 
-def test_page_has_all_numbers(robot: RobotDescription, known: PhysicalParams):
-    text = page(identification(), robot, known, PNG, "runs/recording.npz")
+def test_page_has_all_numbers(robot: RobotDescription, prior: PhysicalParams):
+    text = page(identification(), robot, prior, PNG, "runs/recording.npz")
     rows: dict[str, list[str]] = {}
     for row in Page(text).rows:
         rows.setdefault(row[0], row[1:])
@@ -124,16 +124,16 @@ def test_page_has_all_numbers(robot: RobotDescription, known: PhysicalParams):
     assert rows["data"] == ["runs/recording.npz"]
     assert rows["SHA-256"] == ["ab" * 32]
     assert rows["surefoot"] == [__version__]
-    assert "back_right_2_motor never moves &amp; tells &lt;nothing&gt;" in text
+    assert "back_right_2_motor never moves &amp; is &lt;unused&gt;" in text
     assert "24 of 27 numbers are identifiable from the data." in text
 
 
-def test_page_has_no_empty_sections(robot: RobotDescription, known: PhysicalParams, tmp_path: Path):
+def test_page_has_no_empty_sections(robot: RobotDescription, prior: PhysicalParams, tmp_path: Path):
     bare = Identification("latency", "minitaur", (ParameterEstimate("servo_latency", 0.003, 1e-4, "s"),))
-    text = page(bare, robot, known, PNG)
+    text = page(bare, robot, prior, PNG)
     assert re.findall("<h2>(.*?)</h2>", text) == ["Estimates", "Pictures", "Data"]
-    for number_, found in enumerate((bare, identification(motors=False), Identification("mass", "minitaur", ()))):
-        path = identification_figure(found, robot, known, tmp_path / f"{number_}.png")
+    for number_, parsed in enumerate((bare, identification(motors=False), Identification("mass", "minitaur", ()))):
+        path = identification_figure(parsed, robot, prior, tmp_path / f"{number_}.png")
         assert path.read_bytes().startswith(PNG)
 
 
@@ -147,12 +147,12 @@ def test_indices_have_names(robot: RobotDescription):
     assert index_names("voltage", robot) == ()
 
 
-def test_prior_value_of_parameters(robot: RobotDescription, known: PhysicalParams):
-    given = known.with_values(robot, motor_strength=np.linspace(0.9, 1.04, 8))
-    assert prior_value(ParameterEstimate("motor_strength", 1.0, 0.1, "1", 2), given) == pytest.approx(0.94)
-    assert prior_value(ParameterEstimate("motor_strength", 1.0, 0.1, "1"), given) == pytest.approx(0.97)
-    assert prior_value(ParameterEstimate("voltage", 1.0, 0.1, "V"), given) == robot.dc_motor.voltage
-    assert prior_value(ParameterEstimate("torque_gain", 1.0, 0.1, "1", 2), given) is None
+def test_prior_value_of_parameters(robot: RobotDescription, prior: PhysicalParams):
+    prior_params = prior.with_values(robot, motor_strength=np.linspace(0.9, 1.04, 8))
+    assert prior_value(ParameterEstimate("motor_strength", 1.0, 0.1, "1", 2), prior_params) == pytest.approx(0.94)
+    assert prior_value(ParameterEstimate("motor_strength", 1.0, 0.1, "1"), prior_params) == pytest.approx(0.97)
+    assert prior_value(ParameterEstimate("voltage", 1.0, 0.1, "V"), prior_params) == robot.dc_motor.voltage
+    assert prior_value(ParameterEstimate("torque_gain", 1.0, 0.1, "1", 2), prior_params) is None
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def test_legs_are_mounted_where_their_motors_are(robot: RobotDescription):
     assert robot.leg_mounts.shape == (len(robot.legs), 3)
 
 
-def test_legs_move_with_what_they_are_mounted_on(folder: Path):
+def test_legs_move_with_their_mounts(folder: Path):
     text = (folder / "minitaur.urdf").read_text()
     (folder / "minitaur.urdf").write_text(text.replace('xyz="0 0.1265 -0.0185"', 'xyz="0.1 0.2 0.3"'))
     mounts = RobotDescription.load(folder).leg_mounts
@@ -210,7 +210,7 @@ def test_bounds_that_the_sheet_does_not_give_are_the_defaults(folder: Path):
 
 
 @pytest.mark.parametrize(("line", "value"), [("", 0.0), ("viscous_friction = 0.02", 0.02)])
-def test_viscous_friction_is_zero_unless_the_sheet_says_otherwise(folder: Path, line: str, value: float):
+def test_viscous_friction_is_zero_by_default(folder: Path, line: str, value: float):
     text = (folder / SHEET).read_text()
     assert text.count("\nviscous_friction = 0.0 ") == 1
     (folder / SHEET).write_text(text.replace("\nviscous_friction = 0.0 ", f"\n{line} "))

@@ -21,7 +21,7 @@ def test_usual_numbers_are_near_those_of_the_minitaurs_sheet() -> None:
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())
-def test_every_robot_stays_within_what_its_legs_may_do(name: str) -> None:
+def test_experiments_of_every_robot_stay_within_its_leg_space(name: str) -> None:
     robot = RobotDescription.load(name)
     low, high = robot.leg_space["extension"]
     moved = robot.experiments
@@ -30,13 +30,13 @@ def test_every_robot_stays_within_what_its_legs_may_do(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ({"stance": -1.0}, "experiments.stance is -1"),
         ({"duty": 1.5}, "experiments.duty"),
         ({"jump": 1}, "is not a key"),
     ],
 )
-def test_what_is_none_is_refused(table: dict[str, float], said: str) -> None:
-    with pytest.raises(SurefootError, match=said):
+def test_invalid_experiments_are_refused(table: dict[str, float], message: str) -> None:
+    with pytest.raises(SurefootError, match=message):
         read_experiments(table, (0.6, 2.7), MINITAUR.actuator)

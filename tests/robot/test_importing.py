@@ -51,7 +51,7 @@ def write(tmp_path: Path, text: str, name: str = "dog.xml") -> Path:
     return path
 
 
-def test_the_reader_returns_what_the_file_has(tmp_path: Path) -> None:
+def test_the_reader_returns_the_files_values(tmp_path: Path) -> None:
     imported = read_robot(write(tmp_path, mjcf()))
     assert imported.name == "dog"
     assert imported.mass == pytest.approx(6 + 4 * 1.3)

@@ -201,7 +201,7 @@ def test_a_shared_draw_scales_every_motor_by_one_factor(robot):
     np.testing.assert_array_equal(drawn.motor_strength[:, 0], each.motor_strength[:, 0])
 
 
-def test_relative_draws_are_cut_to_what_the_robot_allows(robot):
+def test_relative_draws_are_clipped_to_the_robots_bounds(robot):
     ranges: Ranges = {"imu_noise": RelativeRange(add=(-0.2, -0.1)), "control_step": RelativeRange(scale=(100.0, 200.0))}
     drawn = Randomizer(ranges, robot, PhysicalParams.nominal(robot, 5), 3).draw(np.arange(5))
     assert np.all(drawn.imu_noise == 0.0)

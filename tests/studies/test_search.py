@@ -72,7 +72,7 @@ def test_the_same_seed_proposes_the_same_trials_stopped_or_not(tmp_path: Path) -
     assert not set(map(str, evaluations[0])) & set(map(str, evaluations[2]))
 
 
-def test_a_trial_under_way_goes_on_as_itself(tmp_path: Path) -> None:
+def test_an_interrupted_trial_resumes_as_the_same_trial(tmp_path: Path) -> None:
     search = Search(make(tmp_path), tmp_path, False)
     trials = search.trainings(4)
     first, second = next(trials), next(trials)

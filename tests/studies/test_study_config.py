@@ -109,7 +109,7 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("{groups: {a: {}}, findings: [{groups: [a], text: x}]}", "findings.0.: a are together in no set of bars"),
     ],
 )
-def test_load_study_refuses_what_does_not_fit(text: str, message: str, tmp_path: Path) -> None:
+def test_load_study_refuses_invalid_files(text: str, message: str, tmp_path: Path) -> None:
     path = study_file(tmp_path, text)
     with pytest.raises(SurefootError, match=message) as error:
         load_study(path)

@@ -49,13 +49,13 @@ def test_phases_of_each_gait(gait, phase):
 
 
 def test_the_result_depends_on_the_seed_alone():
-    found = []
+    best_values = []
     for seed in (5, 5, 6):
         tuner = Tuner(replace(SMALL, seed=seed, starts=1), SimWorld)
         tuner.step()
-        found.append(tuner.best)
-    assert found[0] == found[1]
-    assert found[0] != found[2]
+        best_values.append(tuner.best)
+    assert best_values[0] == best_values[1]
+    assert best_values[0] != best_values[2]
 
 
 def test_a_search_gets_better_and_keeps_the_best_of_another_start():

@@ -46,15 +46,15 @@ def test_without_ranges_there_are_no_commands() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("ranges", "message"),
     [
         ({"forward": (0.5, 1.0)}, r"commands.forward is \[0.5, 1\] m/s; it must go from 0 or less"),
         ({"yaw_rate": (-1.0, -0.5)}, r"commands.yaw_rate is \[-1, -0.5\] rad/s"),
     ],
 )
-def test_a_range_must_hold_zero(given: dict[str, tuple[float, float]], message: str) -> None:
+def test_a_range_must_hold_zero(ranges: dict[str, tuple[float, float]], message: str) -> None:
     with pytest.raises(SurefootError, match=message):
-        CommandConfig(**given).limits(RobotDescription.load("go2"))
+        CommandConfig(**ranges).limits(RobotDescription.load("go2"))
 
 
 def test_a_range_that_is_reversed_is_refused() -> None:
@@ -166,8 +166,8 @@ def test_the_filtered_command_changes_within_its_acceleration() -> None:
 def test_steps_begin_and_end_gradually_and_the_phase_goes_on() -> None:
     command_filter, go, stand = make_filter(), np.array([[0.2, 0.0, 0.0]]), np.zeros((1, 3))
     activity = []
-    for given in (go, go, go, go, stand, stand, stand, stand, stand):
-        command_filter.advance(given, STEP, np.zeros(1))
+    for command in (go, go, go, go, stand, stand, stand, stand, stand):
+        command_filter.advance(command, STEP, np.zeros(1))
         activity.append(float(command_filter.activity[0]))
     # The command is command_filter down to zero in the first step of standing, which is still a step.
     assert activity == pytest.approx([1 / 3, 2 / 3, 1, 1, 2 / 3, 1 / 3, 0, 0, 0])

@@ -29,10 +29,10 @@ def state(command: tuple[float, float, float], activity: float = 1.0, phases: in
     return CommandState(np.tile(command, (phases, 1)), np.full(phases, activity), np.arange(phases) / phases)
 
 
-def feet(reference: FollowingReference, given: CommandState) -> np.ndarray:
+def feet(reference: FollowingReference, command_state: CommandState) -> np.ndarray:
     """Return where feet are (phases, L, 3) [m] from the legs' mounts."""
     robot = reference.robot
-    angles = robot.leg_geometry.to_motors(reference.pose(0.0, given))
+    angles = robot.leg_geometry.to_motors(reference.pose(0.0, command_state))
     return robot.leg_geometry.foot_position(angles)
 
 
@@ -106,8 +106,8 @@ def test_the_longest_stride_holds_with_its_frequency() -> None:
 def test_reference_of_a_contract_is_the_same_gait() -> None:
     reference = reference_of("go2")
     again = read_reference(reference.to_dict(), reference.robot, reference.limits)
-    given = state((0.5, 0.1, 0.3))
-    assert again.pose(0.0, given) == pytest.approx(reference.pose(0.0, given), abs=1e-12)
+    command_state = state((0.5, 0.1, 0.3))
+    assert again.pose(0.0, command_state) == pytest.approx(reference.pose(0.0, command_state), abs=1e-12)
 
 
 def test_a_stride_out_of_reach_is_refused() -> None:

@@ -154,7 +154,7 @@ def test_a_damped_drive_follows_a_reference_that_leads_by_its_lag(task: str):
     assert worst[1.0] < 0.25 * worst[0.0], worst
 
 
-def test_commands_that_lead_stay_within_what_legs_allow(robot: RobotDescription):
+def test_velocity_feedforward_stays_within_leg_space(robot: RobotDescription):
     foot = {"frequency": 3.0, "stroke": 0.1, "clearance": 0.05, "duty_factor": 0.5, "phase": 0.0, "height": 0.2}
     data = {"kind": "foot", "foot": {**foot, "offset": 0.0, "depth": 0.0}, "velocity_feedforward": 1.0}
     gait = HybridGait(robot, read_reference(data, robot), (-0.1, 0.1), (-0.1, 0.1))

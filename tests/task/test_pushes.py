@@ -88,9 +88,9 @@ def test_relative_forces_count_the_robots_weight():
 @pytest.mark.parametrize("probability", [0.0, 0.3, 1.0])
 def test_pushes_happen_with_their_probability(probability: float):
     pusher = make_pusher(PushConfig(enabled=True, probability=probability), 2000, seed=3)
-    given = forces(pusher, 10, first=200).any(axis=2)
-    assert given[0].mean() == pytest.approx(probability, abs=0.03)
-    assert np.all(given == given[0])  # one draw a push, not one a step
+    is_pushed = forces(pusher, 10, first=200).any(axis=2)
+    assert is_pushed[0].mean() == pytest.approx(probability, abs=0.03)
+    assert np.all(is_pushed == is_pushed[0])  # one draw a push, not one a step
 
 
 @pytest.mark.parametrize(("seed", "same"), [(5, True), (6, False)])

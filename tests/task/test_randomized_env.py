@@ -46,7 +46,7 @@ def wave(env: LocomotionEnv, k: int) -> np.ndarray:
     return env.robot.pose_angles(0.3 * np.sin(phase), 2.0 + 0.35 * np.sin(phase))
 
 
-def test_what_robots_weigh_and_how_deep_their_feet_stand_is_as_drawn(robot):
+def test_weight_and_foot_penetration_follow_the_drawn_parameters(robot):
     env = make_env({name: FULL[name] for name in (*RATIOS[:2], "contact_stiffness")}, num_envs=12)
     for _ in range(450):
         env.world.step(env.world.resting_angles)
@@ -249,7 +249,7 @@ def test_a_range_of_the_nominal_value_is_as_no_range(robot):
     assert same_path(run(env, 40), run(plain, 40))
 
 
-def test_the_critics_state_grows_by_what_is_drawn():
+def test_the_critic_state_includes_the_drawn_parameters():
     plain = make_env({}).privileged().shape[1]
     for ranges, width in (
         ({"motor_friction": (0.0, 0.05)}, 1),

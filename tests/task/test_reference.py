@@ -130,7 +130,7 @@ def from_file(path: Path) -> Reference:
 
 
 @pytest.mark.parametrize("name", ["gait.csv", "gait.npz"])
-def test_a_file_gives_what_its_rows_would(tmp_path: Path, name: str):
+def test_a_reference_from_a_file_equals_one_from_its_rows(tmp_path: Path, name: str):
     write(tmp_path / name, columns())
     time = np.linspace(0, 2, 37)
     assert np.array_equal(from_file(tmp_path / name).pose(time), read_reference(ROWS, ROBOT).pose(time))
@@ -147,11 +147,11 @@ def test_columns_go_by_name_not_by_place(tmp_path: Path):
 def test_a_foot_reference_may_count_lengths_and_natural_frequencies_of_the_leg():
     lengths = ("stroke", "clearance", "height", "offset", "depth")
     absolute = foot(**{"frequency": 2.0 * 0.8536453} | {name: 0.341 * FOOT["foot"][name] * 3 for name in lengths})
-    given = foot(**{name: 3 * FOOT["foot"][name] for name in lengths})
+    relative = foot(**{name: 3 * FOOT["foot"][name] for name in lengths})
     time = np.linspace(0, 1, 41)
-    poses = [read_reference(data, ROBOT).pose(time) for data in (given | {"relative": True}, absolute)]
+    poses = [read_reference(data, ROBOT).pose(time) for data in (relative | {"relative": True}, absolute)]
     np.testing.assert_allclose(*poses, atol=1e-6)
-    again = read_reference(read_reference(given | {"relative": True}, ROBOT).to_dict(), ROBOT)
+    again = read_reference(read_reference(relative | {"relative": True}, ROBOT).to_dict(), ROBOT)
     np.testing.assert_array_equal(again.pose(time), poses[0])
 
 
@@ -188,9 +188,9 @@ def test_a_foot_is_as_fast_at_both_ends_of_its_swing_as_in_stance():
 
 def test_each_leg_begins_its_cycle_at_its_own_phase():
     phase = dict(zip(ROBOT.leg_names, (0.0, 0.25, 0.5, 1.75), strict=True))
-    path, alone = foot_reference(phase=phase).path([0.3])[0], foot_reference()
+    path, unshifted = foot_reference(phase=phase).path([0.3])[0], foot_reference()
     for leg, shift in enumerate(phase.values()):
-        np.testing.assert_allclose(path[leg], alone.path([0.3 - shift])[0, 0], atol=1e-12)
+        np.testing.assert_allclose(path[leg], unshifted.path([0.3 - shift])[0, 0], atol=1e-12)
 
 
 def test_legs_bring_the_feet_to_their_paths():
@@ -211,8 +211,8 @@ def test_robots_may_have_paths_of_their_own():
     one, other = foot_reference(), foot_reference(frequency=3.0, stroke=0.05, duty_factor=0.5)
     both = FootReference.stacked([one, other])
     pose = both.pose([0.21, 0.21])
-    for row, alone in enumerate((one, other)):
-        np.testing.assert_allclose(pose[row], alone.pose([0.21])[0], atol=1e-12)
+    for row, single in enumerate((one, other)):
+        np.testing.assert_allclose(pose[row], single.pose([0.21])[0], atol=1e-12)
     np.testing.assert_allclose(both.period, [0.5, 1 / 3])
 
 

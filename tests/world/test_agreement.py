@@ -115,7 +115,7 @@ def test_feet_sink_in_by_the_weight_over_their_stiffness(robot: RobotDescription
 
 def test_a_robot_in_the_air_answers_a_push_alike(robot: RobotDescription):
     # No contact: masses, inertias, loops, motors and the frames of base, force and rates, all at once.
-    found = []
+    results = []
     for world in both(robot, control_latency=0.0):
         lift(world, 1.0)
         world.push([[60.0, 130.0, -40.0]])
@@ -124,8 +124,8 @@ def test_a_robot_in_the_air_answers_a_push_alike(robot: RobotDescription):
         world.push([[0.0, 0.0, 0.0]])
         for _ in range(10):
             readings = world.step(world.resting_angles)
-        found.append((world.truth(), readings))
-    (one, seen_one), (other, seen_other) = found
+        results.append((world.truth(), readings))
+    (one, seen_one), (other, seen_other) = results
     assert np.abs(one.base_velocity_world).max() > 0.9
     assert np.abs(seen_one.angular_velocity_base).max() > 0.5
     np.testing.assert_allclose(other.base_velocity_world, one.base_velocity_world, atol=0.01)
@@ -228,7 +228,7 @@ def test_spinning_friction_stops_a_turning_robot_alike(robot: RobotDescription):
             world.step(world.resting_angles)
         rates = world.readings().angular_velocity_base[:, 2]
         turned.append(rates[0] - rates[1])
-    # Readings are 20 ms old, so that 40 ms tell; .27 kg m2 and the legs.
+    # Readings are 20 ms old, so that 40 ms are significant; .27 kg m2 and the legs.
     assert turned[0] == pytest.approx(0.1 * WEIGHT * 0.04 / 0.27, rel=0.25)
     assert turned[1] == pytest.approx(turned[0], rel=0.15)
 
@@ -236,14 +236,14 @@ def test_spinning_friction_stops_a_turning_robot_alike(robot: RobotDescription):
 @pytest.mark.parametrize(("name", "value"), [("base_mass_ratio", 1.5), ("base_inertia_ratio", 3.0)])
 def test_the_base_gets_heavier_alike(robot: RobotDescription, name, value):
     # A push from the side, in the air: mass shows in the speed, inertia in the rates.
-    found = []
+    results = []
     for world in both(robot, 2, control_latency=0.0, **{name: [1.0, value]}):
         lift(world, 1.0)
         world.push(np.tile([60.0, 130.0, 0.0], (2, 1)))
         for _ in range(10):
             readings = world.step(world.resting_angles)
-        found.append(np.hstack([world.truth().base_velocity_world, readings.angular_velocity_base]))
-    (one_nominal, one), (other_nominal, other) = found
+        results.append(np.hstack([world.truth().base_velocity_world, readings.angular_velocity_base]))
+    (one_nominal, one), (other_nominal, other) = results
     effect = np.abs(one - one_nominal).max()
     assert effect > 0.05
     assert np.abs((other - other_nominal) - (one - one_nominal)).max() < 0.1 * effect

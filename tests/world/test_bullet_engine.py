@@ -262,8 +262,8 @@ def test_robots_stand_on_feet_of_any_stiffness_from_the_start(make_world):
 def test_the_published_settings_reach_bullet(robot):
     world = SimWorld(robot, 1, engine="bullet-published")
     model = world.engine.models[0]
-    found = pybullet.getPhysicsEngineParameters(model.client)
-    assert found["gravityAccelerationZ"] == -10.0
+    parameters = pybullet.getPhysicsEngineParameters(model.client)
+    assert parameters["gravityAccelerationZ"] == -10.0
     (ground,) = pybullet.getCollisionShapeData(model.ground, -1, model.client)
     assert (ground[2], ground[3]) == (pybullet.GEOM_BOX, (200.0, 200.0, 10.0))
     for leg, link in zip(robot.legs, model.feet, strict=True):
@@ -313,7 +313,7 @@ def test_clients_end_with_the_world(make_world):
     assert not any(pybullet.isConnected(client) for client in clients)
 
 
-def test_no_room_for_another_client_is_told(robot, monkeypatch):
+def test_bullet_reports_too_many_clients(robot, monkeypatch):
     def full(_mode: int) -> int:
         raise pybullet.error("Can not connect")
 
@@ -322,7 +322,7 @@ def test_no_room_for_another_client_is_told(robot, monkeypatch):
         BulletModel(robot, WorldConfig(), BulletSettings())
 
 
-def test_nothing_is_printed_but_what_the_user_prints():
+def test_bullet_prints_nothing():
     script = """
 from surefoot.robot import RobotDescription
 from surefoot.world.sim_world import SimWorld

@@ -91,13 +91,13 @@ def test_servo_latency_does_not_matter_to_it(robot: RobotDescription) -> None:
 
 
 @pytest.mark.parametrize(
-    ("config", "said"),
+    ("config", "message"),
     [
         ({"actuator": "constraint", "thermal_protection": True}, "thermal_protection"),
         ({"actuator": "servo"}, "dc, constraint"),
         ({"threads": -1}, "threads is -1; it must be 0"),
     ],
 )
-def test_configurations_that_are_none_are_refused(config, said):
-    with pytest.raises(SurefootError, match=said):
+def test_invalid_world_configurations_are_refused(config, message):
+    with pytest.raises(SurefootError, match=message):
         WorldConfig(**config)

@@ -15,10 +15,10 @@ def test_a_robot_moves_alike_alone_and_in_a_batch(make_world, trot, assert_same,
     if place:
         values["imu_noise"][:] = 0.0  # its stream is that of the place
     crowd = make_world(num_envs, config={"threads": 2}, engine=engine, **values)
-    alone = make_world(1, engine=engine, **{name: value[place : place + 1] for name, value in values.items()})
+    single = make_world(1, engine=engine, **{name: value[place : place + 1] for name, value in values.items()})
     for k in range(40):
-        assert_same(crowd.step(trot(k)), alone.step(trot(k)), slice(place, place + 1))
-    assert_same(crowd.truth(), alone.truth(), slice(place, place + 1))
+        assert_same(crowd.step(trot(k)), single.step(trot(k)), slice(place, place + 1))
+    assert_same(crowd.truth(), single.truth(), slice(place, place + 1))
 
 
 def test_the_same_seed_gives_the_same_world(make_world, trot, assert_same, engine):
@@ -35,7 +35,7 @@ def test_the_same_seed_gives_the_same_world(make_world, trot, assert_same, engin
 
 
 @pytest.mark.parametrize("actuator", ["dc", "constraint"])
-def test_a_state_goes_on_exactly_in_a_world_with_another_past(make_world, trot, assert_same, varied, engine, actuator):
+def test_a_state_continues_exactly_in_another_world(make_world, trot, assert_same, varied, engine, actuator):
     config = {"actuator": actuator, "thermal_protection": actuator == "dc", **START}
     values = varied(2, bullet=engine != "mujoco")
     world = make_world(2, seed=1, config=config, engine=engine, **values)

@@ -61,11 +61,11 @@ def set_ratios(world: SimWorld, rows: list[int], **values: Any) -> None:
 
 def test_masses_set_later_are_as_those_given_at_the_start(make_world, motion, assert_same_motion):
     values = masses()
-    world, given = make_world(NUM, config={"threads": 2}), make_world(NUM, config={"threads": 2}, **values)
+    world, second = make_world(NUM, config={"threads": 2}), make_world(NUM, config={"threads": 2}, **values)
     motion(world, 5)
     set_ratios(world, list(range(NUM)), **values)
     world.reset()
-    assert_same_motion(motion(world), motion(given))
+    assert_same_motion(motion(world), motion(second))
 
 
 def test_masses_change_in_the_middle_of_a_motion(make_world, motion, assert_same_motion):
@@ -98,7 +98,7 @@ def test_a_ratio_of_one_is_the_nominal_robot_again(make_world, motion, assert_sa
         assert_same_motion(now, nominal, slice(i, i + 1))
 
 
-def test_what_mujoco_derives_from_masses_is_all_that_masses_and_rotors_change(robot):
+def test_masses_and_rotors_change_only_what_mujoco_derives_from_them(robot):
     # The engine copies these arrays between robots; another one that mj_setConst fills would be another robot's.
     model, nominal = build_model(robot), build_model(robot)
     model.body_mass[1:] *= 1.2
@@ -164,8 +164,8 @@ def test_time_stands_still_for_robots_that_are_not_active(make_world, trot, asse
     state, readings, truth = world.get_state(), world.readings(), world.truth()
     active = np.array([True, False, True, False])
     for k in range(steps, steps + 30):
-        given = world.step(trot(k), active)
-        assert_same(readings, given, ~active, ~active)
+        second = world.step(trot(k), active)
+        assert_same(readings, second, ~active, ~active)
     now = world.get_state()
     # What a control step adds up is that of the last one, in which they did nothing.
     summed = ("energy", "contact_ticks")
@@ -173,20 +173,20 @@ def test_time_stands_still_for_robots_that_are_not_active(make_world, trot, asse
     assert not same_state(state, now, [0, 2], without=summed)
     for name in set(vars(truth)) - {"energy", "foot_contact"}:
         assert np.array_equal(getattr(truth, name)[[1, 3]], getattr(world.truth(), name)[[1, 3]]), name
-    assert np.all(given.time[[0, 2]] > readings.time[[0, 2]])
+    assert np.all(second.time[[0, 2]] > readings.time[[0, 2]])
 
 
 def test_active_robots_move_as_if_all_were(make_world, trot, assert_same):
     world, all_go = make_world(4, **BUSY), make_world(4, **BUSY)
     for k in range(320):
         active = np.array([True, k % 3 == 0, True, False])
-        given, expected = world.step(trot(k), active), all_go.step(trot(k))
-        assert_same(given, expected, [0, 2], [0, 2])
+        second, expected = world.step(trot(k), active), all_go.step(trot(k))
+        assert_same(second, expected, [0, 2], [0, 2])
         assert_same(world.truth(), all_go.truth(), [0, 2], [0, 2])
     assert same_state(world.get_state(), all_go.get_state(), [0, 2])
 
 
-def test_a_robot_that_waited_goes_on_as_if_it_had_not(make_world, trot, assert_same):
+def test_an_inactive_robot_later_continues_unchanged(make_world, trot, assert_same):
     waits, goes = make_world(4, **BUSY), make_world(4, **BUSY)
     for k in range(15):
         waits.step(trot(k))
@@ -198,15 +198,15 @@ def test_a_robot_that_waited_goes_on_as_if_it_had_not(make_world, trot, assert_s
     assert same_state(waits.get_state(), goes.get_state(), [2])
 
 
-def test_what_is_sent_to_a_robot_that_waits_is_not_heard(make_world, trot, assert_same):
+def test_an_inactive_robot_ignores_its_target(make_world, trot, assert_same):
     # Not even if it is no number.
     world, other = make_world(4, **BUSY), make_world(4, **BUSY)
     active = np.array([True, False, True, True])
     for k in range(10):
         target = np.tile(trot(k), (4, 1))
         target[1] = np.nan
-        given = world.step(target, active)
-        assert_same(given, other.step(trot(k), active))
+        second = world.step(target, active)
+        assert_same(second, other.step(trot(k), active))
     assert world.divergences == 0
     assert not world.truth().diverged.any()
     assert_same(world.step(trot(10)), other.step(trot(10)))

@@ -84,19 +84,19 @@ def gone(process_id: int, within: float = 20.0) -> bool:
 
 def play(world: Any, trot: Any) -> list[Any]:
     """All that a simulation can do, and what it says."""
-    said = [world.readings(), world.truth()]
+    returned = [world.readings(), world.truth()]
     active = np.array([True, False, True, True, False])
     for k in range(20):
-        said.append(world.step(trot(k), active if k % 3 == 0 else None))
-        said.append(world.truth())
+        returned.append(world.step(trot(k), active if k % 3 == 0 else None))
+        returned.append(world.truth())
     params = world.params.rows([4, 0]).with_values(world.robot, leg_mass_ratio=1.4, contact_friction=0.5)
     world.set_params([4, 0], params)
-    said.append(world.reset([4, 0, -2]))
+    returned.append(world.reset([4, 0, -2]))
     world.push(np.arange(3 * NUM).reshape(NUM, 3))
     target = np.tile(trot(3), (NUM, 1))
     target[3, 2] = np.nan
-    said += [world.step(target), world.truth(), world.readings(), world.reset(), world.truth()]
-    return said
+    returned += [world.step(target), world.truth(), world.readings(), world.reset(), world.truth()]
+    return returned
 
 
 def test_processes_and_one_world_say_the_same(single, spread, processes, trot, assert_same):
@@ -108,7 +108,7 @@ def test_processes_and_one_world_say_the_same(single, spread, processes, trot, a
     assert_same(single.params, spread.params)
 
 
-def test_a_state_is_that_of_one_world_and_goes_on_in_any(single, spread, trot, assert_same):
+def test_a_state_equals_that_of_one_world_and_continues_in_any(single, spread, trot, assert_same):
     for k in range(7):
         spread.step(trot(k))
         single.step(trot(k))

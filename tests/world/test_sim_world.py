@@ -62,9 +62,9 @@ def test_foot_positions_are_those_of_now(make_world, trot):
     start = world.foot_positions()
     for k in range(60):
         world.step(trot(k))
-    given = world.foot_positions()
+    before = world.foot_positions()
     mujoco.mj_kinematics(world.engine.models[0], world.engine.datas[0])
-    np.testing.assert_allclose(given, world.foot_positions(), atol=1e-9)
+    np.testing.assert_allclose(before, world.foot_positions(), atol=1e-9)
     world.reset()
     np.testing.assert_allclose(world.foot_positions(), start, atol=1e-9)
 
@@ -131,7 +131,7 @@ def test_the_greatest_viscous_friction_is_no_trouble_for_the_lightest_legs(make_
     assert before < 1e-3
 
 
-def test_params_outside_what_is_allowed_are_refused(robot):
+def test_params_out_of_bounds_are_refused(robot):
     params = PhysicalParams.nominal(robot, 1)
     params.voltage[0] = 100.0
     with pytest.raises(SurefootError, match=r"voltage is 100; minitaur allows 5 to 30"):
@@ -139,10 +139,11 @@ def test_params_outside_what_is_allowed_are_refused(robot):
 
 
 @pytest.mark.parametrize(
-    ("num_envs", "said"), [(3, "params are for 2 robots; the world has 3"), (0, "num_envs is 0; a world needs 1 robot")]
+    ("num_envs", "message"),
+    [(3, "params are for 2 robots; the world has 3"), (0, "num_envs is 0; a world needs 1 robot")],
 )
-def test_a_world_of_no_or_of_other_robots_is_refused(robot, num_envs, said):
-    with pytest.raises(SurefootError, match=said):
+def test_a_wrong_number_of_robots_is_refused(robot, num_envs, message):
+    with pytest.raises(SurefootError, match=message):
         SimWorld(robot, num_envs, PhysicalParams.nominal(robot, 2))
 
 
@@ -251,7 +252,7 @@ def test_reset_brings_back_the_start(make_world, trot, assert_same):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_target_that_is_none_puts_back_that_robot_alone(make_world, trot, assert_same, bad):
+def test_a_target_that_is_not_finite_resets_only_that_robot(make_world, trot, assert_same, bad):
     world, other = make_world(3), make_world(3)
     for k in range(10):
         world.step(trot(k))
@@ -286,11 +287,11 @@ def test_a_state_gives_back_noise_over_many_blocks(make_world, assert_same):
 )
 def test_refused_parameters_change_no_robot(make_world, values, rule):
     world = make_world(2)
-    given = world.params.rows([0]).with_values(world.robot, voltage=14.0, **values)
+    new_params = world.params.rows([0]).with_values(world.robot, voltage=14.0, **values)
     if not values:
-        given.imu_noise[0] = 9.0
+        new_params.imu_noise[0] = 9.0
     with pytest.raises(SurefootError, match=rule):
-        world.set_params([1], given)
+        world.set_params([1], new_params)
     assert world.params.voltage.tolist() == world.actuation.voltage.tolist() == [16.0, 16.0]
 
 

@@ -66,7 +66,7 @@ class DeployCommand(LinkOptions):
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(DeployCommand, argv, "surefoot deploy")
     check_folder(command.out)
     if command.drive and command.commands is not None:

@@ -52,7 +52,7 @@ class DoctorCommand(LinkOptions):
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(DoctorCommand, argv, "surefoot doctor")
     if command.rack and command.ground:
         raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")

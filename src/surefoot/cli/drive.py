@@ -23,7 +23,7 @@ class DriveCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(DriveCommand, argv, "surefoot drive")
     from surefoot.cli.helpers.drive_page import DrivePage, serve
 

@@ -74,7 +74,7 @@ class EmulateCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(EmulateCommand, argv, "surefoot emulate")
     words = [word for group in command.faults for word in group]
     if "help" in words:

@@ -49,7 +49,7 @@ class EvaluateCommand(RunOptions):
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     words, ranges = take_ranges(argv)
     command = parse(EvaluateCommand, words, "surefoot evaluate")
     if command.trace:

@@ -24,7 +24,7 @@ from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.simulator import RunOptions, Simulator, describe_simulator, with_duration
 from surefoot.configuration import Duration
-from surefoot.errors import SurefootError, check_name
+from surefoot.errors import SurefootError, check_name, prefix_errors
 
 if TYPE_CHECKING:
     from surefoot.cli.helpers.policies import Candidate
@@ -42,7 +42,7 @@ Side = str | Path
 
 
 def parse_side(option: str, words: Sequence[str]) -> Side:
-    """Return the side in the words behind `--from` or `--to`: one world, or `trace FOLDER`."""
+    """Parse the values of `--from` or `--to`: one world, or `trace FOLDER`."""
     if len(words) == 2 and words[0] == TRACE:
         return Path(words[1])
     if len(words) == 1 and words[0] != TRACE:
@@ -133,7 +133,7 @@ class GapCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
     from surefoot.cli.helpers.policies import load_policies, run_policy
     from surefoot.world.registry import find_world
@@ -158,7 +158,8 @@ def main(argv: list[str]) -> int:
             continue
         traces = find_traces(side)
         recorded[side] = assign_to_policies(traces, [one.name for one in candidates], robot.name)
-        worlds.append(common_value([trace for _, trace in traces], "world"))
+        with prefix_errors(_text(side)):
+            worlds.append(common_value([trace for _, trace in traces], "world"))
     labels = make_labels(worlds, sides)
     for one, (at_home, _) in zip(candidates, tasks, strict=True):
         for path, trace in [pair for part in recorded.values() for pair in part[one.name]]:

@@ -75,13 +75,13 @@ class TracesCommand:
 
 
 def check_identifiable(robot: RobotDescription) -> None:
-    """Refuse a robot that the experiments and fits are not made for."""
+    """Refuse a robot without five-bar legs and DC motors, which the experiments need."""
     if robot.actuator.kind != "dc" or not isinstance(robot.leg_geometry, FiveBar):
         raise SurefootError(f"identify takes robots with five-bar legs and DC motors; {robot.name} has others")
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     if not argv or argv[0] in ("-h", "--help"):
         print(_usage(), file=sys.stdout if argv else sys.stderr)
         return 0 if argv else 2

@@ -35,7 +35,7 @@ class PaperCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(PaperCommand, argv, "surefoot paper")
     check_suffix("out", command.out, ".html")
     if not (command.root / "results").is_dir():

@@ -30,7 +30,7 @@ class PlayCommand(RunOptions):
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(PlayCommand, argv, "surefoot play")
     check_suffix("video", command.out, ".mp4")
     from surefoot.cli.helpers.episodes import film

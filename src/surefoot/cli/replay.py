@@ -45,7 +45,7 @@ class ReplayCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(ReplayCommand, argv, "surefoot replay")
     check_suffix("out", command.out, ".png")
     if command.out is not None:

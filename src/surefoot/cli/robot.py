@@ -58,7 +58,7 @@ class CheckCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     return run_action(argv, "robot", ACTIONS)
 
 

@@ -52,7 +52,7 @@ class SearchCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(SearchCommand, argv, "surefoot search")
     from surefoot.cli.helpers.search_results import report
     from surefoot.learn.folder_lock import folder_lock

@@ -59,7 +59,7 @@ class SensitivityCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
     import pandas as pd
 

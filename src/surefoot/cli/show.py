@@ -40,7 +40,7 @@ class ShowCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(ShowCommand, argv, "surefoot show")
     check_suffix("html", command.html, ".html")
     if not command.trace:

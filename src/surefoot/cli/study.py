@@ -54,7 +54,7 @@ class StudyCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(StudyCommand, argv, "surefoot study")
     if command.train_only and command.report_only:
         raise SurefootError("--train-only and --report-only leave nothing to do; give one of them, or neither")

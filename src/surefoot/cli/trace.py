@@ -34,7 +34,7 @@ class ImportCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     return run_action(argv, "trace", ACTIONS)
 
 

@@ -33,7 +33,7 @@ Besides the options that the last one lists:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     if not argv or argv[0] in ("-h", "--help"):
         print(_USAGE.format(tasks=choices(preset_names()), ranges=ranges_help()))
         return 0 if argv else 2
@@ -86,7 +86,7 @@ class TrainCommand(PageOptions, TrainConfig):
 
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
-    """Return the configuration that the words give, over the task's own values, and the command."""
+    """Return the configuration of the arguments, with the task's values as defaults, and the command."""
     base = load_train_config(argv[0], _robot_name(argv))
     words, range_options = take_ranges(argv[1:])
     ranges = range_options.apply(base.task.robot, base.task.randomize)
@@ -102,7 +102,7 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
 
 
 def _robot_name(argv: list[str]) -> str | None:
-    """Return the robot that the words name: it decides where the task's own values come from."""
+    """Return the value of `--task.robot`, on which the defaults of the other options depend; None without it."""
     for word, after in zip(argv, [*argv[1:], ""], strict=True):
         name, _, value = word.partition("=")
         if name == "--task.robot":

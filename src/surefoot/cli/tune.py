@@ -32,7 +32,7 @@ class TuneCommand(TuneConfig):
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(TuneCommand, argv, "surefoot tune")
     check_suffix("gait", command.out, ".yaml")
     config = TuneConfig(**{item.name: getattr(command, item.name) for item in fields(TuneConfig)})

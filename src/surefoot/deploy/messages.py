@@ -15,7 +15,7 @@ class DescribedEnum(IntEnum):
     meaning: str
 
     def __new__(cls, number: int, meaning: str = "") -> Self:
-        """Make a member, in the class only: elsewhere `cls(number)` finds one."""
+        """Create a member of the enumeration in the class body; `cls(number)` later looks it up."""
         member = int.__new__(cls, number)
         member._value_, member.meaning = number, meaning
         return member

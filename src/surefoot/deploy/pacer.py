@@ -75,7 +75,7 @@ class LoopTiming:
     def add(self, started: float, sent: float, inference: float, missed: int, fresh: bool) -> None:
         """Take a step: delays of its start and of its command at the port [s], and time that the policy took [s].
 
-        `missed` steps were missed before it; `fresh` says whether it had a new state.
+        `missed` steps were missed before it; `fresh` is whether it had a new state.
         """
         if self.steps < self._times.shape[1]:
             self._times[:, self.steps] = started, sent, inference

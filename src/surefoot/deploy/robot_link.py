@@ -33,21 +33,22 @@ class Arrival:
 
 @dataclass
 class LinkStatistics:
-    """Packets that one end of a link has counted since it was opened.
-
-    Sent, and not taken by the line; received whole and understood, damaged, of another version or schema, or of a kind,
-    a length or a text that this version does not have; dropped because the number was not above the last one's; and
-    numbers left out between packets that were received.
-    """
+    """Counts of packets at one end of a link since it was opened."""
 
     sent: int = 0
     unsent: int = 0
+    """Not accepted by the port."""
     received: int = 0
+    """Valid packets."""
     damaged: int = 0
     foreign: int = 0
+    """Packets of another protocol version or schema."""
     unknown: int = 0
+    """Packets whose kind, length or text this version does not have."""
     repeated: int = 0
+    """Dropped, because their sequence number was not above the last one's."""
     missing: int = 0
+    """Gaps in the sequence numbers of received packets."""
 
 
 class RobotLink(ABC):
@@ -144,7 +145,7 @@ class RobotLink(ABC):
         return next((fault.text for fault in self.faults if fault.reason == Reason.BUSY), None)
 
     def ping(self) -> int:
-        """Send a ping, which keeps the session; return its token in `pongs`."""
+        """Send a ping, which keeps the session alive; return the token that its pong in `pongs` repeats."""
         self._tokens += 1
         self.send(messages.Ping(self._tokens))
         return self._tokens
@@ -168,7 +169,7 @@ class RobotLink(ABC):
         self.send(messages.Damp(self.session))
 
     def disarm(self) -> None:
-        """End commands in good order."""
+        """Ask the robot to disarm: it damps its motors and refuses commands."""
         self.send(messages.Disarm(self.session))
 
     # What the robot has sent.

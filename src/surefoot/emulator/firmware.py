@@ -56,13 +56,13 @@ class LinkWatch:
         return self._clean_since is None or now - self.last_received > self.clean_gap
 
     def receive(self, now: int) -> None:
-        """Take note of a packet."""
+        """Note that an undamaged packet has arrived."""
         if self._is_silent(now):
             self._clean_since = now
         self.last_received = now
 
     def note_damage(self) -> None:
-        """Take note of a damaged packet: at best, the link is clean from the next good one on."""
+        """Note a damaged packet: the link counts as clean again from the next undamaged one on, at the earliest."""
         self._clean_since = None
 
     def clean_for(self, now: int) -> int:
@@ -124,7 +124,7 @@ class Firmware:
         self._refuse_rarely(now, 0, Reason.SCHEMA, text)
 
     def receive(self, now: int, packet: Packet) -> None:
-        """Take a packet."""
+        """Handle a packet of a host."""
         message = packet.message
         if isinstance(message, messages.Ping):
             # A ping has no session and changes nothing: it is answered whatever its number.

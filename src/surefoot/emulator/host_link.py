@@ -51,4 +51,4 @@ class HostLink(Protocol):
         """Forget packets that are not complete: the firmware starts anew."""
 
     def cut_off(self) -> None:
-        """Pull the cable: what is on its way is lost, and all that follows."""
+        """Cut the connection: bytes in transit and all later ones are lost."""

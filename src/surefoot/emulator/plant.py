@@ -165,7 +165,7 @@ class Plant:
         )
 
     def read(self, since_step: float, lead: float) -> Sensors:
-        """Return the readings for the control computer, older than now by the control latency less the lead [s].
+        """Return noisy sensor readings, delayed by the control latency minus `lead` [s].
 
         The last servo step ended `since_step` [s] ago.
         """

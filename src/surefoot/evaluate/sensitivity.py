@@ -140,7 +140,7 @@ def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
     """Return the ranges that a policy of a task was trained in, by row."""
     robot = RobotDescription.load(task.robot)
     nominal = task.nominal(robot)
-    ranges = {name: mean_interval(given, getattr(nominal, name)) for name, given in task.randomize.items()}
+    ranges = {name: mean_interval(interval, getattr(nominal, name)) for name, interval in task.randomize.items()}
     return ranges | {PUSH_FORCE: task.pushes.force_range(robot.weight) if task.pushes.enabled else (0.0, 0.0)}
 
 
@@ -186,7 +186,7 @@ def run_sensitivity(
         duration: length of an episode [s]; `task.max_steps` nominal control steps, if not given.
         seed: the one seed.
         threads: threads of the simulation; 0 means one a core.
-        pushes: whether the base is pushed, as the task says how, every push in full.
+        pushes: whether the base is pushed, with the task's settings, every push in full.
         robots: most robots side by side, for engines that take much memory for each; 0 means all. The result does not
             depend on it.
         progress: called with the share of the control steps that is done; an episode that ends early is done.

@@ -65,8 +65,8 @@ def overlay(prior: ParamsFile, result: Identification, robot: RobotDescription, 
     data = {"date": result.date, "data": result.digest, "file": source, "surefoot": __version__}
     tables.setdefault("identified", {})[result.experiment] = {key: value for key, value in data.items() if value}
     names = {*prior.names, *result.identified_names()}
-    given = tuple(name for name in PhysicalParams.names() if name in names)
-    return ParamsFile(result.params(robot, prior.params), given, tables)
+    written = tuple(name for name in PhysicalParams.names() if name in names)
+    return ParamsFile(result.params(robot, prior.params), written, tables)
 
 
 def write_overlay(path: Path, robot: RobotDescription, params: ParamsFile) -> Path:

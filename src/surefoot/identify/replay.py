@@ -151,7 +151,7 @@ class Replayer:
         num_envs: number of robots that are simulated at once.
         rack: hold their bases in the air.
         engine: name of the physics engine in the registry of worlds; one that uses threads runs on all cores.
-        torques: compute motors' torques too, and follow the voltage, with a call of the engine in every servo step.
+        torques: record motor torques and apply the segment's voltage; needs one call of the engine for each servo step.
     """
 
     def __init__(

@@ -182,7 +182,7 @@ class RunFolder:
         """Return the run's last state.
 
         Raises:
-            SurefootError: it is missing or broken; says whether the one before it is whole.
+            SurefootError: it is missing or broken; the message has whether the one before it is whole.
         """
         try:
             return read_checkpoint(self.latest)

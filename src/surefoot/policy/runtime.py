@@ -35,7 +35,7 @@ class PolicyRuntime:
         """Load a policy file.
 
         Raises:
-            SurefootError: the file is missing, damaged, no policy, of another schema, not what its contract says, or
+            SurefootError: the file is missing, damaged, no policy, of another schema, different from its contract, or
                 changed since it was exported.
         """
         path = Path(path)

@@ -44,7 +44,7 @@ class Parameter:
     scalable: bool = True
     """Whether a range may be given as factors of the nominal value; not where that is 0 for most robots."""
     independent: bool = False
-    """Whether each motor or axis draws a value of its own, unless a range says otherwise; else all share one."""
+    """Whether each motor or axis draws a value of its own, unless a range overrides this; else all share one."""
     actuator: str = ""
     """Kind of the motors that have it, for others it is 0; empty: every motor."""
     engines: tuple[str, ...] = ()

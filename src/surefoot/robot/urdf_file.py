@@ -1,6 +1,6 @@
-"""Files of URDF: read with checks of all that is used of them, and written.
+"""Read, check and write URDF files.
 
-Engines read a robot's file with readers of their own; this one checks it without any engine.
+Physics engines parse URDF themselves; this module checks a file without an engine.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _read_numbers(text: str, count: int, where: str) -> tuple[float, ...]:
 
 
 def read_number(element: ElementTree.Element | None, key: str, where: str, default: str = "") -> float:
-    """Return a number that an element has as an attribute, or else by default; `where` begins the message."""
+    """Return an element's attribute as a number, `default` if it is missing; error messages begin with `where`."""
     return _read_numbers(attribute(element, key, default), 1, where)[0]
 
 

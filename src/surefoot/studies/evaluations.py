@@ -247,7 +247,7 @@ def stored_result(policy: Path, name: str) -> Result | None:
 
 
 def evaluate(policy: Path, name: str, threads: int = 0) -> Result:
-    """Evaluate a policy file by the kind of evaluation of a name, or return the cached result.
+    """Run the evaluation `name` of `EVALUATIONS` on a policy file, or return its cached result.
 
     Results are stored in `evaluations/` beside the file, and traces that the evaluation keeps in
     `evaluations/NAME/WORLD/run_000.npz` and on.

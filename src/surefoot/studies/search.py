@@ -62,7 +62,13 @@ def check_holds_search(folder: Path) -> None:
 
 
 def make_config(task: str, space: Path | None, seed: int, steps: Steps) -> SearchConfig:
-    """Return the search of a task, a preset or the path of a file, in the space of a file, or in the one that ships.
+    """Return the configuration of a search.
+
+    Args:
+        task: name of a preset, or path of a task file.
+        space: file of the search space; the one that ships, if None.
+        seed: of the search.
+        steps: environment steps of each trial.
 
     Raises:
         SurefootError: a task or a space that does not fit.

@@ -329,7 +329,7 @@ class CommandFilter:
 
     @property
     def state(self) -> CommandState:
-        """What the gait follows now; its arrays are the caller's."""
+        """Filtered command, activity and phase that the gait follows now; the arrays are copies."""
         command = self.filtered_command.copy()
         command[:, 2] += self.correction
         return CommandState(command, self.activity.copy(), self.phase.copy())

@@ -235,7 +235,7 @@ class FollowingReference:
         return np.asarray(self.feet.frequency * (1.0 + self.frequency_rise * share))
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the poses (N, C, L) at what the gait follows, whatever the times (N,)."""
+        """Return the poses (N, C, L) at the state's commands and phases; the times (N,) are not used."""
         assert state is not None
         along, bump = self.feet.curve(state.phase)
         active = state.activity[:, None]
@@ -249,7 +249,7 @@ class FollowingReference:
         return self.feet.velocity_feedforward
 
     def pose_rate(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the velocities (N, C, L) of the poses at what the gait follows, in units of leg space a second."""
+        """Return the rates (N, C, L) [leg space units per second] of the poses at the state's commands and phases."""
         assert state is not None
         change = RATE_STEP * self.frequency(state.command)
         before, after = (self.pose(time, replace(state, phase=state.phase + sign * change)) for sign in (-1, 1))

@@ -1,4 +1,4 @@
-"""Rows of an unfinished run: a recorder writes them during the run, and a trace can be made of them.
+"""File of rows that a recorder writes during a run; if the run is cut off, a trace can be made from it.
 
 A partial file is a line of JSON (layout and meta of the trace) and then rows of little-endian 64-bit floats. A row that
 was cut off is left out when it is read.
@@ -44,7 +44,7 @@ class RowLayout:
 
     @property
     def widths(self) -> dict[str, int]:
-        """Numbers of each quantity, in the order of the row; `robot_time` is the state's on the robot's clock [s]."""
+        """Number of values of each quantity, in the row's order; `robot_time` is the robot's clock at the state [s]."""
         return {
             "time": 1,
             "robot_time": 1,

@@ -246,7 +246,7 @@ def _values_by_leg(config: WaveConfig | FootConfig, where: str, legs: tuple[str,
 
 
 def _check_names(table: Mapping[str, Any], names: tuple[str, ...], where: str) -> None:
-    """Refuse a table that has other keys than these, or lacks one."""
+    """Refuse a table whose keys are not exactly `names`."""
     for key in table:
         if key not in names:
             raise SurefootError(f"{where}.{key} is not a key; choices: {choices(names)}")

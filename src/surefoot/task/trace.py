@@ -235,8 +235,8 @@ def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:
         raise SurefootError(f"trace: meta must be what JSON can hold: {error}") from error
     names = {item.name for item in fields(TraceMeta)}
     with prefix_errors("trace"):
-        known = from_mapping(TraceMeta, {name: value for name, value in plain.items() if name in names}, "meta")
-    return {**to_mapping(known), **plain}
+        typed = from_mapping(TraceMeta, {name: value for name, value in plain.items() if name in names}, "meta")
+    return {**to_mapping(typed), **plain}
 
 
 def _plain(value: object) -> object:

@@ -183,7 +183,7 @@ def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float
 
 @njit(cache=True, inline="always")
 def quat_product(a: Quat, b: Quat) -> Quat:
-    """Return the product of two quaternions w x y z, of numbers; in Python also of arrays."""
+    """Return the product of two quaternions w x y z; outside of compiled code their components may be arrays."""
     (aw, ax, ay, az), (bw, bx, by, bz) = a, b
     return (
         aw * bw - ax * bx - ay * by - az * bz,
@@ -348,7 +348,7 @@ def read_delayed(state: ActuationState, latency: Array, out: Array) -> None:
 
 
 def read_imu(attitude: Array, rates: Array, time: Array, params: PhysicalParams, rows: Any = slice(None)) -> None:
-    """Turn attitudes and rates of bases into what IMUs tell: mount, bias and drift, without noise.
+    """Turn attitudes and rates of bases into IMU readings: mount, bias and drift, without noise.
 
     Args:
         attitude: roll, pitch and yaw (N, 3) [rad]; updated.

@@ -46,7 +46,7 @@ class Ground:
         return unit
 
     def level(self, points: Array) -> Array:
-        """Return the heights (...) from which a robot's height is measured at points (..., 2): without roughness."""
+        """Return the heights (...) of the smooth ground at points (..., 2): robots' heights are measured from it."""
         return np.zeros(points.shape[:-1]) if self.rough else self.height(points)
 
     def _plane_at(self, points: Array) -> Array:

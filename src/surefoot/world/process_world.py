@@ -162,7 +162,7 @@ class ProcessWorld:
             raise
 
     def close(self) -> None:
-        """End the processes, or keep them as `worker_pool` says; the world cannot be used afterwards."""
+        """End the processes, or keep them for the next world within a `worker_pool`; this world is closed."""
         self._finalizer()
 
     def _abort(self) -> None:

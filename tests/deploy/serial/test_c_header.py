@@ -332,7 +332,7 @@ def unstuff(data: bytes) -> bytes:
 
 
 @needs_cc
-def test_both_refuse_what_is_no_cobs(program: Path):
+def test_c_and_python_refuse_invalid_cobs(program: Path):
     rng = random.Random(4)
     texts = [rng.randbytes(rng.randrange(12)) for _ in range(3000)]
     texts += [bytes(rng.choices((0, 1, 2, 3, 255), [1, 9, 9, 9, 1], k=rng.randrange(20))) for _ in range(3000)]

@@ -14,7 +14,7 @@ def test_no_wrong_frame_is_taken_and_no_whole_one_is_lost(link_soak: ModuleType)
     result = link_soak.soak(12_000, seed=1)
     assert (result.wrong, result.lost, result.wrongly_taken, result.wrongly_dropped) == (0, 0, 0, 0)
     assert result.good
-    assert result.found == result.whole == result.taken + result.repeated
+    assert result.received == result.whole == result.taken + result.repeated
     # Nothing above passes because nothing happened.
     fates = result.fates
     assert sum(fates.values()) - fates["(garbage between)"] == result.frames == 12_000

@@ -42,9 +42,9 @@ _PATIENCE = 30.0
 
 
 class DeployPage(PlainLines, LiveDisplay):
-    """Prints lines, starts the page's process, and sends it the robot's state.
+    """Display that prints lines, starts the page's process, and sends it the robot's state.
 
-    Without limits of commands, the page only shows. `port` is its TCP port; commands go to the UDP port `channel`.
+    Without `limits` of commands the page has no controls. `port` is its TCP port, `channel` the UDP port of commands.
 
     Raises:
         SurefootError: the page can't be served.

@@ -19,7 +19,7 @@ def draw_episode(folder: Path, trace: EpisodeTrace, robot: RobotDescription) -> 
     from surefoot.report.figures.runs import episode_plot, footfall_diagram
 
     plot = episode_plot(trace, robot, folder / "episode.png")
-    # Without switches in the feet nothing is known of footfalls.
+    # Without switches in the feet footfalls can't be measured.
     if np.isnan(trace.foot_contact).any():
         return [plot]
     return [footfall_diagram(trace, folder / "footfalls.png"), plot]
@@ -68,7 +68,7 @@ def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
         "drift": text("drift_mean", "m"),
         "cost of transport": text("cost_of_transport_mean", ""),
         **_tracking_texts(summary),
-        # Without any duty factor nothing is known of the feet.
+        # Without any duty factor footfalls were not measured.
         "gait": summary["gait"] if any(value is not None for value in duty.values()) else "-",
     }
     for leg in duty:

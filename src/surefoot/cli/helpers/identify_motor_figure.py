@@ -45,7 +45,7 @@ class MotorFigureCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; return the exit code."""
+    """Run the command with the arguments `argv`; return the exit code."""
     command = parse(MotorFigureCommand, argv, "surefoot identify motor-figure")
     check_suffix("figure", command.out, ".png")
     import_module("matplotlib")

@@ -70,7 +70,7 @@ Yes = Annotated[bool, tyro.conf.arg(help="Do not ask before motors move.")]
 
 
 def check_terminal(place: str) -> None:
-    """Refuse to move motors without --yes where there is no terminal; `place` says where the robot must be."""
+    """Refuse to move motors without --yes where there is no terminal; `place` is where the robot must be."""
     if not sys.stdin.isatty():
         raise SurefootError(f"motors will move and the robot must {place}; without a terminal, say so with --yes")
 
@@ -83,7 +83,7 @@ def ask_to_move(place: str) -> None:
 
 
 def check_suffix(what: str, path: Path | None, suffix: str) -> None:
-    """Refuse the name of a file that does not end in `suffix`; `what` says what the file is for."""
+    """Refuse the name of a file that does not end in `suffix`; `what` is the purpose of the file."""
     if path is not None and path.suffix.lower() != suffix:
         raise SurefootError(f"{what} {path}: the name must end in {suffix}")
 

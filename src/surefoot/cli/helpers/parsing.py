@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = None) -> T:
-    """Parse the words behind a command (`prog`) into a dataclass, as `tyro.cli` does.
+    """Parse the arguments of a command (`prog`) into a dataclass, as `tyro.cli` does.
 
     Options that are not given have the values of `default`, or the dataclass's own.
 

@@ -29,7 +29,7 @@ _WORDS = {"none": 1, "scale": 3, "add": 3}
 def ranges_help() -> str:
     """Return the help of `--randomize`, with the ranges of the paper's table."""
     table, nominal = load_ranges("table1"), PhysicalParams.nominal(RobotDescription.load(DEFAULT_ROBOT))
-    intervals = {name: mean_interval(given, getattr(nominal, name)) for name, given in table.items()}
+    intervals = {name: mean_interval(interval, getattr(nominal, name)) for name, interval in table.items()}
     lines = _RANGES_HELP.format(names=choices(range_names())).splitlines()
     lines += [f"    {name:<20}{low:g} to {high:g}" for name, (low, high) in intervals.items()]
     others = f"and, not in table1: {choices(name for name in PARAMETERS if name not in table)}"
@@ -49,7 +49,7 @@ class RangeOptions:
     def apply(self, robot: str | Path, base: Ranges | None = None) -> Ranges:
         """Return the ranges for a robot, by name or folder; parameters without options are as in `base`."""
         below = (base or {}) if self.table is None else load_ranges(self.table, robot=robot)
-        ranges = {name: given for name, given in {**below, **self.ranges}.items() if given is not None}
+        ranges = {name: interval for name, interval in {**below, **self.ranges}.items() if interval is not None}
         check_ranges(ranges, RobotDescription.load(robot))
         return ranges
 

@@ -103,13 +103,13 @@ class RunOptions:
     def apply(
         self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None, thermal_protection: bool = False
     ) -> TaskConfig:
-        """Return a policy's task as it is run: randomized and pushed only where options say so.
+        """Return a policy's task for this simulator: randomized and pushed only if options request it.
 
         Args:
             task: as the policy was trained.
             robot: the task's robot.
             ranges: ranges of the parameters that every episode draws.
-            thermal_protection: switch off motors that overheat, whatever the task says.
+            thermal_protection: switch off motors that overheat, also if the task does not.
 
         Raises:
             SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.

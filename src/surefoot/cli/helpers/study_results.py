@@ -29,7 +29,7 @@ def check_evaluations(study: StudyConfig, worlds: bool) -> None:
     kinds = evaluation_names(study.evaluate)
     if study.bars and "gap" not in kinds:
         raise SurefootError("bars: they show the reality gap; evaluate must name 'gap' for them")
-    for world in {name for kind in kinds for name in EVALUATIONS[kind].world_names} if worlds else ():
+    for world in [name for kind in kinds for name in EVALUATIONS[kind].world_names] if worlds else ():
         find_world(world)
 
 

@@ -36,7 +36,7 @@ _CRUISE_SHARE = 0.5
 
 
 class TrainingPage:
-    """The training's side: writes the newest policy into the run's folder, and owns the page's process.
+    """Writes the newest policy into the run's folder during a training, and starts the process that shows it.
 
     Args:
         loop: the training.
@@ -68,7 +68,7 @@ class TrainingPage:
 
 
 class NewestPolicy(DrivePage):
-    """The page's side: the simulation goes on with each new policy.
+    """Page of a simulated robot that runs the training's newest policy, and reloads it whenever its file changes.
 
     Args:
         file: file of the newest policy.
@@ -92,7 +92,7 @@ class NewestPolicy(DrivePage):
 
 
 def main(argv: list[str]) -> int:
-    """Run the page's process, with the words FILE WORLD PORT, until it is terminated or its input ends."""
+    """Run the page's process, with the arguments FILE WORLD PORT, until it is terminated or its input ends."""
 
     def end_with_input() -> None:
         sys.stdin.read()

@@ -38,7 +38,7 @@ class TrackingError(RuntimeError):
 
 
 def _may_sit(error: BaseException | None) -> bool:
-    """Return whether what ended a motion, if anything, leaves time to sit down and disarm."""
+    """Return whether the robot may sit down and disarm: no error ended the motion, or a stop that allows it."""
     return error is None or (isinstance(error, MotionStoppedError) and error.verdict.act is Act.SIT)
 
 

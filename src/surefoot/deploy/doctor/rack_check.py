@@ -223,8 +223,8 @@ def check_response(
 def _trained_latencies(contract: Contract, robot: RobotDescription) -> tuple[float, float]:
     """Return the least and greatest control latency [s] in a policy's training."""
     nominal = contract.control_latency
-    given = task_from_contract(contract, robot).randomize.get("control_latency", (nominal, nominal))
-    low, high = mean_interval(given, np.array([nominal]))
+    trained_range = task_from_contract(contract, robot).randomize.get("control_latency", (nominal, nominal))
+    low, high = mean_interval(trained_range, np.array([nominal]))
     return min(low, nominal), max(high, nominal)
 
 

@@ -104,10 +104,10 @@ class SerialLink(RobotLink):
         self.port.wait(timeout)
 
     def ping_through(self, patience: Sequence[float] = _PATIENCE) -> bool:
-        """Send a ping and wait for its pong, keep what else comes before it; return whether the pong came.
+        """Send a ping, wait for its pong, and return whether it arrived. Other packets are kept for `receive`.
 
-        After each time of `patience` [s] the same frame is sent again, so that numbers of frames do not depend on how
-        quick the other end is.
+        The ping is repeated after each of the timeouts `patience` [s]. A repetition is the same frame with the same
+        sequence number, so sequence numbers do not depend on the robot's response time.
         """
         self._tokens += 1
         token, frame = self._tokens, b""

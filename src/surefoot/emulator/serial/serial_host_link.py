@@ -20,10 +20,12 @@ class SerialHostLink:
 
     Args:
         port: where the line ends for hosts.
-        faults: by name; those of the line act here.
+        motors: number of motors of the robot.
+        faults: injected faults by name; only those of the line have an effect here.
         baud: bits per second; 0: bytes take no time.
-        seed: of harms of frames.
-        patience: time [s] that hosts have to read.
+        seed: of the random damage to frames.
+        patience: longest time [s] that a write waits for a host to read.
+        lead: time [s] between a state's sending and the next command.
     """
 
     def __init__(
@@ -84,7 +86,7 @@ class SerialHostLink:
         return data
 
     def flush(self, now: int) -> None:
-        """Write what has reached the hosts by now."""
+        """Write the bytes that have passed the simulated line by now to the port."""
         if data := self.take(now):
             self.port.write(data, self._patience)
 

@@ -1,4 +1,4 @@
-"""Observations, unknowns and parameters of a robot with joint actuators that replays its logs.
+"""Least-squares model of logs of a robot with joint actuators: observations, unknowns and parameters.
 
 Commands and angles are enough. Robots are simulated on the ground, or on a rack, for the first seconds of each log.
 

@@ -38,10 +38,10 @@ _READINGS = 4
 
 @dataclass(frozen=True)
 class TorqueTiming:
-    """When the torque of a row acted."""
+    """Time between a torque and the row of the trace that reports it."""
 
     age: float
-    """Time from then to the row's [s]."""
+    """Row's time minus the time at which the torque acted [s]."""
     spread: float
     """Its standard deviation, and so that of latencies [s]."""
 
@@ -210,7 +210,7 @@ def split_segments(segments: Sequence[TraceSegment]) -> tuple[list[TraceSegment]
 
 
 def subsample(segments: Sequence[TraceSegment], every: int) -> list[TraceSegment]:
-    """Return segments with one row of `every`."""
+    """Return segments with every `every`-th row only."""
     return [replace(segment, rows=segment.rows[::every]) for segment in segments]
 
 

@@ -209,7 +209,7 @@ class _TraceFit:
         return self._solve([u for u, keep in zip(fit.unknowns, kept, strict=True) if keep], fit.values[kept])
 
     def estimates(self, fit: Fit, final: Fit) -> list[ParameterEstimate]:
-        """Return values of the final fit, with the deviations of the one in which nothing was held."""
+        """Return values of the fit `final` with standard deviations of `fit`, in which no parameter was fixed."""
         values = {u.label: float(v) for u, v in zip(final.unknowns, final.values, strict=True)}
         columns = zip(fit.unknowns, fit.deviation, fit.identifiable, strict=True)
         spread = {u.label: (float(deviation), bool(seen)) for u, deviation, seen in columns}

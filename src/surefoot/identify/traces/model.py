@@ -28,7 +28,7 @@ DEFAULT_NAMES = tuple(name for name in NAMES if name not in ("servo_kp", "servo_
 give gains times U / R only. The base's mass needs legs of known mass."""
 LATENCIES = ("control_latency", "servo_latency")
 RELATIVE_DEVIATION = 0.2
-"""Relative standard deviation of priors, for a robot that is not as its data sheet says."""
+"""Relative standard deviation of priors, for deviations of a robot from its data sheet."""
 VOLTAGE_DEVIATION = 0.05
 """The same for the battery's voltage: 14 to 16.8 V in use (Tan et al. 2018) for 16 V nominal."""
 VOLTAGE_CHANGE_DEVIATION = 0.3

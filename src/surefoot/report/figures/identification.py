@@ -70,7 +70,7 @@ def identification_figure(
 
 
 def _group(estimates: Sequence[ParameterEstimate]) -> tuple[list[ParameterEstimate], list[list[ParameterEstimate]]]:
-    """Return single numbers, those of axes among them, and groups of motors."""
+    """Return estimates that are drawn one by one (scalars, axes), and groups with an estimate for each motor."""
     groups: dict[str, list[ParameterEstimate]] = {}
     for item in estimates:
         groups.setdefault(item.name, []).append(item)

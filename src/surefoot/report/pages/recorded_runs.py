@@ -237,12 +237,12 @@ def _interpolate(values: Array) -> Array:
 def _pack(time: Array, times: Array, values: Array) -> dict[str, Any]:
     """Return columns (T, k) at other times (N,) as 16-bit steps from each column's least value to its greatest."""
     values = np.column_stack([np.interp(time, times, column) for column in values.T])
-    known = np.isfinite(values)
-    values[:, ~known.any(axis=0)] = 0.0
+    is_finite = np.isfinite(values)
+    values[:, ~is_finite.any(axis=0)] = 0.0
     low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
     step = (high - low) / 65534
     steps = np.round((values - low) / np.where(step > 0.0, step, 1.0)) - 32767
-    packed = np.where(known, steps, _MISSING).astype("<i2")
+    packed = np.where(is_finite, steps, _MISSING).astype("<i2")
     return {"low": low.tolist(), "step": step.tolist(), "data": base64.b64encode(packed.T.tobytes()).decode()}
 
 
@@ -257,7 +257,7 @@ def _link_frames(robot: RobotDescription, base: str) -> dict[str, str]:
 def _viewer(
     traces: Sequence[ShownTrace], runs: Sequence[dict[str, Any]], paths: Sequence[Array], size: float, tinted: bool
 ) -> str:
-    """Return viser's page with the robots at rest, `tinted` by a color of their own or not."""
+    """Return viser's page with the robots in their resting poses; with `tinted`, each in a color of its own."""
     server = quiet_server()
     try:
         stage = server.scene
