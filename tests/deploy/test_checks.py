@@ -223,6 +223,7 @@ TROT, COLUMNS = contract_of(), contract_of("gallop").columns
         ("trot", {"task": {"feedback": [1]}}, "task.feedback is not a key; the contract states it outside the task"),
         ("trot", {"task": {"colour": "red"}}, "task.colour is not a key"),
         ("trot", {"task": {"fall_angle": None}}, "task.fall_angle is None"),
+        ("trot", {"task": {"fall_angle": 0}}, "fall_angle is 0; it must be 0.001 or more"),
         ("trot", {"task": {"max_steps": 10**12}}, "max_steps is 1000000000000"),
         ("trot", {"rest": [0.0, 3.0]}, "extension at rest is 3 rad; a leg of minitaur allows 0.6 to 2.7"),
         ("go2-steer", {"reference": {"stride_gain": 100.0}}, "reference.stride_gain is 100"),

@@ -507,7 +507,7 @@ def test_row_8_a_bad_line_loses_only_damaged_frames(ended, scenario, played):
     assert frames["received"] == len(packets)
     counted = frames["received"] - frames["repeated"] + frames["missing"]
     sent = max(frame.sequence for frame in packets)
-    assert sent - 3 <= counted <= sent  # what was lost before the greeting is not known
+    assert sent - 3 <= counted <= sent  # what was lost before the handshake is not known
     if scenario in ("corrupt", "cut-frames"):
         assert frames["missing"] > 10
         assert frames["damaged"] == pytest.approx(frames["missing"], rel=0.3)

@@ -152,6 +152,12 @@ def test_motors_move_smoothly_from_where_they_are_until_the_robot_sits(deploy, t
     assert speed[-round(REST / STEP) :].max() < 1e-6
 
 
+def test_rows_that_make_no_trace_are_a_note_and_lost(deploy, monkeypatch):
+    monkeypatch.setattr("surefoot.deploy.run_saver.make_trace", mock.Mock(side_effect=SurefootError("time repeats")))
+    _, saved, _ = deploy()
+    assert (saved.trace, saved.lost, saved.notes) == (None, True, ["the rows make no trace: time repeats"])
+
+
 def test_rows_have_the_commands_and_the_states_at_their_end(deploy, toy, policy):
     toy.sensors = lambda time, readings: replace(
         readings, **tilt(0.1 * np.sin(9 * time), 0.05 * np.cos(7 * time)), energy=2.0 * time

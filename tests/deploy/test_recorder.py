@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -159,6 +160,15 @@ def test_a_file_that_cannot_be_opened_stops_recording(tmp_path):
     file.add(b"row")
     file.close()
     assert file.stopped == "No such file or directory"
+
+
+def test_an_error_that_the_disk_reports_at_the_end_is_kept(tmp_path):
+    file = BackgroundFile(tmp_path / "run.partial", None)
+    file.add(b"row")
+    file._file.close()
+    file._file = mock.Mock(close=mock.Mock(side_effect=OSError(28, "No space left on device")))
+    file.close()
+    assert file.stopped == "No space left on device"
 
 
 def test_a_file_without_data_is_not_made(tmp_path):

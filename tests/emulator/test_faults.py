@@ -178,7 +178,7 @@ def test_a_reboot_forgets_the_operator(rig):
     assert bench.mode == (Mode.DISARMED, Reason.NONE)
     assert bench.board.firmware.owner == 0
     assert set(bench.reasons) == {Reason.SESSION}
-    # It counts from one again, and can be greeted again.
+    # It counts from one again, and can be connected again.
     assert bench.frames[-1].sequence < 20
     bench.send(Hello(ME, 0.01))
     assert isinstance(bench.frames[-1].message, Handshake)

@@ -192,9 +192,9 @@ def test_in_lockstep_a_host_that_is_gone_loses_the_robot(emulate_here):
     second = process.host()
     second.send(Hello(OTHER, 0.010), 7.0)
     second.run_to(7.010)
-    (greeting,) = (frame for frame in second.frames if isinstance(frame.message, Handshake))
+    (handshake,) = (frame for frame in second.frames if isinstance(frame.message, Handshake))
     # The watchdog saw to the motors, and a second of silence to the operator, in robot time.
-    assert greeting.time == pytest.approx(0.030 + 1.0, abs=0.011)
+    assert handshake.time == pytest.approx(0.030 + 1.0, abs=0.011)
     state = second.run_to(7.020, State)[-1].message
     assert (state.session, state.mode, state.reason) == (OTHER, Mode.DISARMED, Reason.TIMEOUT)
 

@@ -77,7 +77,7 @@ def test_the_end_of_an_episode_has_the_infos_of_stable_baselines():
 
 
 def test_a_fall_is_no_truncation():
-    venv = SB3VecEnv(batch(2, fall_angle=0.0))
+    venv = SB3VecEnv(batch(2, fall_height=0.5))
     venv.reset()
     *_, done, infos = venv.step(np.ones((2, 8), np.float32))
     assert done.all()

@@ -66,5 +66,8 @@ class BackgroundFile:
             if self._thread.is_alive():
                 self.stopped = self.stopped or "the disk does not answer"
                 return
-        if self._file is not None:
-            self._file.close()
+        try:
+            if self._file is not None:
+                self._file.close()
+        except OSError as error:  # some file systems report a full disk only here
+            self.stopped = self.stopped or error.strerror or str(error)

@@ -137,11 +137,13 @@ class RunSaver:
                 truth = self._truth(capture)
             except SurefootError as error:
                 notes.append(f"{error}; the trace has no base motion")
-        trace: EpisodeTrace | None = None
         try:
             trace = make_trace(recorder.layout, recorder.rows, meta, truth)
-            if self.path is None:
-                return SavedRun(trace, notes=notes)
+        except SurefootError as error:
+            return SavedRun(notes=[*notes, f"the rows make no trace: {error}"], lost=True)
+        if self.path is None:
+            return SavedRun(trace, notes=notes)
+        try:
             trace.save(self.path)
         except (OSError, SurefootError) as error:
             reason, left = getattr(error, "strerror", None) or error, "it is lost"

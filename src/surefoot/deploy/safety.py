@@ -34,8 +34,8 @@ class SafetyLimits:
     missed_steps: int = 2
     """Control steps in a row that may be missed, with the target held; more of them damp."""
     tilt: float = 0.5
-    """Roll or pitch [rad] that damps, if the policy's task has no `fall_angle`; the robot then sits. Episodes of the
-    paper end there; no trained gait recovers from it."""
+    """Roll or pitch [rad] that damps, where no other one is given: a deployment gives the task's `fall_angle`. Episodes
+    of the paper end there; no trained gait recovers from it."""
     battery_time: float = 1.0
     """How long [s] the battery may be low: two strides, since the voltage sags briefly whenever all motors push."""
     temperature_warn: float = 70.0

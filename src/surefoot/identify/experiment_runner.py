@@ -30,11 +30,11 @@ BATTERY_ROOM = 0.3
 
 
 class ExperimentStoppedError(RuntimeError):
-    """An experiment ended early; motors are damped or let go."""
+    """An experiment ended early; motors are damped or disarmed."""
 
 
 class _ExperimentRunner:
-    """An experiment on a greeted robot; see `run_plan`."""
+    """An experiment on a connected robot; see `run_plan`."""
 
     def __init__(
         self, link: RobotLink, plan: Plan, robot: RobotDescription, operator: StopSignals, monitor: RunMonitor
@@ -199,13 +199,13 @@ class _ExperimentRunner:
 
 
 def run_plan(link: RobotLink, plan: Plan, robot: RobotDescription, monitor: RunMonitor) -> Recording:
-    """Watch a greeted robot at rest, go through all phases, let it go; return what was recorded, however it ended.
+    """Record a connected robot at rest and in all phases, and disarm it; return the recording, however it ended.
 
     Nothing is raised once motors may have moved: `meta["ended"]` is why an experiment did not come to its end, such
     as a signal of the operator.
 
     Raises:
-        SurefootError: the robot was not greeted, or does not arm.
+        SurefootError: the robot is not connected, or does not arm.
     """
     with StopSignals() as operator:
         return _ExperimentRunner(link, plan, robot, operator, monitor).run()

@@ -72,7 +72,7 @@ class TaskConfig:
     """What the policy's part is added to: the legs' poses in leg space, or the motors' angles."""
     rest: tuple[float, ...] | None = None
     """Pose of all legs in leg space in which the robot settles first; the middle of commands if not given."""
-    fall_angle: Annotated[float, Within(0, math.pi)] = 0.5
+    fall_angle: Annotated[float, Within(1e-3, math.pi)] = 0.5
     """Roll or pitch [rad] beyond which an episode ends."""
     fall_height: Annotated[float, Within(0, 10)] = 0.0
     """Height of the base's origin over the floor's mean [m] below which an episode ends; 0: none. It keeps gaits from

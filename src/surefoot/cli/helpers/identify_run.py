@@ -65,18 +65,18 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
     """
     if not command.yes:
         check_terminal(PLACES[plan.rack])
-    with _greeted(command, robot) as (link, handshake):
+    with _connect(command, robot) as (link, handshake):
         _show_plan(plan, handshake, make_console(stderr=command.json))
         if command.yes:
             return _run(command, link, plan, robot, path)
-    # A robot does not wait for slow answers: it is greeted anew.
+    # A robot does not wait for slow answers: it is connected anew.
     ask_to_move(PLACES[plan.rack])
-    with _greeted(command, robot) as (link, _):
+    with _connect(command, robot) as (link, _):
         return _run(command, link, plan, robot, path)
 
 
 @contextlib.contextmanager
-def _greeted(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tuple[RobotLink, Handshake]]:
+def _connect(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tuple[RobotLink, Handshake]]:
     link = command.open_link(str(command.port), robot.num_motors)
     try:
         handshake = link.connect()

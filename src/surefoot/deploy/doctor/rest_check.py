@@ -64,7 +64,7 @@ def check_rest(
 ) -> list[CheckResult]:
     """Judge states of a robot at rest, by the limits of a deployment."""
     if len(timed_states) < 2:
-        message = f"{len(timed_states)} states in {DURATION:g} s; the robot must send them by itself after the greeting"
+        message = f"{len(timed_states)} states in {DURATION:g} s; the robot must send them after the handshake"
         names = ("battery", "temperature", "encoders", "IMU")
         return [CheckResult(name, False, message, "check the firmware's state period") for name in names]
     states = [timed.state for timed in timed_states]
