@@ -110,14 +110,14 @@ def test_joint_angles_are_the_urdfs_and_close_the_loops(robot: RobotDescription)
     assert {name: values[1] for name, values in joints.items()} == robot.joint_angles(robot.resting_angles)
 
 
-def test_a_body_is_as_long_as_its_legs_are_apart_where_the_sheet_does_not_say(folder: Path):
+def test_body_length_defaults_to_the_distance_of_the_legs(folder: Path):
     text = (folder / SHEET).read_text()
     assert text.count("body_length = 0.54") == 1
     (folder / SHEET).write_text(text.replace("body_length = 0.54", ""))
     assert RobotDescription.load(folder).body_length == pytest.approx(2 * 0.2375)
 
 
-def test_unknown_robot_names_the_known_ones():
+def test_an_unknown_robot_is_refused_with_the_choices():
     names = RobotDescription.available()
     assert "minitaur" in names
     with pytest.raises(SurefootError, match=rf"robot 'snake': no such robot .*; robots: {', '.join(names)}$"):

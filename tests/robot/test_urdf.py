@@ -263,7 +263,7 @@ def test_a_body_along_its_frame_keeps_its_frame():
 
 
 @pytest.mark.parametrize("pitch", [0.3, -1.2, np.pi / 2, -np.pi / 2])
-def test_roll_pitch_yaw_of_a_rotation_make_it_again(pitch: float, rng: np.random.Generator):
+def test_roll_pitch_yaw_round_trip(pitch: float, rng: np.random.Generator):
     for roll, yaw in rng.uniform(-3, 3, (20, 2)):
         turn = rpy_matrix(roll, pitch, yaw)
         np.testing.assert_allclose(rpy_matrix(*matrix_rpy(turn)), turn, atol=1e-9)
