@@ -110,7 +110,7 @@ def test_no_modules_import_each_other_in_a_cycle():
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError at a cycle
 
 
-def test_imports_are_found_wherever_they_stand():
+def test_imports_are_found_at_any_depth():
     source = (
         "import surefoot.task as t\ndef f():\n    from surefoot.world import registry, SimWorld\nif TYPE_CHECKING:\n"
     )

@@ -123,7 +123,7 @@ def test_names_that_are_no_plain_file_names_are_refused(name):
         check_name("name", name)
 
 
-def test_a_quoted_value_is_short_whatever_it_is():
+def test_a_quoted_value_is_shortened():
     bomb: list[object] = ["x"]
     for _ in range(60):
         bomb = [bomb] * 9

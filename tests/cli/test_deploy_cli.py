@@ -182,7 +182,7 @@ def test_several_runs_in_a_row_each_leave_a_trace(emulate, tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_dry_run_moves_nothing_and_keeps_nothing(emulate, tmp_path):
+def test_a_dry_run_moves_no_motor_and_writes_no_file(emulate, tmp_path):
     port = emulate().port
     done = deploy(port, "--dry-run", "--duration", "0.3", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -150,9 +150,7 @@ def test_a_changed_policy_is_refused_before_the_port_is_opened(
         ("slow-servo", "servo period", "2 ms; the data sheet says 1 ms"),
     ],
 )
-def test_a_robot_that_the_policy_is_not_for_fails_before_it_moves(
-    fault: str, check: str, why: str, port_of: Callable[..., str]
-):
+def test_doctor_fails_on_another_robot_before_motion(fault: str, check: str, why: str, port_of: Callable[..., str]):
     _, checks = doctor("trot", port_of("--fault", fault), "--lockstep")
     assert failed(checks) == [check]
     assert why in checks[check]["message"]

@@ -239,7 +239,7 @@ def test_show_refuses_invalid_traces_and_unknown_robots(
         assert not (tmp_path / "x.html").exists()
 
 
-def test_log_is_shown_with_the_robot_that_is_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_show_draws_a_log_with_the_robot_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     time = 0.01 * np.arange(50)
     np.savez(tmp_path / "log.npz", time=time, command=np.tile(np.sin(time)[:, None], (1, 12)), imu=np.zeros((50, 4)))
     assert main(["show", str(tmp_path / "log.npz"), "--robot", "go2", "--html", str(tmp_path / "log.html")]) == 0

@@ -15,7 +15,7 @@ pytest.importorskip("mujoco")
 QUICK = ("--generations", 1, "--population", 4, "--starts", 1, "--seconds", 0.5, "--episodes", 1, "--threads", 1)
 
 
-def test_a_gait_is_found_written_measured_and_started_from(tmp_path: Path):
+def test_tune_writes_and_measures_a_gait_and_resumes_from_it(tmp_path: Path):
     done = surefoot("tune", "--gait", "trot", "--speed", 0.4, *QUICK, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "trot-40 in mujoco" in done.stdout

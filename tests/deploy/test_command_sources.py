@@ -109,7 +109,7 @@ def test_an_invalid_datagram_is_counted_and_ignored(channel: ChannelCommands) ->
     assert channel.refused == 1
 
 
-def test_a_channel_has_its_port_to_itself(channel: ChannelCommands) -> None:
+def test_a_second_channel_on_the_same_port_is_refused(channel: ChannelCommands) -> None:
     with pytest.raises(SurefootError, match=rf"port {channel.port} can't be listened on: Address already in use"):
         ChannelCommands(channel.port)
 

@@ -498,7 +498,7 @@ def test_row_8_a_good_line_loses_nothing(ended):
 
 
 @scenarios("corrupt", "cut-frames", "drop", "reorder", "duplicate", "garbage")
-def test_row_8_a_bad_line_costs_nothing_but_the_damaged_frames(ended, scenario, played):
+def test_row_8_a_bad_line_loses_only_damaged_frames(ended, scenario, played):
     assert ended.outcome == (0, "time", "time")
     assert ended.saved_trace.num_steps == 50
     assert_sat_and_disarmed(ended.record)

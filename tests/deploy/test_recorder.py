@@ -88,7 +88,7 @@ def test_a_recorder_that_is_full_takes_no_more(recorded):
     assert recorder.steps == 10
 
 
-def test_energy_that_starts_anew_counts_nothing(recorded):
+def test_energy_after_a_counter_reset_is_not_counted(recorded):
     recorder, state = recorded
     recorder.open(*opened(3))
     recorder.close(4, state(0), 101.0)
@@ -176,7 +176,7 @@ def test_a_file_without_data_is_not_made(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_disk_that_does_not_answer_keeps_nobody_waiting(tmp_path, monkeypatch):
+def test_a_blocked_disk_does_not_block_the_run(tmp_path, monkeypatch):
     file = BackgroundFile(tmp_path / "run.partial", 0.1)
     monkeypatch.setattr(file._thread, "join", lambda patience: None)
     monkeypatch.setattr(file._thread, "is_alive", lambda: True)

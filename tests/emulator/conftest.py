@@ -65,7 +65,7 @@ class Host:
         self.frames += packets
         return packets
 
-    def of(self, kind: type[Any], condition: Callable[[Any], bool] = lambda message: True) -> Packet:
+    def wait_for(self, kind: type[Any], condition: Callable[[Any], bool] = lambda message: True) -> Packet:
         """Return the first frame to arrive of a kind for which a condition holds."""
         end = time.monotonic() + 20.0
         while time.monotonic() < end:
@@ -79,7 +79,7 @@ class Host:
         self.token += 1
         self.send(Ping(self.token), at)
         before = len(self.frames)
-        self.of(Pong, lambda pong: pong.token == self.token)
+        self.wait_for(Pong, lambda pong: pong.token == self.token)
         return [frame for frame in self.frames[before:] if isinstance(frame.message, kind)]
 
 

@@ -125,7 +125,7 @@ def test_a_fault_that_does_not_exist_or_a_number_out_of_range_is_refused(word, m
         parse_faults([word])
 
 
-def test_a_fault_is_given_once_and_goes_with_its_clock():
+def test_duplicate_faults_and_faults_of_the_other_clock_are_refused():
     with pytest.raises(SurefootError, match="fault drop is given twice"):
         parse_faults(["drop", "drop=0.1"])
     for name in ("batching", "overload"):

@@ -174,7 +174,7 @@ def test_states_come_at_the_requested_period_and_stop_with_the_session(owned):
     assert owned.run(100) == []
 
 
-def test_no_operator_owns_it_before_a_hello(bench):
+def test_the_emulator_has_no_session_before_hello(bench):
     assert bench.run(50) == []
     assert fault_of(bench.send(messages.Arm(ME, 1, 0.006, 0.003))) == (ME, Reason.SESSION)
     assert fault_of(bench.send(Hello(0, 0.01))) == (0, Reason.SESSION)
@@ -518,7 +518,7 @@ any_message = st.one_of(
         max_size=40,
     )
 )
-def test_no_message_makes_it_fail_or_give_an_order_beyond_the_limits(robot, where, talk):
+def test_no_message_crashes_the_firmware_or_exceeds_its_limits(robot, where, talk):
     bench = Bench(robot, where)
     bench.send(Hello(ME, 0.01))
     low, high = bench.firmware.handshake.angle_low, bench.firmware.handshake.angle_high

@@ -27,7 +27,7 @@ STEP = 0.006
 
 def follow(host, robot, seconds: float) -> list[float]:
     """Go from the angles that the robot has to others, in real time; return times of the states, on its clock."""
-    first = host.of(State).message.motor_angle
+    first = host.wait_for(State).message.motor_angle
     last = robot.pose_angles(0.0, 1.2)
     start, times = host.now(), []
     for step in itertools.count():
@@ -46,17 +46,17 @@ def test_a_session_in_real_time(emulate, robot):
     process = emulate("--rack")
     host = process.host()
     host.send(Hello(ME, 0.010))
-    handshake = host.of(Handshake).message
+    handshake = host.wait_for(Handshake).message
     assert (handshake.session, handshake.robot) == (ME, "minitaur")
     assert handshake.firmware.startswith("surefoot emulator ")
 
     # States come at the period that was asked for, on the robot's clock.
-    times = [host.of(State).time for _ in range(30)]
+    times = [host.wait_for(State).time for _ in range(30)]
     np.testing.assert_allclose(np.diff(times), 0.010, atol=0.0021)
 
     # Armed, it follows.
     host.send(Arm(ME, int(Mode.POSITION), STEP, STEP - 0.003))
-    host.of(State, lambda state: state.mode == Mode.POSITION)
+    host.wait_for(State, lambda state: state.mode == Mode.POSITION)
     times = follow(host, robot, 0.6)
     assert np.median(np.diff(times)) == pytest.approx(STEP, abs=0.0015)
     newest = [frame.message for frame in host.frames if isinstance(frame.message, State)][-1]
@@ -81,11 +81,11 @@ def test_hosts_come_and_go_and_the_robot_never_blocks(emulate_here):
     while reader.receive():
         pass
     reader.send(Ping(99))
-    reader.of(Pong, lambda pong: pong.token == 99)
+    reader.wait_for(Pong, lambda pong: pong.token == 99)
 
 
 @pytest.mark.parametrize(("number", "words"), [(signal.SIGINT, ["--lockstep"]), (signal.SIGHUP, ["--rack"])])
-def test_a_signal_ends_it_and_removes_its_link(emulate, tmp_path, number, words):
+def test_a_signal_ends_the_emulator_and_removes_its_link(emulate, tmp_path, number, words):
     link, seen = tmp_path / "robot", tmp_path / "seen.csv"
     # Whoever runs the tests without a terminal may ignore hangups, and children inherit that.
     before = signal.signal(number, signal.SIG_DFL)
@@ -108,7 +108,7 @@ def test_a_signal_ends_it_and_removes_its_link(emulate, tmp_path, number, words)
 
 
 @pytest.mark.realtime
-def test_it_reports_when_it_cannot_keep_real_time(capsys):
+def test_the_emulator_reports_when_it_cannot_keep_real_time(capsys):
     assert main(["emulate", "--fault", "overload=2", "--duration", "0.5"]) == 0
     lines = capsys.readouterr().err.splitlines()
     assert "behind real time (it used " in lines[0]
@@ -205,7 +205,7 @@ def test_in_lockstep_a_host_that_is_slow_keeps_the_robot(emulate_here):
     second = process.host()
     for at in (50.0, 50.1, 60.0):
         second.send(Hello(OTHER, 0.010), at)
-        assert second.of(Fault).message.reason == Reason.BUSY
+        assert second.wait_for(Fault).message.reason == Reason.BUSY
     second.close()
     process.hosts.remove(second)
     # Neither the stranger's clock nor that on the wall is the robot's.

@@ -59,7 +59,7 @@ def test_turning_is_the_third_number(robot: DrivenRobot):
     assert turned.mean() == pytest.approx(0.8, abs=0.15)
 
 
-def test_a_push_lasts_as_long_as_it_should_and_goes_with_the_heading(robot: DrivenRobot):
+def test_a_push_has_its_duration_and_turns_with_the_heading(robot: DrivenRobot):
     robot.command([0.0, 0.0, 1.0])
     run(robot, 1.6)
     robot.command([0.0, 0.0, 0.0])

@@ -90,7 +90,7 @@ def test_a_contract_refuses_other_keys_and_values_than_it_has(contract: Contract
 
 @pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e400", "1" + 400 * "0"])
 @pytest.mark.parametrize("where", ["control_latency", "voltage", "history", "fall_angle", "speed_mean"])
-def test_a_number_that_is_not_finite_is_refused_wherever_it_stands(contract: Contract, where: str, number: str):
+def test_a_number_that_is_not_finite_is_refused_at_any_depth(contract: Contract, where: str, number: str):
     whole = replace(contract, task={"fall_angle": 0.5}, figures={"speed_mean": 0.5}).to_json()
     text = re.sub(rf'("{where}": )[0-9.]+', rf"\g<1>{number}", whole)
     with pytest.raises(SurefootError, match=f"^contract: is not JSON: it holds {number[:40]}; numbers must be finite$"):

@@ -110,14 +110,14 @@ def test_joint_angles_are_the_urdfs_and_close_the_loops(robot: RobotDescription)
     assert {name: values[1] for name, values in joints.items()} == robot.joint_angles(robot.resting_angles)
 
 
-def test_a_body_is_as_long_as_its_legs_are_apart_where_the_sheet_does_not_say(folder: Path):
+def test_body_length_defaults_to_the_distance_of_the_legs(folder: Path):
     text = (folder / SHEET).read_text()
     assert text.count("body_length = 0.54") == 1
     (folder / SHEET).write_text(text.replace("body_length = 0.54", ""))
     assert RobotDescription.load(folder).body_length == pytest.approx(2 * 0.2375)
 
 
-def test_unknown_robot_names_the_known_ones():
+def test_an_unknown_robot_is_refused_with_the_choices():
     names = RobotDescription.available()
     assert "minitaur" in names
     with pytest.raises(SurefootError, match=rf"robot 'snake': no such robot .*; robots: {', '.join(names)}$"):
@@ -164,6 +164,7 @@ links = ["back_left_1_lower" => links = ["back_left_0_lower" => loops[1].links .
 points = [[0.0, 0.0045, 0.200], => points = [[0.0, 0.200], => loops[0].points[0] is [0.0, 0.2] ... 3 values
 upper = 0.101 => upper = -0.101 => leg_geometry.upper is -0.101
 foot_radius = 0.0085 => foot_radius = -0.1 => leg_geometry.foot_radius is -0.1
+foot_radius = 0.0085 => foot_radius = 0.3 => leg_geometry.foot_radius is 0.3 ... from 0 to foot 0.24 m
 body_length = 0.54 => body_lenght = 0.54 => body_lenght ... is not a key ... choices: ... body_length
 \nviscous_friction = 0.0 => \nviscous_friction = -0.01 => actuator.viscous_friction is -0.01 ... 0 or more
 resistance = 0.186 => resistance = 0.0 => actuator.resistance is 0 ... over 0

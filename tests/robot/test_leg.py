@@ -70,7 +70,7 @@ def test_motor_angles_and_feet_lead_back_to_the_pose(legs: Legs):
 
 
 @given(st.sampled_from(sorted(KINDS)), *map(partial(st.floats, -1.0), (1.0, 1.0, 1.0)))
-def test_any_pose_in_the_range_leads_back_to_itself(kind: str, abduction: float, swing: float, extension: float):
+def test_pose_round_trip_within_range(kind: str, abduction: float, swing: float, extension: float):
     legs = KINDS[kind]
     low, high = (0.6, 2.7) if legs is MINITAUR else (0.35, 0.97)
     pose = pose_of(legs, abduction / 2, swing, low + (high - low) * (extension + 1) / 2)
@@ -206,7 +206,7 @@ def test_where_no_loop_closes_there_is_no_foot_and_no_jacobian():
 # --- serial legs ---
 
 
-def test_a_straight_leg_hangs_down_as_long_as_it_is():
+def test_a_straight_leg_reaches_its_length():
     legs, angles = serial_legs(), np.zeros((2, 3))
     np.testing.assert_allclose(legs.foot_position(angles), [(0.0, 0.08, -0.45), (0.0, -0.08, -0.45)], atol=1e-15)
     np.testing.assert_allclose(legs.to_pose(angles), pose_of(legs, 0.0, 0.0, 1.0), atol=1e-15)

@@ -122,7 +122,7 @@ def test_a_range_dropped_or_narrowed_leaves_the_other_draws(make_randomizer, nam
         np.testing.assert_allclose((now - narrow[0]) / (narrow[1] - narrow[0]), (was - low) / width, atol=1e-12)
 
 
-def test_later_parameters_leave_the_stream_as_it_was(make_randomizer):
+def test_later_parameters_do_not_change_the_random_stream(make_randomizer):
     randomizer, streams = make_randomizer(), generators(5, "randomize", 4)
     for _ in range(3):
         params = randomizer.draw(np.arange(4))

@@ -70,7 +70,7 @@ def test_selection_bias_is_the_claimed_return_less_that_of_fresh_episodes(result
         assert bias.high == pytest.approx(0.2 + 4.303 * 0.1 / math.sqrt(3), abs=1e-4)
 
 
-def test_the_report_has_it_all(result: SearchResult, tmp_path: Path) -> None:
+def test_the_report_has_all_sections(result: SearchResult, tmp_path: Path) -> None:
     (tmp_path / "gait_pace.png").touch()
     report = write_report(result, tmp_path, "surefoot search gallop").read_text()
     assert not (tmp_path / "gait_pace.png").exists()

@@ -241,7 +241,7 @@ def test_an_environment_continues_exactly_from_a_state():
         assert same_path(path, run(one, 45))
 
 
-def test_a_range_of_the_nominal_value_is_as_no_range(robot):
+def test_a_range_of_the_nominal_value_equals_no_range(robot):
     ranges = {name: (value, value) for name, value in robot.nominal_params().items() if name in FULL}
     values = {"max_steps": 15, "start_linear_speed": 0.05}
     env, plain = make_env(ranges, **values), make_env({}, **values)

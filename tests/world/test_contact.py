@@ -109,7 +109,7 @@ def test_below_the_bound_the_foot_holds(pull: float):
 
 
 @pytest.mark.parametrize("pull", [10.5, 12.0, 20.0, -20.0])
-def test_above_the_bound_it_slides(pull: float):
+def test_a_contact_slides_above_the_friction_bound(pull: float):
     # Acceleration (pull - mu N) / m over the second second.
     speed = drag(pull, 2.0)[:, 1]
     assert speed[-1] - speed[-1001] == pytest.approx((pull - np.sign(pull) * 10.0) / 2.0, rel=1e-6)

@@ -59,7 +59,7 @@ def set_ratios(world: SimWorld, rows: list[int], **values: Any) -> None:
 # --- masses that change -----------------------------------------------------------------------------------
 
 
-def test_masses_set_later_are_as_those_given_at_the_start(make_world, motion, assert_same_motion):
+def test_masses_set_later_equal_masses_set_at_the_start(make_world, motion, assert_same_motion):
     values = masses()
     world, second = make_world(NUM, config={"threads": 2}), make_world(NUM, config={"threads": 2}, **values)
     motion(world, 5)

@@ -193,7 +193,7 @@ def test_processes_end_with_the_world(robot):
     assert gone(pid)
 
 
-def test_kept_processes_serve_one_world_after_another_as_fresh_ones_do(robot, single, trot, assert_same, varied):
+def test_pooled_workers_give_the_same_results_as_new_ones(robot, single, trot, assert_same, varied):
     params = PhysicalParams.nominal(robot, NUM).with_values(robot, **varied(NUM))
 
     def make() -> ProcessWorld:

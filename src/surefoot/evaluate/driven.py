@@ -30,7 +30,7 @@ _MAX_FORCE = 2000.0
 
 @dataclass(frozen=True)
 class Knob:
-    """A number of a physical parameter that may be changed while the robot runs."""
+    """A physical parameter that can be changed while the robot runs: name, unit and bounds."""
 
     name: str
     """The parameter, and behind a dot the column of one that has several columns of different meaning."""

@@ -248,13 +248,13 @@ def _number(data: Any, key: str) -> float:
         raise SurefootError(f"has no number {key}") from None
 
 
-def difference(paper: float | str, ours: Interval | MeanEstimate | None) -> str:
+def difference(paper: float | str, reproduced: Interval | MeanEstimate | None) -> str:
     """Return the difference in words; nothing where there are not two numbers."""
-    if ours is None or isinstance(paper, str):
+    if reproduced is None or isinstance(paper, str):
         return ""
-    if isinstance(ours, Interval) and ours.low <= paper <= ours.high:
+    if isinstance(reproduced, Interval) and reproduced.low <= paper <= reproduced.high:
         return "the interval holds the paper's"
-    change = ours.mean / paper - 1 if paper else 0.0
+    change = reproduced.mean / paper - 1 if paper else 0.0
     if abs(change) < 0.005:
         return "the same"
     return f"{abs(change):.0%} {'more' if change > 0 else 'less'}" if change < 2 else f"{1 + change:.1f} times as much"

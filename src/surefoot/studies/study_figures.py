@@ -1,4 +1,4 @@
-"""Figures of policies and groups side by side: learning curves, figures with intervals, and the reality gap."""
+"""Plots that compare policies and groups: learning curves, results with confidence intervals, and the reality gap."""
 
 from __future__ import annotations
 

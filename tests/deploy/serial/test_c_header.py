@@ -115,7 +115,7 @@ def run(program: Path, mode: str, data: bytes = b"") -> tuple[bytes, str]:
 # The file.
 
 
-def test_the_header_in_docs_is_the_one_that_is_made():
+def test_the_header_in_docs_is_up_to_date():
     committed = (ROOT / "docs" / "surefoot_wire.h").read_text(encoding="utf-8")
     assert committed == c_header(8), "run: python -m surefoot.deploy.serial.c_header --out docs/surefoot_wire.h"
 

@@ -129,7 +129,7 @@ def _settled_angles(states: Sequence[TimedState]) -> Array:
 def _points(
     states: Sequence[TimedState], command: int, before: float, motor: int, step: float, period: float
 ) -> list[tuple[float, float]]:
-    """Return time since the command arrived at the robot [s], and share of the step, of each reading."""
+    """Return the step response: time since the command reached the robot [s] and share of the step, of each state."""
     arrivals = (
         timed.time - timed.state.command_age - (timed.state.command - command) * period
         for timed in states
