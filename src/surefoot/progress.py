@@ -10,8 +10,8 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-_REDRAW_PERIOD = 0.1
-"""Least time between two drawings [s]."""
+_REDRAW_PERIOD = 0.05
+"""Least time between two drawings [s], under the .1 s in which a deployment reports its state."""
 _LINE_PERIOD = 10.0
 """Least time between two lines of a bar where there is no terminal [s]."""
 
