@@ -261,7 +261,7 @@ def _name(hint: Any) -> str:
         return f"a table of values, each {_name(args[1])}"
     if dataclasses.is_dataclass(hint):
         return f"a table with keys out of: {choices(item.name for item in dataclasses.fields(hint))}"
-    return _KIND.get(hint, str(hint))
+    return "of any kind" if hint is Any else _KIND.get(hint, str(hint))
 
 
 def to_mapping(config: Any) -> dict[str, Any]:

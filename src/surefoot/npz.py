@@ -48,6 +48,15 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
         ) from error
 
 
+def pop_meta(arrays: dict[str, NDArray[Any]]) -> dict[str, Any] | None:
+    """Take `meta` out of a file's arrays; None if it is no table in JSON."""
+    try:
+        meta = json.loads(str(arrays.pop("meta", None)))
+    except (ValueError, RecursionError):
+        return None
+    return meta if isinstance(meta, dict) else None
+
+
 def _read_array(content: bytes) -> NDArray[Any]:
     """Return the array of a .npy file, whose size must match its header."""
     file = BytesIO(content)

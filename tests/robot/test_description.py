@@ -164,6 +164,7 @@ links = ["back_left_1_lower" => links = ["back_left_0_lower" => loops[1].links .
 points = [[0.0, 0.0045, 0.200], => points = [[0.0, 0.200], => loops[0].points[0] is [0.0, 0.2] ... 3 values
 upper = 0.101 => upper = -0.101 => leg_geometry.upper is -0.101
 foot_radius = 0.0085 => foot_radius = -0.1 => leg_geometry.foot_radius is -0.1
+foot_radius = 0.0085 => foot_radius = 0.3 => leg_geometry.foot_radius is 0.3 ... from 0 to foot 0.24 m
 body_length = 0.54 => body_lenght = 0.54 => body_lenght ... is not a key ... choices: ... body_length
 \nviscous_friction = 0.0 => \nviscous_friction = -0.01 => actuator.viscous_friction is -0.01 ... 0 or more
 resistance = 0.186 => resistance = 0.0 => actuator.resistance is 0 ... over 0

@@ -57,12 +57,13 @@ def test_table1_is_the_papers():
             "is [0, 15]; minitaur allows control_latency from 0 to 0.1 (unit: s)",
         ),
         ("imu_noise: [-0.05, 0]", "imu_noise is [-0.05, 0]; minitaur allows imu_noise from 0 to 0.5 (unit: rad)"),
-        ("control_latency: [[0, 0], [0, 0]]", "randomize.control_latency has 2 intervals; it must have one"),
+        ("control_latency: [[0, 0], [0, 0]]", "has 2 intervals; it must have one, written [LOW, HIGH]"),
         ("imu_mount: [[0, 0], [0, 0]]", "has 2 intervals; it must have one, or one for each of roll, pitch, yaw"),
         ("imu_mount: []", "randomize.imu_mount has 0 intervals; it must have one"),
         ("colour: [0, 1]", "randomize: 'colour' is not a physical parameter; choices: base_mass_ratio, leg_mass_ratio"),
         ("rotor_inertia: [0, 1]", "rotor_inertia belongs to motors of kind joint; the motors of minitaur are dc"),
         ("mass: [0.8, 1.2]", "randomize.mass is not a physical parameter; write base_mass_ratio and leg_mass_ratio"),
+        ("scaled: {motor_friction: [0, 2]}", "mine.yaml: scaled is not a key; write NAME: {scale: [LOW, HIGH]}"),
         ("friction: [0, 2]", "write motor_friction: {scale: [LOW, HIGH], independent: true}"),
     ],
 )
@@ -73,7 +74,7 @@ def test_ranges_that_do_not_fit_are_refused(tmp_path: Path, text: str, message: 
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["tabel1", "."])
+@pytest.mark.parametrize("name", ["tabel1", ".", "robot"])
 def test_a_table_that_is_missing_is_refused(tmp_path: Path, name: str):
     message = f"randomize '{name}' does not exist; choices: ensemble, none, table1, or the path of a YAML file"
     with pytest.raises(SurefootError, match=re.escape(message)):
@@ -155,6 +156,9 @@ def test_ranges_of_an_identified_robot_are_its_intervals():
         ("[intervals]\ncontact_friction = [nan, nan]", "has no intervals to draw from"),
         ("[intervals]\ncontact_friction = 0.5", r"intervals\.contact_friction: must be a pair of numbers"),
         ('[intervals]\ncontact_friction = ["low", "high"]', r"intervals\.contact_friction: must be a pair of numbers"),
+        (f"[intervals]\ncontact_friction = [0, 1{'0' * 400}]", r"contact_friction: must be a pair of numbers"),
+        ("intervals = 3", r"fit\.toml: intervals is 3; it must be a table"),
+        ("[intervals]\ncontact_friction = [[0.4, 0.6]]", r"friction has 1 intervals; it must have one, written"),
         ("[intervals]\ncontact_friction = [[0.4, 0.5, 0.6]]", r"intervals\.contact_friction: must be a pair"),
         ("[intervals]\nimu_mount = [[0.0, 0.1]]", r"fit\.toml: randomize\.imu_mount has 1 intervals; it must have one"),
     ],
@@ -162,6 +166,6 @@ def test_ranges_of_an_identified_robot_are_its_intervals():
 def test_a_file_without_intervals_is_refused(tmp_path: Path, intervals: str, message: str):
     folder = tmp_path / "pupper_v2"
     shutil.copytree(RobotDescription.load("pupper_v2").folder, folder)
-    (folder / "fit.toml").write_text(f"[params]\ncontact_friction = 0.5\n{intervals}\n")
+    (folder / "fit.toml").write_text(f"{intervals}\n[params]\ncontact_friction = 0.5\n")
     with pytest.raises(SurefootError, match=message):
         load_ranges("fit", robot=folder)

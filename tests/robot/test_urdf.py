@@ -114,7 +114,7 @@ def test_shapes_have_sizes_frames_and_colors(tmp_path: Path):
         '<visual><geometry><mesh filename="trunk.stl"/></geometry></visual>'
         '<collision><geometry><sphere radius="0.5"/></geometry></collision>'
     )
-    urdf = read(tmp_path, '<material name="red"><color rgba="1 0 0 1"/></material>', link("base", shapes))
+    urdf = read(tmp_path, '<material name="red"><color rgba="1e308 -1 0 1"/></material>', link("base", shapes))
     box, cylinder = urdf.links["base"].visuals
     assert (box.link, box.kind, box.size, box.color) == ("base", "box", (1.0, 2.0, 3.0), (255, 0, 0))
     assert box.position.tolist() == [0.0, 0.0, 1.0]

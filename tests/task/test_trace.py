@@ -182,7 +182,14 @@ def test_other_files_are_refused(tmp_path: Path, saved: Path) -> None:
     np.savez(other, x=np.zeros(3))
     with pytest.raises(SurefootError, match="not an episode trace: it has no meta"):
         EpisodeTrace.load(other)
+    np.savez(other, meta=np.array("[" * 10_000))
+    with pytest.raises(SurefootError, match="not an episode trace: it has no meta"):
+        EpisodeTrace.load(other)
     meta = EpisodeTrace.load(saved).meta
+    deep = json.dumps({**meta, "params": {}}).replace('"params": {}', f'"params": {{"a": {"[" * 900}{"]" * 900}}}')
+    np.savez(other, meta=np.array(deep))
+    with pytest.raises(SurefootError, match="not an episode trace: its meta is nested too deep"):
+        EpisodeTrace.load(other)
     rewrite(saved, energy=None)
     with pytest.raises(SurefootError, match="missing or unknown energy"):
         EpisodeTrace.load(saved)

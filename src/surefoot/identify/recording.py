@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices, prefix_errors
-from surefoot.npz import read_npz, write_npz
+from surefoot.npz import pop_meta, read_npz, write_npz
 from surefoot.robot import RobotDescription
 
 SCHEMA = 1
@@ -211,11 +210,7 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
     """
     with prefix_errors(f"recording {path}"):
         arrays = read_npz(path)
-        try:
-            meta = json.loads(str(arrays.pop("meta", None)))
-        except ValueError:
-            meta = None
-        meta = meta if isinstance(meta, dict) else {}
+        meta = pop_meta(arrays) or {}
         if meta.get("schema") != SCHEMA:
             raise SurefootError(f"has schema {meta.get('schema')}; surefoot reads schema {SCHEMA}")
         names = {item.name for item in fields(Recording)} - {"meta"}

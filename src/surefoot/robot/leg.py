@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import NotNegative, Positive
+from surefoot.errors import SurefootError
 
 
 class Legs(Protocol):
@@ -90,6 +91,13 @@ class FiveBar:
 
     coordinates: ClassVar[tuple[str, ...]] = ("swing", "extension")
     units: ClassVar[tuple[str, ...]] = ("rad", "rad")
+
+    def __post_init__(self) -> None:
+        """Refuse a foot that is rounder than its link is long."""
+        if self.foot_radius >= self.foot > 0:
+            raise SurefootError(
+                f"leg_geometry.foot_radius is {self.foot_radius:g}; it must be from 0 to foot {self.foot:g} m"
+            )
 
     @property
     def length(self) -> float:

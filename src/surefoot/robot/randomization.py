@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml, to_mapping
-from surefoot.errors import SurefootError, choices, prefix_errors
+from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors, quote
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS, check_parameter
 from surefoot.robot.params_file import read_params
@@ -133,7 +133,7 @@ def _check_range(name: str, param_range: ParamRange, robot: RobotDescription | N
             raise SurefootError(f"{where} is [{low[bad][0]:g}, {high[bad][0]:g}]; {rule}")
     parts = PARAMETERS[name].parts(robot.motor_names) if robot is not None else ()
     if not len(pairs) or (robot is not None and intervals.ndim == 2 and len(pairs) != len(parts)):
-        rule = f"one, or one for each of {', '.join(parts)}" if parts else "one"
+        rule = f"one, or one for each of {', '.join(parts)}" if parts else "one, written [LOW, HIGH]"
         raise SurefootError(f"{where} has {len(pairs)} intervals; it must have {rule}")
 
 
@@ -158,16 +158,19 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
     """
     description = RobotDescription.load(robot)
     own = description.folder
-    paths = [own / f"{name}.toml", folder / name]
+    paths = [folder / name] if name == "robot" else [own / f"{name}.toml", folder / name]
     if name in range_names():
         paths = [own / "ranges" / f"{name}.yaml", _TABLES / f"{name}.yaml"]
-    path = next((path for path in paths if path.is_file()), None)
+    with describe_os_errors(f"randomize {quote(name)}"):
+        path = next((path for path in paths if path.is_file()), None)
     if path is None:
         raise SurefootError(
-            f"randomize '{name}' does not exist; choices: {choices(range_names())}, or the path of a YAML file"
+            f"randomize {quote(name)} does not exist; choices: {choices(range_names())}, or the path of a YAML file"
         )
     data = _read_intervals(path, description) if path.suffix == ".toml" else read_yaml(path)
     with prefix_errors(path):
+        if "scaled" in data:
+            raise SurefootError("scaled is not a key; write NAME: {scale: [LOW, HIGH]} for each parameter in it")
         ranges = from_mapping(_Table, {"randomize": _drop_none(data)}).randomize
         check_ranges(ranges, description)
     return {name: ranges[name] for name in PARAMETERS if name in ranges}
@@ -201,17 +204,20 @@ def _read_intervals(path: Path, robot: RobotDescription) -> dict[str, Any]:
     A motor or axis without an interval keeps its value, where others have one.
     """
     file, ranges = read_params(path, robot), {}
-    for name, value in file.tables.get("intervals", {}).items():
+    intervals = file.tables.get("intervals", {})
+    if not isinstance(intervals, Mapping):
+        raise SurefootError(f"{path}: intervals is {quote(intervals)}; it must be a table, NAME = [LOW, HIGH]")
+    for name, value in intervals.items():
         with prefix_errors(f"{path}: intervals.{name}"):
             try:
                 pairs = np.array(value, float)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 pairs = np.zeros(0)
             if pairs.shape[-1:] != (2,) or pairs.ndim > 2:
                 raise SurefootError("must be a pair of numbers, or a list of such pairs")
         bounded = np.isfinite(pairs).all(axis=-1)
         if name in PARAMETERS and bounded.any():
-            values = getattr(file.params, name)[0]
+            values = np.atleast_1d(getattr(file.params, name)[0])
             if pairs.ndim == 2 and len(pairs) == values.size:
                 pairs[~bounded] = values[~bounded, None]
             ranges[name] = np.clip(pairs, *robot.allowed[name]).tolist()

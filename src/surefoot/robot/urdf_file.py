@@ -171,8 +171,9 @@ def _read_color(material: ElementTree.Element, where: str) -> Color | None:
     color = material.find("color")
     if color is None:
         return None
-    red, green, blue, _ = _read_numbers(attribute(color, "rgba", "0.5 0.5 0.5 1"), 4, f"{where}: rgba")
-    return round(255 * red), round(255 * green), round(255 * blue)
+    rgba = _read_numbers(attribute(color, "rgba", "0.5 0.5 0.5 1"), 4, f"{where}: rgba")
+    red, green, blue, _ = (round(255 * min(max(share, 0.0), 1.0)) for share in rgba)
+    return red, green, blue
 
 
 def _read_joint(element: ElementTree.Element, name: str, links: Collection[str], where: str) -> Joint:

@@ -118,7 +118,7 @@ def recover(path: str | Path) -> EpisodeTrace:
         try:
             head = json.loads(line)
             kind, meta = head.pop("kind"), dict(head.pop("meta"))
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
             raise SurefootError(f"is not one: {' '.join(str(error).split())}") from error
         if kind != _KIND:
             raise SurefootError("is not one: it is of another kind")

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.configuration import Within, from_mapping, to_mapping
 from surefoot.errors import SurefootError, choices, prefix_errors
-from surefoot.npz import read_npz, write_npz
+from surefoot.npz import pop_meta, read_npz, write_npz
 
 ENERGY_WEIGHT = 0.008  # w of the paper's reward, the same in all its experiments
 
@@ -178,13 +178,12 @@ class EpisodeTrace:
         path = Path(path)
         with prefix_errors(f"trace file {path}"):
             arrays = read_npz(path)
-            try:
-                meta = json.loads(str(arrays.pop("meta", None)))
-            except ValueError:
-                meta = None
-            if not isinstance(meta, dict):
+            if (meta := pop_meta(arrays)) is None:
                 raise SurefootError("not an episode trace: it has no meta")
-            meta = _checked_meta(meta)  # Another schema may have other arrays.
+            try:
+                meta = _checked_meta(meta)  # Another schema may have other arrays.
+            except RecursionError:
+                raise SurefootError("not an episode trace: its meta is nested too deep") from None
             if odd := {f.name for f in fields(cls)} - {"meta"} ^ {*arrays, *_OPTIONAL}:
                 raise SurefootError(f"not an episode trace: missing or unknown {choices(sorted(odd))}")
             return cls(meta=meta, **arrays)
