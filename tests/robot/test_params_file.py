@@ -19,22 +19,22 @@ def test_a_written_file_is_read_to_the_last_bit(robot, tmp_path):
     )
     tables = {"origin": {"date": '"x" \\ y', "tries": 3, "good": True, "interval": [0.1, 1e-7]}}
     path = write_params(tmp_path / "p.toml", robot, params, tables)
-    found = read_params(path, robot)
+    loaded = read_params(path, robot)
     for name in PhysicalParams.names():
-        np.testing.assert_array_equal(getattr(found.params, name), getattr(params, name), err_msg=name)
-    assert found.names == tuple(PhysicalParams.names(robot))
-    assert found.tables == {"robot": "minitaur", **tables}
+        np.testing.assert_array_equal(getattr(loaded.params, name), getattr(params, name), err_msg=name)
+    assert loaded.names == tuple(PhysicalParams.names(robot))
+    assert loaded.tables == {"robot": "minitaur", **tables}
 
 
 def test_values_are_those_that_the_file_names(robot, tmp_path):
     path = tmp_path / "p.toml"
     text = f"[params]\nvoltage = 15\nimu_bias = [0.1, -0.2]\nmotor_friction = {[0.02] * 8}\n"
     path.write_text(text)
-    found = read_params(path, robot)
-    assert found.values == {"voltage": 15.0, "imu_bias": (0.1, -0.2), "motor_friction": 0.02}
-    assert found.params.voltage[0] == 15.0
-    assert found.params.resistance[0] == robot.dc_motor.resistance
-    assert found.source == {"file": "p.toml", "sha256": hashlib.sha256(text.encode()).hexdigest()}
+    loaded = read_params(path, robot)
+    assert loaded.values == {"voltage": 15.0, "imu_bias": (0.1, -0.2), "motor_friction": 0.02}
+    assert loaded.params.voltage[0] == 15.0
+    assert loaded.params.resistance[0] == robot.dc_motor.resistance
+    assert loaded.source == {"file": "p.toml", "sha256": hashlib.sha256(text.encode()).hexdigest()}
     path.write_text("[params]\n")
     assert read_params(path, robot).values == {}
     strength = np.linspace(0.9, 1.1, 8)
