@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -50,6 +51,21 @@ def test_a_folder_that_can_t_be_made_is_refused(tmp_path: Path):
     (tmp_path / "file").touch()
     with pytest.raises(SurefootError, match=r"file/run: a run folder can't be made there: Not a directory"):
         RunFolder.create_at(TrainConfig(), tmp_path / "file" / "run")
+
+
+def test_a_checkpoint_that_can_t_be_written_leaves_the_saved_ones_whole(tmp_path: Path):
+    folder = RunFolder.create_at(TrainConfig(), tmp_path / "run")
+    for steps in (1, 2):
+        folder.save({"steps": steps, "weights": "w" * 80_000})
+    saved = [path.read_bytes() for path in (folder.latest, folder.previous)]
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+    try:
+        with pytest.raises(SurefootError, match=r"can't be written: .*; what was saved before is untouched"):
+            folder.save({"steps": 3, "weights": "w" * 80_000})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [path.read_bytes() for path in (folder.latest, folder.previous)] == saved
 
 
 def test_a_file_of_another_kind_is_no_checkpoint(tmp_path: Path):

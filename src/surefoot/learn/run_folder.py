@@ -7,7 +7,6 @@ import io
 import json
 import os
 import platform
-import shutil
 import subprocess
 import sys
 import time
@@ -175,7 +174,7 @@ class RunFolder:
         """Save the run's state; keep the one saved before as `previous.ckpt`."""
         if self.latest.exists():
             with _describe_write_errors(self.previous):
-                shutil.copyfile(self.latest, self.previous)
+                atomic_write(self.previous, self.latest.read_bytes())
         write_checkpoint(self.latest, state)
 
     def load(self) -> dict[str, Any]:
