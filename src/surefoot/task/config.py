@@ -134,6 +134,10 @@ class TaskConfig:
         weight = energy_weight(self.reward, self.reward_limits, robot.weight)
         return {"energy_weight": weight, "progress_limit": self.reward_limits.get("progress")}
 
+    def return_unit(self, robot: RobotDescription) -> str:
+        """Return m for the paper's reward, which is a distance; empty for others, whose terms have different units."""
+        return "" if self.return_meta(robot)["energy_weight"] is None else "m"
+
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
         """Return the physical parameters, which the robot must allow, without randomization, one row."""
         return PhysicalParams.nominal(robot).with_values(robot, **self.params)
