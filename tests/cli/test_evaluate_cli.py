@@ -248,7 +248,7 @@ def test_a_robot_without_a_measured_position_has_a_power(recorded: tuple[Path, d
 
 
 def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from surefoot.evaluate import tracking
+    from surefoot.evaluation import tracking
     from surefoot.task.trace import EpisodeTrace
 
     monkeypatch.setattr(tracking, "GRID", 2)
