@@ -198,7 +198,7 @@ def test_an_interrupt_ends_with_130():
 
 
 def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from surefoot.cli.helpers import policies
+    from surefoot.api import policies
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(policies, "SEARCH_PATHS", (policy.parent,))
