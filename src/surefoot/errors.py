@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 import reprlib
 from collections.abc import Iterable, Iterator
@@ -54,6 +55,13 @@ def quote(value: Any) -> str:
     """Return a value as messages quote it: as Python writes it, shortened where it is long or deep."""
     text = _QUOTES.repr(value)
     return text if len(text) <= 200 else f"{text[:200]}..."
+
+
+def suggest(name: object, names: Iterable[object]) -> str:
+    """Return the choices for the end of an error message about a wrong name, after the nearest one if there is one."""
+    texts = [str(choice) for choice in names]
+    near = difflib.get_close_matches(str(name)[:100], texts, n=1)
+    return f"{f'did you mean {near[0]}? ' if near else ''}choices: {choices(texts)}"
 
 
 def choices(names: Iterable[str]) -> str:

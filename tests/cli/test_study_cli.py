@@ -103,7 +103,7 @@ def test_a_study_resumes_after_kills_and_interrupts(tmp_path: Path) -> None:
     refused(
         surefoot("study", "tiny.yaml", cwd=tmp_path),
         "surefoot: error: runs/tiny/plain/seed_0: was trained with task.max_steps 40, and the study asks for 41; move "
-        "the folder away to train it anew, give another --runs, or change the study back\n",
+        "the folder away to train it anew, give another --out, or change the study back\n",
     )
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_toml
-from surefoot.errors import SurefootError, check_name, choices, prefix_errors
+from surefoot.errors import SurefootError, check_name, choices, prefix_errors, suggest
 from surefoot.robot.actuator import ActuatorData, DcMotorData, nominal_params, read_actuator
 from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
@@ -84,8 +84,9 @@ class RobotDescription:
         folder = cls.find_folder(robot)
         sheet_path = folder / "robot.toml"
         if not sheet_path.is_file():
-            names = choices(cls.available())
-            raise SurefootError(f"robot '{robot}': no such robot and no folder with a robot.toml; robots: {names}")
+            raise SurefootError(
+                f"robot '{robot}': no such robot and no folder with a robot.toml; {suggest(robot, cls.available())}"
+            )
         data, _ = read_toml(sheet_path)
         with prefix_errors(sheet_path):
             sheet = from_mapping(Sheet, data)
@@ -100,7 +101,7 @@ class RobotDescription:
         sign = np.array(sheet.motors.sign or [1] * len(order), float)
         bounds = {name: item.bounds for name, item in PARAMETERS.items()}
         if unknown := [name for name in sheet.allowed if name not in bounds]:
-            raise SurefootError(f"allowed.{unknown[0]} is unknown; choices: {choices(bounds)}")
+            raise SurefootError(f"allowed.{unknown[0]} is unknown; {suggest(unknown[0], bounds)}")
         check_ranges("allowed", sheet.allowed)
         places, axes, feet = _place_joints(urdf, sheet.base, legs)
         mounts = _mounts(places, feet, bool(sheet.leg_geometry))
