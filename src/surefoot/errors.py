@@ -60,8 +60,13 @@ def quote(value: Any) -> str:
 def suggest(name: object, names: Iterable[object]) -> str:
     """Return the choices for the end of an error message about a wrong name, after the nearest one if there is one."""
     texts = [str(choice) for choice in names]
-    near = difflib.get_close_matches(str(name)[:100], texts, n=1)
-    return f"{f'did you mean {near[0]}? ' if near else ''}choices: {choices(texts)}"
+    near = nearest(str(name), texts)
+    return f"{f'did you mean {near}? ' if near else ''}choices: {choices(texts)}"
+
+
+def nearest(name: str, names: Iterable[str]) -> str | None:
+    """Return the name out of several that is most like a wrong one; None if none is."""
+    return next(iter(difflib.get_close_matches(name[:100], list(names), n=1, cutoff=0.65)), None)
 
 
 def choices(names: Iterable[str]) -> str:

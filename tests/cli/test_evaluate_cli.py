@@ -203,7 +203,7 @@ def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monk
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(policies, "SEARCH_PATHS", (policy.parent,))
     assert policies.find_policy("untrained") == policy
-    with pytest.raises(ValueError, match=r"policy 'trot' .*policies that ship: untrained"):
+    with pytest.raises(ValueError, match=r"policy 'trot' .*choices: untrained"):
         policies.find_policy("trot")
 
 

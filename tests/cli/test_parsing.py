@@ -49,11 +49,28 @@ INVALID = [
     ("train trot --task.feedback.swing -2 2", "swing can be -2.300 to 2.300 rad"),
     ("train gallop --task.observations roll smell", "observation 'smell' does not exist; choices: roll, pitch"),
     ("train --resume nowhere", "nowhere: is not a run folder"),
-    ("train --resume run --params robot.toml", "Unrecognized options: --params"),
+    ("train --resume run --params robot.toml", "--params is not an option; for every option: surefoot train --help"),
+    ("play trot --seconds 3", "--seconds is not an option; did you mean --duration? for every option: surefoot play"),
+    ("play trot --duraton 3", "--duraton is not an option; did you mean --duration?"),
+    ("gap trot --runs 3", "--runs is not an option; did you mean --episodes?"),
+    ("train trot --runs r", "--runs is not an option; did you mean --out?"),
+    ("train trot --task.robot go2", "--task.robot is not an option; did you mean --robot?"),
+    ("train trot --task.reward.progres 1", "did you mean --task.reward.progress?"),
+    ("deploy trot --port x --drive", "--drive is not an option; did you mean --browser?"),
+    ("show a.npz --html a.html", "--html is not an option; did you mean --out?"),
+    ("evaluate trot trot", "trot is one word too many; for every option: surefoot evaluate --help"),
+    ("play", "POLICY is missing; for every option: surefoot play --help"),
+    ("play trot --world", "--world has no value"),
+    ("gap trot --to-actuator d", "--to-actuator is 'd'; did you mean dc? choices: dc, constraint"),
+    ("evalute trot", "'evalute' is not a command; did you mean evaluate? choices: train, robot"),
+    ("robot chek go2", "'chek' is not an action; did you mean check? choices: new, check"),
+    ("evaluate tort", "policy 'tort' does not exist; did you mean trot? choices: gallop"),
+    ("evaluate trot --robot g2", "did you mean go2? choices: go2, minitaur"),
+    ("train key.yaml", "observation is not a key; did you mean observations? choices: name, robot"),
     ("sensitivity", "no policy is given"),
     ("sensitivity trot --duration 0", "duration is 0; it must be over 0"),
     ("sensitivity trot --world moon", "world 'moon' does not exist; choices: mujoco"),
-    ("sensitivity trot --ranges table9", "'table9' does not exist; choices: ensemble, none, table1"),
+    ("sensitivity trot --ranges table9", "'table9' does not exist; did you mean table1? choices: ensemble, none"),
     ("sensitivity trot --out /dev/null/out", "/dev/null"),
     ("evaluate \udc80", "the arguments hold characters that can't be printed"),
 ]
@@ -69,6 +86,7 @@ def test_invalid_option_is_refused_in_one_line(line: str, message: str, tmp_path
     if line.startswith("sensitivity"):
         pytest.importorskip("matplotlib")
     (tmp_path / "name.yaml").write_text("name: ../../x\ngroups: {a: {}}\n" if "study" in line else "name: ../../x\n")
+    (tmp_path / "key.yaml").write_text("observation: [roll]\n")
     (tmp_path / "digits.yaml").write_text(f"fall_angle: {'9' * 6000}\n")
     (tmp_path / "large.yaml").write_text(f"fall_angle: 1{'0' * 400}\n")
     (tmp_path / "list.yaml").write_text("train: [1]\n")

@@ -111,7 +111,10 @@ def test_a_task_names_a_table_or_has_its_own(tmp_path: Path, monkeypatch, random
     ("randomize", "message"),
     [
         ("3", "randomize is 3; it must be a table"),
-        ("{table: tabel1}", "randomize 'tabel1' does not exist; choices: ensemble, none, table1"),
+        (
+            "{table: tabel1}",
+            "randomize 'tabel1' does not exist; did you mean table1\\? choices: ensemble, none, table1",
+        ),
         ("{table: table1, speed: [1, 2]}", "'speed' is not a physical parameter; choices: base_mass_ratio"),
     ],
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import difflib
 import io
 import re
 import typing
@@ -14,7 +13,7 @@ from typing import Any, TypeVar
 import tyro
 
 from surefoot.configuration import check_bounds
-from surefoot.errors import SurefootError, suggest
+from surefoot.errors import SurefootError, nearest, suggest
 
 T = TypeVar("T")
 
@@ -54,7 +53,7 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
-        text = " ".join(re.sub(r"[\u2500-\u257f]+", " ", output.getvalue()).split())
+        text = " ".join(re.sub(r"[\u2500-\u257f]+|-{4,}", " ", output.getvalue()).split())
         raise SurefootError(f"{_shorten(text, kind)}; for every option: {prog} --help") from None
     check_bounds(parsed)
     return parsed
@@ -83,8 +82,8 @@ def _check_words(types: Mapping[str, Any], words: Sequence[str], prog: str) -> N
     for word, after in zip(words, [*words[1:], "--"], strict=False):
         name = word.partition("=")[0].replace("_", "-")
         if name.startswith("--") and not (name in types or name in off or name in ("--", "--help")):
-            near = difflib.get_close_matches(name[2:], names, n=1)
-            question = f"did you mean {names[near[0]]}? " if near else ""
+            near = nearest(name[2:], names)
+            question = f"did you mean {names[near]}? " if near else ""
             raise SurefootError(f"{name} is not an option; {question}for every option: {prog} --help")
         hint = types.get(word.replace("_", "-"))
         is_list = typing.get_origin(hint) is dict or typing.get_args(hint)[-1:] == (...,)
