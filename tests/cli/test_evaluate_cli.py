@@ -111,7 +111,10 @@ def test_settings_and_pushes_change_the_result(policy: Path):
         ("evaluate POLICY --episodes 0", "episodes is 0; it must be 1 or more"),
         ("evaluate POLICY --push-force 40 20", "pushes.force is [40.0, 20.0]; the lower bound must come first"),
         ("evaluate POLICY --push-force -1 20", "push_force[0] is -1; it must be 0 or more"),
-        ("evaluate POLICY --set strength=1", "'strength' is not a physical parameter; choices: base_mass_ratio"),
+        (
+            "evaluate POLICY --set strength=1",
+            "'strength' is not a physical parameter; did you mean motor_strength? choices: base_mass",
+        ),
         ("evaluate POLICY --set motor_strength=9", "motor_strength is 9; minitaur allows 0 to 2"),
         ("evaluate POLICY --set motor_strength=much", "sets no number"),
         ("evaluate POLICY --world moon", "world 'moon' does not exist; choices: mujoco"),

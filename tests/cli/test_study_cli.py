@@ -237,7 +237,7 @@ def test_a_missing_world_is_refused_before_training(
 
 BAD = [
     (["tiny.yaml", "--workers", "-1"], "workers is -1; it must be 0"),
-    (["tiny.yaml", "--only", "fast"], "group 'fast' is not in the study; groups: plain, drawn"),
+    (["tiny.yaml", "--only", "fast"], "group 'fast' is not in the study; choices: plain, drawn"),
     (["tiny.yaml", "--seeds", "1", "1"], "seeds is .1, 1.; it takes 1 or more, none twice"),
     (["tiny.yaml", "--train-only", "--report-only"], "--train-only and --report-only leave nothing to do"),
     (["tiny.yaml", "--report-only"], "runs/tiny: no run of the study is finished and evaluated"),

@@ -76,8 +76,9 @@ def test_ranges_that_do_not_fit_are_refused(tmp_path: Path, text: str, message: 
 
 @pytest.mark.parametrize("name", ["tabel1", ".", "robot"])
 def test_a_table_that_is_missing_is_refused(tmp_path: Path, name: str):
-    message = f"randomize '{name}' does not exist; choices: ensemble, none, table1, or the path of a YAML file"
-    with pytest.raises(SurefootError, match=re.escape(message)):
+    with pytest.raises(
+        SurefootError, match=rf"randomize '{re.escape(name)}' .*; .*choices: ensemble, none, table1, or"
+    ):
         load_ranges(name, tmp_path)
 
 
