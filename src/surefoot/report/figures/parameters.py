@@ -111,7 +111,8 @@ def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path, uni
         place_labels(ax, [result.policy for result in sensitivities], vertical=True)
         ax.set_ylim(len(sensitivities) - 0.5, -0.5)
         ax.set_title("Return over test worlds", fontweight="bold")
-        ax.set_xlabel(f"{with_unit('return', unit)}: mean and standard deviation; dots: test worlds; diamond: nominal world")
+        legend = "mean and standard deviation; dots: test worlds; diamond: nominal world"
+        ax.set_xlabel(f"{with_unit('return', unit)}: {legend}")
     return Path(path)
 
 
