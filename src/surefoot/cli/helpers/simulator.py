@@ -15,7 +15,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, parse_settings
 from surefoot.robot.params_file import ParamValue, find_params, read_params
 from surefoot.robot.randomization import Ranges
-from surefoot.task.commands import read_schedule
+from surefoot.task.commands import read_schedule, schedule_duration
 from surefoot.task.config import TaskConfig
 from surefoot.world.interface import WorldConfig
 
@@ -98,7 +98,7 @@ class RunOptions:
     robot: RobotName = None
     commands: Path | None = None
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
-    drawn as in its training, if not given."""
+    drawn as in its training, if not given. The run lasts until two seconds after its last row, or longer."""
 
     def apply(
         self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None, thermal_protection: bool = False
@@ -124,7 +124,9 @@ class RunOptions:
                 raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
             commands = replace(commands, schedule=read_schedule(self.commands))
         pushes = task.pushes.for_evaluation(self.pushes, self.push_force)
-        return replace(task, randomize=ranges or {}, pushes=pushes, commands=commands)
+        task = replace(task, randomize=ranges or {}, pushes=pushes, commands=commands)
+        whole = with_duration(task, robot, schedule_duration(commands.schedule))
+        return whole if whole.max_steps > task.max_steps else task
 
 
 def with_duration(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:
