@@ -1,0 +1,69 @@
+"""Triangles of a robot for pictures and pages: round surfaces with smooth normals, edges that stay sharp."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.robot.appearance import Appearance
+
+_CREASE = np.cos(np.radians(40.0))
+"""Cosine of the angle between two triangles over which the edge between them is sharp."""
+_SAME_PLACE = 1e-5
+"""Distance of vertices that are taken for one [m]."""
+
+
+def smooth(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, Array, NDArray[np.int32]]:
+    """Return points (P, 3) and their normals (P, 3), and triangles (F, 3) of these, out of vertices and faces.
+
+    A corner's normal is the mean of those of the triangles around it that meet its own without a sharp edge, weighted
+    by area. Corners of one place and one normal are one point.
+    """
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    units = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    _, place = np.unique(np.rint(vertices / _SAME_PLACE).astype(np.int64), axis=0, return_inverse=True)
+    at = place.reshape(-1)[faces].reshape(-1)
+    # All pairs of corners of one place: each corner beside every one in its group of the sorted list.
+    order, count = np.argsort(at, kind="stable"), np.bincount(at)
+    first = np.cumsum(count) - count
+    one = np.repeat(np.arange(len(at)), count[at])
+    step = np.arange(len(one)) - np.repeat(np.cumsum(count[at]) - count[at], count[at])
+    other = order[np.repeat(first[at], count[at]) + step]
+    flat = np.einsum("ij,ij->i", units[one // 3], units[other // 3]) > _CREASE
+    one, other = one[flat], other[flat]
+    sums = np.stack([np.bincount(one, normals[other // 3, k], len(at)) for k in range(3)], axis=1)
+    sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
+    keys = np.column_stack([at, np.rint(500 * sums).astype(np.int64)])
+    _, point, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return corners.reshape(-1, 3)[point], sums[point], index.reshape(-1, 3).astype(np.int32)
+
+
+class Mesh:
+    """All parts of a robot as one set of triangles, in the frames of their links.
+
+    Args:
+        appearance: the parts.
+        links: their names, in the order of the poses to come.
+    """
+
+    def __init__(self, appearance: Appearance, links: list[str]) -> None:
+        parts = appearance.parts
+        points, normals, faces = zip(*(smooth(part.vertices, part.faces) for part in parts), strict=True)
+        counts = [len(part) for part in points]
+        starts = np.cumsum(counts) - counts
+        self.points, self.normals = (np.concatenate(part).astype(np.float32) for part in (points, normals))
+        """Places [m] and normals, (P, 3)."""
+        self.faces = np.concatenate([part + start for part, start in zip(faces, starts, strict=True)]).astype(np.int32)
+        """Indices (F, 3) of points."""
+        self.link = np.repeat([links.index(part.link) for part in parts], counts).astype(np.int32)
+        """Index (P,) of each point's link."""
+        self.color = np.repeat([part.color for part in parts], [len(part) for part in faces], axis=0).astype(np.float32)
+        """Red, green and blue (F, 3), 0 to 1."""
+
+    def place(self, poses: Array) -> tuple[Array, Array]:
+        """Return all points and normals (P, 3) of links with these poses (L, 4, 4), in the poses' world."""
+        turn, shift = poses[self.link, :3, :3].astype(np.float32), poses[self.link, :3, 3].astype(np.float32)
+        points = np.einsum("pij,pj->pi", turn, self.points) + shift
+        return points, np.einsum("pij,pj->pi", turn, self.normals)
