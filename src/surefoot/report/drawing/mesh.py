@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot.appearance import Appearance
+from surefoot.robot.appearance import Appearance, Part
+from surefoot.robot.urdf import Color
 
 _CREASE = np.cos(np.radians(40.0))
 """Cosine of the angle between two triangles over which the edge between them is sharp."""
@@ -40,6 +44,30 @@ def smooth(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, Array, NDA
     return corners.reshape(-1, 3)[point], sums[point], index.reshape(-1, 3).astype(np.int32)
 
 
+def link_meshes(appearance: Appearance) -> list[tuple[str, Color, Array, NDArray[np.int32]]]:
+    """Return the parts of each color of each link as one mesh: link, color, points (P, 3) [m], triangles (F, 3).
+
+    Where an edge is sharp its points are there twice, so that normals that are computed from the mesh are those of
+    `smooth`.
+    """
+    groups: dict[tuple[str, Color], list[Part]] = {}
+    for part in appearance.parts:
+        groups.setdefault((part.link, cast(Color, tuple(round(255 * value) for value in part.color))), []).append(part)
+    meshes = []
+    for (link, color), parts in groups.items():
+        points, _, faces = join([smooth(part.vertices, part.faces) for part in parts])
+        meshes.append((link, color, points, faces))
+    return meshes
+
+
+def join(meshes: Sequence[tuple[Array, Array, NDArray[np.int32]]]) -> tuple[Array, Array, NDArray[np.int32]]:
+    """Return points, normals and triangles of several meshes as one."""
+    points, normals, faces = zip(*meshes, strict=True)
+    starts = np.cumsum([0, *map(len, points[:-1])])
+    shifted = np.concatenate([part + start for part, start in zip(faces, starts, strict=True)])
+    return np.concatenate(points).astype(np.float32), np.concatenate(normals).astype(np.float32), shifted.astype(np.int32)
+
+
 class Mesh:
     """All parts of a robot as one set of triangles, in the frames of their links.
 
@@ -50,16 +78,14 @@ class Mesh:
 
     def __init__(self, appearance: Appearance, links: list[str]) -> None:
         parts = appearance.parts
-        points, normals, faces = zip(*(smooth(part.vertices, part.faces) for part in parts), strict=True)
-        counts = [len(part) for part in points]
-        starts = np.cumsum(counts) - counts
-        self.points, self.normals = (np.concatenate(part).astype(np.float32) for part in (points, normals))
-        """Places [m] and normals, (P, 3)."""
-        self.faces = np.concatenate([part + start for part, start in zip(faces, starts, strict=True)]).astype(np.int32)
-        """Indices (F, 3) of points."""
+        pieces = [smooth(part.vertices, part.faces) for part in parts]
+        self.points, self.normals, self.faces = join(pieces)
+        """Places [m] and normals, (P, 3), and indices (F, 3) of points."""
+        counts = [len(points) for points, _, _ in pieces]
         self.link = np.repeat([links.index(part.link) for part in parts], counts).astype(np.int32)
         """Index (P,) of each point's link."""
-        self.color = np.repeat([part.color for part in parts], [len(part) for part in faces], axis=0).astype(np.float32)
+        counts = [len(faces) for _, _, faces in pieces]
+        self.color = np.repeat([part.color for part in parts], counts, axis=0).astype(np.float32)
         """Red, green and blue (F, 3), 0 to 1."""
 
     def place(self, poses: Array) -> tuple[Array, Array]:

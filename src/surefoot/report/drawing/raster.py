@@ -19,7 +19,7 @@ _SHINE, _RIM = 0.22, 0.10
 
 
 def _compile(function: Function) -> Function:
-    return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast(Function, njit(cache=True, nogil=True, error_model="numpy", fastmath=True)(function))
 
 
 @_compile
@@ -42,24 +42,27 @@ def rasterize(points: Any, faces: Any, nearest: Any, face_at: Any) -> None:
         area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
         if area == 0.0 or not (za > 0.0 and zb > 0.0 and zc > 0.0):
             continue
-        left = max(int(np.ceil(min(xa, xb, xc) - 0.5)), 0)
-        right = min(int(np.floor(max(xa, xb, xc) - 0.5)), width - 1)
         top = max(int(np.ceil(min(ya, yb, yc) - 0.5)), 0)
         bottom = min(int(np.floor(max(ya, yb, yc) - 0.5)), height - 1)
         # Shares of corners b and c, which sum to 1 with that of a, grow evenly along a row.
         step_b, step_c = (yc - ya) / area, (ya - yb) / area
         step = step_b * (zb - za) + step_c * (zc - za)
         for row in range(top, bottom + 1):
-            x, y = left + 0.5 - xa, row + 0.5 - ya
-            share_b = (x * (yc - ya) - y * (xc - xa)) / area
-            share_c = (y * (xb - xa) - x * (yb - ya)) / area
-            z = za + share_b * (zb - za) + share_c * (zc - za)
+            y = row + 0.5 - ya
+            start_b, start_c = -y * (xc - xa) / area, y * (xb - xa) / area
+            low, high = min(xa, xb, xc) - xa, max(xa, xb, xc) - xa
+            for start, slope in ((start_b, step_b), (start_c, step_c), (1.0 - start_b - start_c, -step_b - step_c)):
+                if slope > 0.0:
+                    low = max(low, -start / slope)
+                elif slope < 0.0:
+                    high = min(high, -start / slope)
+            left, right = max(int(np.ceil(xa + low - 0.5)), 0), min(int(np.floor(xa + high - 0.5)), width - 1)
+            x = left + 0.5 - xa
+            z = za + (start_b + x * step_b) * (zb - za) + (start_c + x * step_c) * (zc - za)
             for column in range(left, right + 1):
-                if share_b >= 0.0 and share_c >= 0.0 and share_b + share_c <= 1.0 and z > nearest[row, column]:
+                if z > nearest[row, column]:
                     nearest[row, column] = z
                     face_at[row, column] = f
-                share_b += step_b
-                share_c += step_c
                 z += step
 
 
@@ -122,7 +125,7 @@ def paint_ground(picture: Any, ground: Any, eye: Any, tile: float, light: Light,
             bx, by = ax + wide_x, ay + wide_y
             wave_x = (abs(ax - np.floor(ax) - 0.5) - abs(bx - np.floor(bx) - 0.5)) / wide_x
             wave_y = (abs(ay - np.floor(ay) - 0.5) - abs(by - np.floor(by) - 0.5)) / wide_y
-            share = 1.0 - ground[i, j, 7] * (0.5 + 2.0 * wave_x * wave_y)
+            share = 1.0 - ground[i, j, 7] * (0.5 + 0.5 * wave_x * wave_y)
             column, row = (x - light.low[0]) / light.texel - 0.5, (y - light.low[1]) / light.texel - 0.5
             if column >= 0.0 and row >= 0.0 and column < columns - 1 and row < rows - 1:
                 c, r = int(column), int(row)
@@ -210,14 +213,14 @@ def paint_faces(
         for j in range(face_at.shape[1] // parts):
             red, green, blue, count, last = 0.0, 0.0, 0.0, 0, -1
             color = (0.0, 0.0, 0.0)
-            for k in range(parts * parts):
-                row, column = i * parts + k // parts, j * parts + k % parts
-                f = face_at[row, column]
-                if f >= 0:
-                    if f != last:
-                        color = _color(column + 0.5, row + 0.5, f, surface, eye, rays, light)
-                        last = f
-                    red, green, blue, count = red + color[0], green + color[1], blue + color[2], count + 1
+            for row in range(i * parts, (i + 1) * parts):
+                for column in range(j * parts, (j + 1) * parts):
+                    f = face_at[row, column]
+                    if f >= 0:
+                        if f != last:
+                            color = _color(column + 0.5, row + 0.5, f, surface, eye, rays, light)
+                            last = f
+                        red, green, blue, count = red + color[0], green + color[1], blue + color[2], count + 1
             if count > 0:
                 share = count / (parts * parts)
                 for k, total in enumerate((red, green, blue)):

@@ -20,7 +20,7 @@ from surefoot.world.ground import FLAT
 
 TILE = 0.25
 """Side of a square of the ground [m]."""
-_PARTS = 3
+_PARTS = 2
 """Parts of a pixel along each side in which edges are drawn."""
 _FAR = 6.0
 """Distance from the camera at which squares have faded out [m]."""
@@ -32,7 +32,7 @@ _DARK = 0.24
 """How much darker a dark square is, as a share of its linear color."""
 _SHADOW = 0.62
 """How much darker the ground is in full shadow, as a share."""
-_TEXELS = 400
+_TEXELS = 300
 """Points of the shadow along its longer side."""
 _LEVEL = float(FLAT.height(np.zeros(2)))
 _EXTENT = 0.8856
