@@ -65,7 +65,11 @@ def join(meshes: Sequence[tuple[Array, Array, NDArray[np.int32]]]) -> tuple[Arra
     points, normals, faces = zip(*meshes, strict=True)
     starts = np.cumsum([0, *map(len, points[:-1])])
     shifted = np.concatenate([part + start for part, start in zip(faces, starts, strict=True)])
-    return np.concatenate(points).astype(np.float32), np.concatenate(normals).astype(np.float32), shifted.astype(np.int32)
+    return (
+        np.concatenate(points).astype(np.float32),
+        np.concatenate(normals).astype(np.float32),
+        shifted.astype(np.int32),
+    )
 
 
 class Mesh:

@@ -181,7 +181,9 @@ def _color(
         off = 2.0 * light.texel
         z = eye[2] + depth * rz + off * nz
         slant = z / lz
-        sun = light_share(light, eye[0] + depth * rx + off * nx - lx * slant, eye[1] + depth * ry + off * ny - ly * slant, z)
+        sun = light_share(
+            light, eye[0] + depth * rx + off * nx - lx * slant, eye[1] + depth * ry + off * ny - ly * slant, z
+        )
     # Between the directions to sun and eye: a glossy surface with this normal shines.
     hx, hy, hz = lx - rx / ray, ly - ry / ray, lz - rz / ray
     shine = max(nx * hx + ny * hy + nz * hz, 0.0) / max(np.sqrt(hx * hx + hy * hy + hz * hz), 1e-9)
