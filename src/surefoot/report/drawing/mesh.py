@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ _SAME_PLACE = 1e-5
 """Distance of vertices that are taken for one [m]."""
 
 
-def smooth(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, Array, NDArray[np.int32]]:
+def smooth(vertices: NDArray[Any], faces: NDArray[np.int32]) -> tuple[Array, Array, NDArray[np.int32]]:
     """Return points (P, 3) and their normals (P, 3), and triangles (F, 3) of these, out of vertices and faces.
 
     A corner's normal is the mean of those of the triangles around it that meet its own without a sharp edge, weighted
@@ -37,8 +37,8 @@ def smooth(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, Array, NDA
     other = order[np.repeat(first[at], count[at]) + step]
     flat = np.einsum("ij,ij->i", units[one // 3], units[other // 3]) > _CREASE
     one, other = one[flat], other[flat]
-    sums = np.stack([np.bincount(one, normals[other // 3, k], len(at)) for k in range(3)], axis=1)
-    sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
+    sums: Array = np.stack([np.bincount(one, normals[other // 3, k], len(at)) for k in range(3)], axis=1)
+    sums = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
     keys = np.column_stack([at, np.rint(500 * sums).astype(np.int64)])
     _, point, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return corners.reshape(-1, 3)[point], sums[point], index.reshape(-1, 3).astype(np.int32)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,16 +133,16 @@ def _light(mesh: Mesh, points: Array) -> Light:
     flat = np.column_stack([(places - low) / texel, np.maximum(height, 1e-6)]).astype(np.float32)
     rasterize(flat, mesh.faces, occluder, face_at)
     shadow = _soften(occluder, texel)
-    return Light(_TO_SUN.astype(np.float32), occluder, shadow, low.astype(np.float32), np.float32(texel))
+    return Light(_TO_SUN.astype(np.float32), occluder, shadow, low.astype(np.float32), texel)
 
 
 def _soften(occluder: NDArray[np.float32], texel: float) -> NDArray[np.float32]:
     """Return the shadow (H, W), 0 to 1, of what stands at these heights: the higher, the softer."""
     top = max(float(occluder.max()), 1e-6)
 
-    def blurred(values: Array, radius: float) -> Array:
+    def blurred(values: NDArray[Any], radius: float) -> NDArray[np.float32]:
         image = Image.fromarray(values.astype(np.uint8)).filter(ImageFilter.GaussianBlur(radius))
-        return np.asarray(image, np.float32) / 255.0
+        return np.asarray(image, np.float32) / np.float32(255.0)
 
     cover = 255.0 * (occluder > 0.0)
     sharp, soft = blurred(cover, 1.0), blurred(cover, 0.06 * top / texel)
