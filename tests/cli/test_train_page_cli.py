@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow
 
 TINY = (
-    *("steer", "--task.robot", "go2", "--num-envs", "8", "--steps-per-update", "16", "--threads", "1"),
+    *("steer", "--robot", "go2", "--num-envs", "8", "--steps-per-update", "16", "--threads", "1"),
     *("--learning-threads", "1", "--evaluate-every", "1000000", "--evaluation-episodes", "2", "--task.max-steps", "60"),
 )
 
@@ -86,11 +86,11 @@ def content(checkpoint: Path) -> bytes:
 
 
 def test_page_does_not_change_the_weights(tmp_path: Path):
-    words = [*SUREFOOT, "train", *TINY, "--steps", "512", "--runs", str(tmp_path / "with")]
+    words = [*SUREFOOT, "train", *TINY, "--steps", "512", "--out", str(tmp_path / "with")]
     process = subprocess.Popen(
         [*words, "--browser", "--page-port", "0"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
-    without = surefoot("train", *TINY, "--steps", "512", "--runs", tmp_path / "without")
+    without = surefoot("train", *TINY, "--steps", "512", "--out", tmp_path / "without")
     assert without.returncode == 0, without.stderr
     output, _ = process.communicate(timeout=200)
     assert process.returncode == 0, output

@@ -110,10 +110,10 @@ class GapCommand:
     """Home: mujoco or bullet, or recorded traces."""
     away: Annotated[Repeated, tyro.conf.arg(name="to", metavar="WORLD | trace FOLDER")] = ()
     """Another world: mujoco or bullet, or recorded traces; as often as you like."""
-    runs: Count = 3
-    """Runs of each policy in each world."""
+    episodes: Count = 3
+    """Episodes of each policy in each world."""
     duration: Duration | None = None
-    """Length of a run [s], the same in all worlds; that of the policy's task, if not given."""
+    """Length of an episode [s], the same in all worlds; that of the policy's task, if not given."""
     params: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File of a robot's physical parameters (.toml): that robot is simulated on all sides, at home too."""
     settings: Settings = ()
@@ -180,9 +180,9 @@ def main(argv: list[str]) -> int:
                     continue
                 task, title = (
                     at_home if label == labels[0] else elsewhere,
-                    f"{one.name} in {label}: {command.runs} runs",
+                    f"{one.name} in {label}: {command.episodes} episodes",
                 )
-                options = (command.runs, side, command.seed, command.threads, one.name, title)
+                options = (command.episodes, side, command.seed, command.threads, one.name, title)
                 simulated = run_policy(one.policy, task, *options)
                 runs[one.name][label] = save_runs(command.out / one.name / label, simulated)
     _report(command, candidates, tasks, robot.name, sides, runs)
@@ -251,7 +251,7 @@ def _report(
         "robot": robot,
         "from": _text(sides[0]),
         "to": list(map(_text, sides[1:])),
-        "runs": command.runs,
+        "runs": command.episodes,
         "seed": command.seed,
         "pushes": command.pushes,
         "policies": [

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, suggest
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.rotations import in_heading_frame
 from surefoot.task.gait import HybridGait
@@ -193,10 +193,10 @@ def check_reward(weights: Mapping[str, float], limits: Mapping[str, float], key:
         raise SurefootError(f"{key} has no term; choices: {choices(TERMS)}")
     for name in weights:
         if name not in TERMS:
-            raise SurefootError(f"{key}.{name} is not a term; choices: {choices(TERMS)}")
+            raise SurefootError(f"{key}.{name} is not a term; {suggest(name, TERMS)}")
     for name in limits:
         if name not in weights:
-            raise SurefootError(f"reward_limits.{name} is not a term of {key}; choices: {choices(weights)}")
+            raise SurefootError(f"reward_limits.{name} is not a term of {key}; {suggest(name, weights)}")
 
 
 def step_reward(weights: Mapping[str, float], limits: Mapping[str, float], motion: StepMotion) -> Array:
