@@ -185,7 +185,7 @@ def main(argv: list[str]) -> int:
                 options = (command.episodes, side, command.seed, command.threads, one.name, title)
                 simulated = run_policy(one.policy, task, *options)
                 runs[one.name][label] = save_runs(command.out / one.name / label, simulated)
-    _report(command, candidates, tasks, robot.name, sides, runs)
+    _report(command, candidates, tasks, robot, sides, runs)
     return 0
 
 
@@ -208,7 +208,7 @@ def _report(
     command: GapCommand,
     candidates: list[Candidate],
     tasks: list[tuple[TaskConfig, TaskConfig]],
-    robot: str,
+    robot: RobotDescription,
     sides: tuple[Side, ...],
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
@@ -220,6 +220,7 @@ def _report(
     from surefoot.tables import plain_rows, print_files, print_table, write_csv
 
     out, gaps, episodes, figures = command.out, [], [], []
+    unit = min(task.return_unit(robot) for task, _ in tasks)
     for name, worlds in runs.items():
         traces = {world: [trace for _, trace in recorded] for world, recorded in worlds.items()}
         gaps.append(PolicyGap.from_runs(name, [measure_runs(part, world) for world, part in traces.items()]))
@@ -231,13 +232,13 @@ def _report(
     files = [
         write_csv(out / "gap.csv", [row for part in rows.values() for row in part]),
         write_csv(out / "episodes.csv", episodes),
-        gap_figure([*gaps, *pooled], out / "gap.png"),
+        gap_figure([*gaps, *pooled], out / "gap.png", unit),
         *figures,
     ]
     if not command.json:
         title = f"Reality gap: return in {gaps[0].worlds[0]} less return elsewhere, ± one standard error"
         texts = [
-            {"policy": name} | gap_text(row, row["side"] == "home", sign=True)
+            {"policy": name} | gap_text(row, row["side"] == "home", sign=True, unit=unit)
             for name, part in rows.items()
             for row in part
         ]
@@ -248,7 +249,7 @@ def _report(
         return
     plain = {name: plain_rows(part) for name, part in rows.items()}
     result = {
-        "robot": robot,
+        "robot": robot.name,
         "from": _text(sides[0]),
         "to": list(map(_text, sides[1:])),
         "runs": command.episodes,

@@ -25,7 +25,7 @@ from surefoot.evaluation.sensitivity import Sensitivity, run_sensitivity
 from surefoot.files import atomic_write
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot.randomization import load_ranges
-from surefoot.tables import plain_value
+from surefoot.tables import plain_value, with_unit
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
@@ -53,7 +53,7 @@ class ResultFigure:
     @property
     def heading(self) -> str:
         """Title and unit, as the head of a column."""
-        return f"{self.title} ({self.unit})"
+        return with_unit(self.title, self.unit)
 
 
 @dataclass(frozen=True)

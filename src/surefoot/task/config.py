@@ -129,9 +129,14 @@ class TaskConfig:
             bounds = narrowed_bounds(bounds, reference, robot)
         return HybridGait(robot, reference, *bounds, action=self.action)
 
-    def energy_weight(self, robot: RobotDescription) -> float:
-        """Return the weight of energy [m/J] in returns of traces, see `task.reward.energy_weight`."""
-        return energy_weight(self.reward, robot.weight)
+    def return_meta(self, robot: RobotDescription) -> dict[str, float | None]:
+        """Return what a trace's meta has to compute the return: `energy_weight` and `progress_limit` of `TraceMeta`."""
+        weight = energy_weight(self.reward, self.reward_limits, robot.weight)
+        return {"energy_weight": weight, "progress_limit": self.reward_limits.get("progress")}
+
+    def return_unit(self, robot: RobotDescription) -> str:
+        """Return m for the paper's reward, which is a distance; empty for others, whose terms have different units."""
+        return "" if self.return_meta(robot)["energy_weight"] is None else "m"
 
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
         """Return the physical parameters, which the robot must allow, without randomization, one row."""
