@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from surefoot.configuration import to_mapping
 from surefoot.deploy.checks import check_policy
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.progress import ProgressBar
@@ -42,7 +42,7 @@ def find_policy(policy: str) -> Path:
         return Path(policy)
     if policy in shipped:
         return shipped[policy]
-    names = f"policies that ship: {choices(shipped)}" if shipped else "no policies ship with this surefoot"
+    names = suggest(policy, sorted(shipped)) if shipped else "no policies ship with this surefoot"
     raise SurefootError(f"policy '{policy}' does not exist; {names}, or the path of a policy file")
 
 
