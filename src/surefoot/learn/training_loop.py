@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,11 @@ from torch.utils.tensorboard import SummaryWriter
 
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import run_to_end
+from surefoot.evaluation.tracking import MotionRecorder
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.ppo_learner import PpoLearner, UpdateFigures
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
+from surefoot.tables import plain_value
 from surefoot.task.env import LocomotionEnv, SimulationFactory
 
 EVALUATION_SEED = 1_000_003
@@ -37,6 +38,8 @@ class Evaluation:
     """The same with pushes, where the task has them; else 0."""
     power_mean: float
     """Mean mechanical power [W]."""
+    rmse: dict[str, float | None] | None = None
+    """Root mean square error of each command's speed [m/s] or rate [rad/s], as `evaluate` has it; None without."""
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -46,16 +49,20 @@ class Evaluation:
 
 def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> Evaluation:
     """Run the deterministic policy for whole episodes, always from the same seed."""
-    config, results = learner.config, []
+    config, results, rmse = learner.config, [], None
     base = replace(config.task, reward=config.evaluation_reward or config.task.reward)
     base = replace(base, commands=replace(base.commands, ramp=0))
     for pushed in (False, True) if config.task.pushes.enabled else (False,):
         task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
-        results.append(run_to_end(learner.act, env, env.reset()[0]))
+        observation, _ = env.reset()
+        recorder = None if env.commands is None else MotionRecorder(env)
+        results.append(run_to_end(learner.act, env, observation, record=recorder and recorder.record))
+        if recorder is not None and not pushed:
+            rmse = recorder.tracking(results[0].steps).to_mapping()["rmse"]
     runs, falls = results[0], [int((~result.balanced).sum()) for result in results]
     speed, mean_return, power = (float(column.mean()) for column in (runs.speed, runs["return"], runs.power))
-    return Evaluation(learner.steps, speed, mean_return, falls[0], sum(falls[1:]), power)
+    return Evaluation(learner.steps, speed, mean_return, falls[0], sum(falls[1:]), power, rmse)
 
 
 class TrainingLoop:
@@ -183,17 +190,22 @@ class TrainingLoop:
         return evaluation
 
     def _log(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:
-        row = {
-            key: None if isinstance(value, float) and math.isnan(value) else value
-            for key, value in asdict(figures).items()
-        }
-        row["seconds"] = self.seconds
+        row = {key: plain_value(value) for key, value in asdict(figures).items()} | {"seconds": self.seconds}
         if evaluation is not None:
             row["evaluation"] = asdict(evaluation)
         self.folder.log(row)
-        for key, value in row.items():
-            if isinstance(value, int | float) and key != "steps":
-                self._writer.add_scalar(f"train/{key}", value, figures.steps)
-        if evaluation is not None:
-            for key, value in asdict(evaluation).items():
-                self._writer.add_scalar(f"evaluation/{key}", value, figures.steps)
+        evaluated = row.pop("evaluation", {})
+        for part, values in (("train", row), ("evaluation", evaluated)):
+            for key, value in _scalars(values).items():
+                self._writer.add_scalar(f"{part}/{key}", value, figures.steps)
+
+
+def _scalars(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
+    """Return the numbers of a row by name, those of tables as TABLE/NAME."""
+    scalars: dict[str, float] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            scalars |= _scalars(value, f"{prefix}{key}/")
+        elif isinstance(value, int | float) and key != "steps":
+            scalars[f"{prefix}{key}"] = value
+    return scalars
