@@ -179,3 +179,14 @@ def test_summary_of_a_robot_without_a_measured_position(make_trace: MakeRun) -> 
 def test_summary_refuses_traces_of_several_policies(make_trace: MakeRun) -> None:
     with pytest.raises(SurefootError, match="more than one policy: gallop, trot"):
         summarize([make_trace(), make_trace(policy="gallop")], MASS)
+
+
+def test_saturation_is_the_share_of_time_of_each_motor(make_run: MakeRun) -> None:
+    at_limit = np.zeros((100, 8))
+    at_limit[::4, 2], at_limit[:10, 5] = 1.0, 0.5
+    traces = [make_run(steps=100, arrays={"motor_saturation": at_limit}), make_run(steps=100)]
+    assert measure_runs(traces).saturation.tolist() == pytest.approx([0.25, math.nan], nan_ok=True)
+    summary = summarize(traces[:1] * 2, MASS)
+    assert summary["saturation"] == pytest.approx({f"m{k}": {2: 0.25, 5: 0.05}.get(k, 0.0) for k in range(8)})
+    # A robot's trace does not know it.
+    assert set(summarize(traces[1:], MASS)["saturation"].values()) == {None}
