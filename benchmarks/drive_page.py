@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
-from surefoot.cli.helpers.drive_page import DrivePage
+from surefoot.api.drive_page import DrivePage
 from surefoot.report.pages.server import PageServer
 from surefoot.report.pages.view import RobotView
 

@@ -456,7 +456,7 @@ def make_seeds(folder: Path, names: set[str]) -> None:
     """
     import onnx
 
-    from surefoot.cli.helpers.policies import find_policy
+    from surefoot.api.policies import find_policy
     from surefoot.policy.contract import METADATA_KEY
     from surefoot.policy.digest import add_digest
     from surefoot.robot import RobotDescription

@@ -20,7 +20,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from surefoot.cli.helpers.policies import find_policy, load_gait
+from surefoot.api.policies import find_policy, load_gait
 from surefoot.cli.helpers.simulator import RunOptions
 from surefoot.evaluate.footfalls import analyze_footfalls
 from surefoot.evaluate.rollout import Policy, run_episodes

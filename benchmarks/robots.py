@@ -21,7 +21,7 @@ import numpy as np
 from rounds import measure, ratio_quartiles
 from throughput import Bench
 
-from surefoot.cli.helpers.policies import find_policy
+from surefoot.api.policies import find_policy
 from surefoot.evaluate.gap import home_task
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.policy.runtime import PolicyRuntime

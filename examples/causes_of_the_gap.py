@@ -20,7 +20,7 @@ from typing import Annotated, Any, cast
 import numpy as np
 import tyro
 
-from surefoot.cli.helpers.policies import find_policy, load_policy
+from surefoot.api.policies import find_policy, load_policy
 from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import measure_runs

@@ -26,8 +26,8 @@ import websockets
 from chromium import errors_of, hold_stick, in_browser, running_browser
 from websockets.sync.client import connect
 
+from surefoot.api.drive_page import DrivePage, serve
 from surefoot.cli import play
-from surefoot.cli.helpers.drive_page import DrivePage, serve
 from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
 from surefoot.evaluate.driven import DrivenStep
@@ -162,7 +162,7 @@ def test_file_of_commands_replaces_the_page(running: Running, tmp_path: Path):
 
 def test_play_browser_serves_the_page_with_its_parameters(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     served: list[Any] = []
-    monkeypatch.setattr("surefoot.cli.helpers.drive_page.serve", lambda *arguments: served.append(arguments))
+    monkeypatch.setattr("surefoot.api.drive_page.serve", lambda *arguments: served.append(arguments))
     assert play.main(["go2-steer", "--browser", "--set", "base_mass_ratio=1.5", "--commands", "walk.csv"]) == 0
     ((drive, host, _, commands),) = served
     assert drive.robot.env.world.params.base_mass_ratio.tolist() == [1.5]

@@ -75,8 +75,8 @@ def main(argv: list[str]) -> int:
         raise SurefootError("--drive and --lockstep are given; a page drives in real time")
     if command.drive:
         import_module("viser")  # what is not installed is reported before the robot is connected
+    from surefoot.api.policies import find_policy, open_policy
     from surefoot.check_result import first_failure
-    from surefoot.cli.helpers.policies import find_policy, open_policy
     from surefoot.deploy.checks import check_contract
     from surefoot.deploy.command_sources import ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.controller import Controller

@@ -25,7 +25,7 @@ class DriveCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(DriveCommand, argv, "surefoot drive")
-    from surefoot.cli.helpers.drive_page import DrivePage, serve
+    from surefoot.api.drive_page import DrivePage, serve
 
     serve(DrivePage(command.policy, command.world, command.robot), command.host, command.port, command.commands)
     return 0

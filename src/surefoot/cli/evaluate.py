@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from surefoot.cli.helpers.episodes import draw_episode, print_summaries
+from surefoot.api.episodes import draw_episode, print_summaries
 from surefoot.cli.helpers.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
@@ -89,7 +89,7 @@ def _simulate(
     command: EvaluateCommand, range_options: RangeOptions
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; return its traces, the robot, and the settings of the run."""
-    from surefoot.cli.helpers.policies import find_policy, load_gait, run_policy
+    from surefoot.api.policies import find_policy, load_gait, run_policy
     from surefoot.world.registry import find_world
 
     path = find_policy(str(command.policy))

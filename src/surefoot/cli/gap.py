@@ -27,7 +27,7 @@ from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, check_name, prefix_errors
 
 if TYPE_CHECKING:
-    from surefoot.cli.helpers.policies import Candidate
+    from surefoot.api.policies import Candidate
     from surefoot.evaluate.recorded import RecordedTraces
     from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
@@ -135,7 +135,7 @@ class GapCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
-    from surefoot.cli.helpers.policies import load_policies, run_policy
+    from surefoot.api.policies import load_policies, run_policy
     from surefoot.world.registry import find_world
 
     home, away = parse_side("--from", command.home), [parse_side("--to", words) for words in command.away]

@@ -63,7 +63,7 @@ def main(argv: list[str]) -> int:
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
     import pandas as pd
 
-    from surefoot.cli.helpers.policies import load_policies
+    from surefoot.api.policies import load_policies
     from surefoot.progress import ProgressBar
     from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import WORLDS, find_world

@@ -91,7 +91,7 @@ def main(argv: list[str]) -> int:
 
 def train(study: StudyConfig, runs: list[Training], command: StudyCommand, console: Console) -> TrainingsOutcome:
     """Train every run that is not finished, some at a time."""
-    from surefoot.cli.helpers.training import check_config
+    from surefoot.api.training import check_config
 
     waiting = [run for run in runs if run.state != "finished"]
     if not waiting:

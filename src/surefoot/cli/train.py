@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from surefoot.cli.helpers.options import PAGE_PORT, PagePort
-from surefoot.cli.helpers.output import make_console, next_command
+from surefoot.cli.helpers.output import make_console, next_command, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
     if argv[0].startswith("-"):
         raise SurefootError(f"'{argv[0]}' is not a task; choices: {choices(preset_names())}, or a YAML file")
     config, command = _parse(argv)
-    from surefoot.cli.helpers.training import check_config
+    from surefoot.api.training import check_config
 
     check_config(config)
     return _train(config, command.runs, command.page)
@@ -112,7 +112,8 @@ def _robot_name(argv: list[str]) -> str | None:
 
 def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int:
     """Train in a new folder below `path`, or without a configuration resume the run in it; return the exit code."""
-    from surefoot.cli.helpers.training import TrainingProgress, finish_run
+    from surefoot.api.episodes import print_summaries
+    from surefoot.api.training import EPISODE, TrainingProgress, finish_run
     from surefoot.learn.folder_lock import folder_lock
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
@@ -149,5 +150,9 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
             console.print(f"Stopped and saved at {loop.learner.steps:,} steps.")
             console.print(next_command("resume", "train", "--resume", folder.path))
             return 130
-        finish_run(loop, folder)
+        summaries = finish_run(loop, folder, console.print)
+    print_summaries({kind.replace("_", " "): summary for kind, summary in summaries.items()})
+    console.print(f"Policy, table, figures and video are in {folder.path}")
+    console.print(show_command([folder.path / "figures" / EPISODE]))
+    console.print(next_command("drive it", "drive", folder.policy))
     return 0

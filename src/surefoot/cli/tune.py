@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from surefoot.cli.helpers.episodes import print_summaries
+from surefoot.api.episodes import print_summaries
+from surefoot.api.policies import run_policy
 from surefoot.cli.helpers.options import Count, check_suffix
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.policies import run_policy
 from surefoot.errors import SurefootError
 from surefoot.progress import ProgressBar
 from surefoot.studies.handcrafted import HandcraftedGait

@@ -133,6 +133,7 @@ class Sheet:
     actuator: dict[str, Any]
     body_length: Annotated[float | None, Within(0, 1e9, above=True)] = None
     leg_geometry: FiveBar | None = None
+    looks: str | None = None
     loops: tuple[Loop, ...] = ()
     leg_space: LegSpace = field(default_factory=LegSpace)
     timing: Timing = field(default_factory=Timing)

@@ -137,7 +137,7 @@ class Page:
             self._server.send(report=self._report(drives))
 
     def _receive(self, message: dict[str, Any], now: float) -> None:
-        from surefoot.cli.helpers.drive_page import finite_numbers
+        from surefoot.api.drive_page import finite_numbers
 
         try:
             if "command" in message and self._setup["limits"]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from surefoot.cli.helpers.policies import find_policy, load_gait, shipped_policies
+from surefoot.api.policies import find_policy, load_gait, shipped_policies
 from surefoot.errors import SurefootError, choices
 from surefoot.robot.commands import COMMANDS, STAND
 from surefoot.world.registry import WORLDS, find_world

@@ -25,7 +25,7 @@ from surefoot.world.registry import find_world
 if TYPE_CHECKING:
     from surefoot.evaluate.rollout import Policy
 
-PACKAGE = Path(__file__).resolve().parents[2]
+PACKAGE = Path(__file__).resolve().parents[1]
 SEARCH_PATHS = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
 """Folders of policies that ship: of an installed package, and of the repository."""
 
