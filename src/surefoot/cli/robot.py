@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -109,10 +110,11 @@ def _check(argv: list[str]) -> int:
 
 
 def _run_checks(robot: RobotDescription, as_json: bool = False) -> int:
+    from surefoot.evaluate.trot_check import check_trot
     from surefoot.world.description_checks import run_description_checks
 
     console, results = make_console(), []
-    for result in run_description_checks(robot):
+    for result in chain(run_description_checks(robot), (check_trot(one) for one in [robot])):
         results.append(result)
         if not as_json:
             print_result(console, result)

@@ -113,7 +113,7 @@ class EpisodeTrace:
     then not in the file."""
     motor_saturation: Array = field(default_factory=_absent)
     """(T, M) fraction of the control step's servo steps in which the motor was at its limit, 0 to 1: DC motors at full
-    duty, joint actuators at the torque that there is at their speed. All NaN where unknown, and then not in the file."""
+    duty, joint actuators at the torque that there is at their speed. NaN as above."""
     meta: dict[str, Any] = field(default_factory=dict)
     """The entries of `TraceMeta`, and others that JSON can hold."""
 
