@@ -30,7 +30,7 @@ from surefoot.api.drive_page import DrivePage, serve
 from surefoot.cli import play
 from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
-from surefoot.evaluate.driven import DrivenStep
+from surefoot.evaluation.driven import DrivenStep
 from surefoot.report.pages.server import PageServer
 from surefoot.report.pages.view import RobotView
 
@@ -191,11 +191,11 @@ def test_taken_port_is_one_line():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        words = [sys.executable, "-m", "surefoot", "drive", "go2-steer", "--port", str(taken.getsockname()[1])]
+        words = [sys.executable, "-m", "surefoot", "drive", "go2-steer", "--page-port", str(taken.getsockname()[1])]
         done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
-    assert "--port" in done.stderr
+    assert "--page-port" in done.stderr
 
 
 @pytest.fixture(scope="module")

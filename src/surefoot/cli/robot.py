@@ -110,7 +110,7 @@ def _check(argv: list[str]) -> int:
 
 
 def _run_checks(robot: RobotDescription, as_json: bool = False) -> int:
-    from surefoot.evaluate.trot_check import check_trot
+    from surefoot.evaluation.trot_check import check_trot
     from surefoot.world.description_checks import run_description_checks
 
     console, results = make_console(), []

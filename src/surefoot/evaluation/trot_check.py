@@ -6,7 +6,7 @@ import numpy as np
 
 from surefoot.check_result import CheckResult, judge
 from surefoot.errors import SurefootError
-from surefoot.evaluate.runs import SATURATION
+from surefoot.evaluation.runs import SATURATION
 from surefoot.robot import RobotDescription
 from surefoot.robot.actuator import JointActuatorData
 from surefoot.task.config import load_task
