@@ -8,7 +8,6 @@ from surefoot.check_result import CheckResult, judge
 from surefoot.errors import SurefootError
 from surefoot.evaluation.runs import SATURATION
 from surefoot.robot import RobotDescription
-from surefoot.robot.actuator import JointActuatorData
 from surefoot.task.config import load_task
 from surefoot.world.interface import WorldConfig
 from surefoot.world.motor_load import available_torque, describe_torque, measure_load, unlimited
@@ -19,6 +18,8 @@ _USUAL = 0.95
 """Share of the time for which the torque is below the one that is reported."""
 _MOST = 0.5
 """Share of the time at the limit from which a fall is put down to the motor."""
+_SUNK = 0.7
+"""Height of the base, over that with any torque, below which a robot lies."""
 REMEDY = "take stronger motors or a lighter robot, or trot slower with smaller strides (frequency, stroke of a task)"
 
 
@@ -26,7 +27,7 @@ def check_trot(robot: RobotDescription) -> CheckResult:
     """Run the reference of the task `trot` without feedback; compare the torque that it asks for with what is there.
 
     What it asks for is measured with motors that have any torque. It fails if the robot falls with its own motors, one
-    of them at its limit for most of the time, and does not fall with those. Many robots fall without feedback, which
+    of them at its limit for most of the time, and does not with those. Many robots fall without feedback, which
     training mends.
     """
     try:
@@ -49,5 +50,8 @@ def check_trot(robot: RobotDescription) -> CheckResult:
     )
     if share >= SATURATION:
         message += "; a slower trot with smaller strides asks for less"
-    weak = not own.finished and share >= _MOST and (free.finished or not isinstance(robot.actuator, JointActuatorData))
-    return judge("torque to trot", not weak, message, "; the robot falls, with stronger motors it does not", REMEDY, share)
+    low, usual = (load.end.base_position_world[0, 2] for load in (own, free))
+    down, able = not own.finished or bool(low < _SUNK * usual), free.finished or robot.actuator.kind == "dc"
+    weak = down and able and share >= _MOST
+    rule = "; the robot goes down, with stronger motors it does not"
+    return judge("torque to trot", not weak, message, rule, REMEDY, share)
