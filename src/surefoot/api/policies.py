@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from surefoot.configuration import to_mapping
 from surefoot.deploy.checks import check_policy
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.progress import ProgressBar
@@ -56,9 +56,11 @@ def find_policy(policy: str) -> Path:
         if (path / "run.json").is_file():
             raise SurefootError(f"run {path} has no {POLICY} yet; its first evaluation or its end writes it")
         if runs := sorted(path.glob(f"*/{POLICY}"), key=lambda file: file.stat().st_mtime):
-            raise SurefootError(f"{path} is a folder of {len(runs)} runs; give one of them, the newest: {runs[-1].parent}")
+            raise SurefootError(
+                f"{path} is a folder of {len(runs)} runs; give one of them, the newest: {runs[-1].parent}"
+            )
         raise SurefootError(f"folder {path} is no run: it has no {POLICY}")
-    names = f"policies that ship: {choices(shipped)}" if shipped else "no policies ship with this surefoot"
+    names = suggest(policy, sorted(shipped)) if shipped else "no policies ship with this surefoot"
     raise SurefootError(f"policy '{policy}' does not exist; {names}, or the path of a policy file or run")
 
 

@@ -13,8 +13,8 @@ from surefoot.cli.helpers.options import Count, Json, Threads, make_figures_fold
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import RangeOptions, take_ranges
-from surefoot.cli.helpers.simulator import RunOptions, describe_simulator
-from surefoot.configuration import to_mapping
+from surefoot.cli.helpers.simulator import RunOptions, describe_simulator, with_duration
+from surefoot.configuration import Duration, to_mapping
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ class EvaluateCommand(RunOptions):
     """Recorded runs instead of a policy: trace files (.npz), or folders of them."""
     episodes: Count = 20
     """Episodes to run, side by side."""
+    duration: Duration | None = None
+    """Length of an episode [s]; that of the policy's task, if not given."""
     json: Json = False
     command_grid: bool = False
     """Give a policy with commands one command an episode, over a grid of its range, not drawn ones; with --out a
@@ -97,6 +99,8 @@ def _simulate(
     policy, robot, task, names = load_gait(path, command.robot)
     ranges = range_options.apply(robot.folder)
     task = command.apply(task, robot, ranges, command.thermal_protection)
+    if command.duration is not None:
+        task = with_duration(task, robot, command.duration)
     episodes = command.episodes
     if command.command_grid:
         from surefoot.evaluation.tracking import command_grid

@@ -21,7 +21,7 @@ class PlayCommand(RunOptions):
     """
 
     policy: PolicyName
-    seconds: Duration = 6.0
+    duration: Duration = 6.0
     """How long the robot runs, in simulated time."""
     out: Path | None = None
     """MP4 to write, display or not; POLICY.mp4 here, if not given and there is no display."""
@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
     if command.browser:
         return _serve_page(command)
     policy, robot, task, origin = load_gait(path, command.robot)
-    task = with_duration(command.apply(task, robot), robot, command.seconds)
+    task = with_duration(command.apply(task, robot), robot, command.duration)
     window = command.out is None and has_display()
     # Imported before anything is simulated, so that a missing package is reported at once.
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):

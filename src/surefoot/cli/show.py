@@ -34,28 +34,28 @@ class ShowCommand:
     """Name or folder of the robot of such files, or of traces in place of the robot that they carry."""
     layout: Literal["side", "over", "one"] = "side"
     """Robots side by side, laid over each other, or one at a time; the page can change it."""
-    html: Path | None = None
+    out: Path | None = None
     """File to write (.html) in place of serving: the whole page, which opens in a browser without anything else."""
-    port: PagePort = PAGE_PORT
+    page_port: PagePort = PAGE_PORT
     host: Host = None
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(ShowCommand, argv, "surefoot show")
-    check_suffix("html", command.html, ".html")
+    check_suffix("page", command.out, ".html")
     if not command.trace:
         raise SurefootError("no TRACE is given; give one or more files (.npz), or folders of them")
     from surefoot.report.pages.recorded_runs import recording_page
     from surefoot.report.pages.server import PageServer
 
     page = recording_page(_load_traces(command), command.layout)
-    if command.html is not None:
-        command.html.parent.mkdir(parents=True, exist_ok=True)
-        atomic_write(command.html, page)
-        print(f"wrote {command.html}: {len(page) / 1e6:.1f} MB; opens in a browser")
+    if command.out is not None:
+        command.out.parent.mkdir(parents=True, exist_ok=True)
+        atomic_write(command.out, page)
+        print(f"wrote {command.out}: {len(page) / 1e6:.1f} MB; opens in a browser")
         return 0
-    server = PageServer(command.host, command.port, None, page)
+    server = PageServer(command.host, command.page_port, None, page)
     try:
         print(f"{server.address}   (Ctrl-C ends)", flush=True)
         threading.Event().wait()

@@ -6,15 +6,18 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from surefoot.cli.helpers.options import PAGE_PORT, PagePort
+import tyro
+
+from surefoot.cli.helpers.options import PAGE_PORT, PagePort, Settings
 from surefoot.cli.helpers.output import make_console, next_command, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, suggest
 from surefoot.learn.config import Steps, TrainConfig, load_train_config
+from surefoot.robot import parse_settings
 from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
 
@@ -44,14 +47,14 @@ def main(argv: list[str]) -> int:
         resume = parse(ResumeCommand, argv, "surefoot train")
         return _resume(resume)
     if argv[0].startswith("-"):
-        raise SurefootError(f"'{argv[0]}' is not a task; choices: {choices(preset_names())}, or a YAML file")
+        raise SurefootError(f"'{argv[0]}' is not a task; {suggest(argv[0], preset_names())}, or a YAML file")
     config, command = _parse(argv)
     from surefoot.api.training import check_config
 
     check_config(config)
     from surefoot.learn.run_folder import RunFolder
 
-    return _train(RunFolder.create(config, command.runs), False, command.page)
+    return _train(RunFolder.create(config, command.out), False, command.page)
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ class ResumeCommand(PageOptions):
     resume: Path
     """Folder of the run."""
     steps: Steps | None = None
-    """Control steps of the whole run, more than it was made for: also a finished run goes on."""
+    """Control steps of the whole run, more than it has done, in place of its own; a finished run goes on, too."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,10 @@ class TrainCommand(PageOptions, TrainConfig):
     """Another simulator than the task's."""
     pushes: bool = False
     """Push the robot at random, as the task says how hard and how often."""
-    runs: Path = Path("runs")
+    robot: Annotated[str | None, tyro.conf.arg(help="Name or folder of the robot; the task's, if not given.")] = None
+    settings: Settings = ()
+    """Physical parameters that differ from the task's, such as motor_strength=0.8."""
+    out: Path = Path("runs")
     """Folder for run folders."""
 
 
@@ -100,19 +106,18 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     # Ranges have options of their own: tyro's would take any count of numbers.
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize={})})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
-    # Parameters given by name go over a file of parameters, which replaces the task's own.
-    params = {name: value for name, value in command.task.params.items() if base.task.params.get(name) != value}
-    task = command.simulator.apply(replace(command.task, params=base.task.params), params)
+    settings = parse_settings([word for group in command.settings for word in group])
+    task = command.simulator.apply(command.task, settings)
     pushes = replace(task.pushes, enabled=task.pushes.enabled or command.pushes)
     task = replace(task, pushes=pushes, randomize=ranges)
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
 
 
 def _robot_name(argv: list[str]) -> str | None:
-    """Return the value of `--task.robot`, on which the defaults of the other options depend; None without it."""
+    """Return the value of `--robot`, on which the defaults of the other options depend; None without it."""
     for word, after in zip(argv, [*argv[1:], ""], strict=True):
         name, _, value = word.partition("=")
-        if name == "--task.robot":
+        if name == "--robot":
             return value or after
     return None
 
@@ -123,11 +128,11 @@ def _resume(command: ResumeCommand) -> int:
     from surefoot.learn.run_config import set_steps
     from surefoot.learn.run_folder import RunFolder
 
-    folder, config = RunFolder.open(command.resume)
+    folder, _ = RunFolder.open(command.resume)
     if command.steps is not None:
-        if command.steps < config.steps:
-            raise SurefootError(f"steps is {command.steps}; the run was made for {config.steps}: give as many or more")
         with folder_lock(folder.path):
+            if command.steps <= (done := folder.load()["steps"]):
+                raise SurefootError(f"steps is {command.steps}, and {folder.path} has done {done}; give more")
             set_steps(folder.path, command.steps)
     return _train(folder, True, command.page)
 

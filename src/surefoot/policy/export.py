@@ -11,7 +11,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.files import atomic_write
 from surefoot.policy.contract import METADATA_KEY, Contract
 from surefoot.policy.digest import ROBOT_KEY, add_digest, read_parts
@@ -74,7 +74,7 @@ def build_model(
         SurefootError: an unknown activation, or layers that do not fit the contract.
     """
     if activation not in ACTIVATIONS:
-        raise SurefootError(f"activation is '{activation}'; choices: {choices(ACTIVATIONS)}")
+        raise SurefootError(f"activation is '{activation}'; {suggest(activation, ACTIVATIONS)}")
     inputs, outputs = contract.width, len(contract.action_names)
     widths = (layers[0][0].shape[1], layers[-1][0].shape[0])
     if widths != (inputs, outputs):

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_toml
-from surefoot.errors import SurefootError, check_name, choices, prefix_errors, quote
+from surefoot.errors import SurefootError, check_name, choices, prefix_errors, quote, suggest
 from surefoot.robot.actuator import ActuatorData, DcMotorData, nominal_params, read_actuator
 from surefoot.robot.appearance import Appearance
 from surefoot.robot.archive import SHEET, pack_robot
@@ -89,8 +89,9 @@ class RobotDescription:
         folder = cls.find_folder(robot)
         sheet_path = folder / SHEET
         if not sheet_path.is_file():
-            names = choices(cls.available())
-            raise SurefootError(f"robot '{robot}': no such robot and no folder with a robot.toml; robots: {names}")
+            raise SurefootError(
+                f"robot '{robot}': no such robot and no folder with a robot.toml; {suggest(robot, cls.available())}"
+            )
         data, _ = read_toml(sheet_path)
         with prefix_errors(sheet_path):
             sheet = from_mapping(Sheet, data)
@@ -107,7 +108,7 @@ class RobotDescription:
         sign = np.array(sheet.motors.sign or [1] * len(order), float)
         bounds = {name: item.bounds for name, item in PARAMETERS.items()}
         if unknown := [name for name in sheet.allowed if name not in bounds]:
-            raise SurefootError(f"allowed.{unknown[0]} is unknown; choices: {choices(bounds)}")
+            raise SurefootError(f"allowed.{unknown[0]} is unknown; {suggest(unknown[0], bounds)}")
         check_ranges("allowed", sheet.allowed)
         if sheet.looks is not None and (Path(sheet.looks).name != sheet.looks or sheet.looks in ("", "..")):
             raise SurefootError(f"looks is {quote(sheet.looks)}; it must be the name of a file in the robot's folder")

@@ -80,7 +80,7 @@ class Training:
             more = "" if name != "steps" or now < was else "go on with it by --extend, "
             raise SurefootError(
                 f"{self.path}: was trained with {name} {was!r}, and the study asks for {now!r}; {more}move the folder "
-                "away to train it anew, give another --runs, or change the study back"
+                "away to train it anew, give another --out, or change the study back"
             )
 
     def extend(self) -> None:
@@ -88,7 +88,7 @@ class Training:
 
         The number of steps does not change the steps before, so the result is that of a run made for more.
         """
-        if self.state == "new" or (stored := self.stored()).steps >= self.config.steps:
+        if self.state == "new" or self.stored().steps >= self.config.steps:
             return
         # In this order: killed in between, it is a run that is not finished, not one that claims more steps.
         self.policy.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
 """File of rows that a recorder writes during a run; if the run is cut off, a trace can be made from it.
 
-A partial file is a line of JSON (layout, meta and carried robot of the trace) and then rows of little-endian 64-bit floats. A row that
-was cut off is left out when it is read.
+A partial file is a line of JSON (layout and meta of the trace, and its robot if that does not ship) and then rows of
+little-endian 64-bit floats. A row that was cut off is left out when it is read.
 """
 
 from __future__ import annotations

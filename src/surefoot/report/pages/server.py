@@ -64,7 +64,7 @@ class PageServer:
         self._thread.start()
         bound = ready.get()
         if isinstance(bound, OSError):
-            raise SurefootError(f"port {port} at {address}: {bound.strerror or bound}; give another with --port")
+            raise SurefootError(f"port {port} at {address}: {bound.strerror or bound}; give another with --page-port")
         self.port = bound
         self.address = f"http://{host or 'localhost'}:{bound}{self._prefix}/"
         """URL of the page."""
