@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 from processes import SUREFOOT, printed_commands, refused, surefoot
 
-pytestmark = pytest.mark.slow
-
 pytest.importorskip("torch")
 pytest.importorskip("mujoco")
 
 from surefoot.api.policies import find_policy
 from surefoot.learn.run_folder import RunFolder
 from surefoot.policy.runtime import PolicyRuntime
+
+pytestmark = pytest.mark.slow
 
 TINY = (
     *("--num-envs", "16", "--steps-per-update", "16", "--evaluate-every", "100000"),
