@@ -185,7 +185,8 @@ def test_summary_refuses_traces_of_several_policies(make_trace: MakeRun) -> None
 def test_saturation_is_the_share_of_time_of_each_motor(make_run: MakeRun) -> None:
     at_limit = np.zeros((100, 8))
     at_limit[::4, 2], at_limit[:10, 5] = 1.0, 0.5
-    traces = [make_run(steps=100, arrays={"motor_saturation": at_limit}), make_run(steps=100, arrays={"motor_saturation": np.full((100, 8), np.nan)})]
+    shares = (at_limit, np.full((100, 8), np.nan))
+    traces = [make_run(steps=100, arrays={"motor_saturation": share}) for share in shares]
     assert measure_runs(traces).saturation.tolist() == pytest.approx([0.25, math.nan], nan_ok=True)
     summary = summarize(traces[:1] * 2, MASS)
     assert summary["saturation"] == pytest.approx({f"m{k}": {2: 0.25, 5: 0.05}.get(k, 0.0) for k in range(8)})

@@ -42,7 +42,9 @@ def check_trot(robot: RobotDescription) -> CheckResult:
     except SurefootError as error:
         return CheckResult("torque to trot", None, str(error), "training needs a task that fits this robot")
     shares, asked = own.saturation.mean(axis=0), np.quantile(np.abs(free.torque), _USUAL, axis=0)
-    worst = int(np.argmax(shares if shares.any() else asked / [available_torque(robot, k) for k in range(robot.num_motors)]))
+    worst = int(
+        np.argmax(shares if shares.any() else asked / [available_torque(robot, k) for k in range(robot.num_motors)])
+    )
     share, fastest = float(shares[worst]), float(np.quantile(np.abs(own.speed[:, worst]), _USUAL))
     message = (
         f"{robot.motor_names[worst]} is asked for {asked[worst]:.3g} N m, {describe_torque(robot, worst, fastest)}"
