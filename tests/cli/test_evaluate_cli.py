@@ -259,6 +259,7 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     from surefoot.api.policies import find_policy, load_gait, run_policy
     from surefoot.api.simulator import evaluation_task, with_duration
     from surefoot.report.figures.runs import episode_plot
+
     words = ("evaluate", "go2-steer", "--command-grid", "--threads", 1, "--out", tmp_path)
     done = surefoot(*words, "--json")
     assert done.returncode == 0, done.stderr
