@@ -10,6 +10,7 @@ _EXTRAS = {
     "tune": ("cma",),
     "bags": ("rosbags",),
     "page": ("viser", "websockets"),
+    "wandb": ("wandb",),
 }
 
 

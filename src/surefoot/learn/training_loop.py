@@ -8,12 +8,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from torch.utils.tensorboard import SummaryWriter
-
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.evaluation.rollout import run_to_end
 from surefoot.evaluation.tracking import MotionRecorder
-from surefoot.learn.config import TrainConfig
+from surefoot.learn.config import LoggerName, TrainConfig
+from surefoot.learn.log_writer import close_writer, open_writer
 from surefoot.learn.ppo_learner import PpoLearner, UpdateFigures
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
 from surefoot.tables import plain_value
@@ -38,7 +37,7 @@ class Evaluation:
     """The same with pushes, where the task has them; else 0."""
     power_mean: float
     """Mean mechanical power [W]."""
-    rmse: dict[str, float | None] | None = None
+    rmse: dict[str, Any] | None = None
     """Root mean square error of each command's speed [m/s] or rate [rad/s], as `evaluate` has it; None without."""
 
     @property
@@ -57,7 +56,7 @@ def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
         observation, _ = env.reset()
         recorder = None if env.commands is None else MotionRecorder(env)
-        results.append(run_to_end(learner.act, env, observation, record=recorder and recorder.record))
+        results.append(run_to_end(learner.act, env, observation, record=recorder.record if recorder else None))
         if recorder is not None and not pushed:
             rmse = recorder.tracking(results[0].steps).to_mapping()["rmse"]
     runs, falls = results[0], [int((~result.balanced).sum()) for result in results]
@@ -73,13 +72,19 @@ class TrainingLoop:
         folder: its run folder.
         make_world: makes the simulation.
         resume: continue from the folder's last checkpoint.
+        logger: see `open_writer`.
 
     Raises:
         SurefootError: a task that does not fit, or a checkpoint that can't be read.
     """
 
     def __init__(
-        self, config: TrainConfig, folder: RunFolder, make_world: SimulationFactory, resume: bool = False
+        self,
+        config: TrainConfig,
+        folder: RunFolder,
+        make_world: SimulationFactory,
+        resume: bool = False,
+        logger: LoggerName = "tensorboard",
     ) -> None:
         self.config, self.folder, self._make_world = config, folder, make_world
         self.learner = PpoLearner(config, make_world)
@@ -102,7 +107,7 @@ class TrainingLoop:
             self.best_actor, self.seconds = state["best_actor"], state["seconds"]
             self._saved_steps = self.learner.steps
             folder.drop_rows_after(self.learner.steps)
-        self._writer = SummaryWriter(str(folder.path), purge_step=self.learner.steps if resume else None)
+        self._writer = open_writer(logger, folder.path, config, self.learner.steps if resume else None)
 
     def save(self) -> None:
         """Save everything that the run needs to continue."""
@@ -196,7 +201,7 @@ class TrainingLoop:
 
     def close(self) -> None:
         """Close the log."""
-        self._writer.close()
+        close_writer(self._writer)
 
     def _due(self, every: int) -> bool:
         """Return whether a multiple of `every` steps was passed in the last update, or the run is over."""
@@ -213,7 +218,9 @@ class TrainingLoop:
         return evaluation
 
     def _log(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:
-        row = {key: plain_value(value) for key, value in asdict(figures).items()} | {"seconds": self.seconds}
+        row: dict[str, Any] = {key: plain_value(value) for key, value in asdict(figures).items()} | {
+            "seconds": self.seconds
+        }
         if evaluation is not None:
             row["evaluation"] = asdict(evaluation)
         self.folder.log(row)
