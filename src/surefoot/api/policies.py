@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +19,7 @@ from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription
 from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.task.config import TaskConfig
-from surefoot.task.contract_mapping import task_from_contract
+from surefoot.task.contract_mapping import plugin_notes, task_from_contract
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 
@@ -53,6 +54,8 @@ def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, Ro
         SurefootError: a file that is no policy, or one for another robot.
     """
     policy = PolicyRuntime.load(path)
+    for line in plugin_notes(policy.contract):
+        print(f"surefoot: {policy.contract.name}: {line}", file=sys.stderr)
     description = RobotDescription.load(robot or policy.contract.description)
     check_policy(policy.contract, description)
     return policy, description

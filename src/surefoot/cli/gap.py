@@ -12,6 +12,7 @@ import tyro
 from surefoot.cli.helpers.options import (
     Count,
     Json,
+    PluginNames,
     PolicyNames,
     Pushes,
     Repeated,
@@ -130,6 +131,7 @@ class GapCommand:
     """Folder for traces (.npz), tables (.csv) and the figure (.png)."""
     json: Json = False
     threads: Threads = 0
+    plugin: PluginNames = ()
 
 
 def main(argv: list[str]) -> int:
