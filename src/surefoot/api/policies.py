@@ -54,10 +54,10 @@ def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, Ro
         SurefootError: a file that is no policy, or one for another robot.
     """
     policy = PolicyRuntime.load(path)
-    for line in plugin_notes(policy.contract):
-        print(f"surefoot: {policy.contract.name}: {line}", file=sys.stderr)
     description = RobotDescription.load(robot or policy.contract.description)
     check_policy(policy.contract, description)
+    for line in plugin_notes(policy.contract):
+        print(f"surefoot: {policy.contract.name}: {line}", file=sys.stderr)
     return policy, description
 
 

@@ -143,7 +143,11 @@ def _check_new(what: str, name: str, table: Mapping[str, object]) -> None:
     """Refuse a name that is unsafe, or taken by a built-in term or another plug-in."""
     check_name(f"name of the {what}", name)
     if name in table:
-        others = [plugin.path for plugin in _plugins.values() if name in (*plugin.rewards, *plugin.observations)]
+        others = [
+            plugin.path
+            for plugin in [*_plugins.values(), *_registering]
+            if name in (*plugin.rewards, *plugin.observations)
+        ]
         owner = others[0] if others else "surefoot"
         raise SurefootError(f"{what} '{name}': {owner} has one of this name; choose another")
 
@@ -231,6 +235,12 @@ def register_plugin(plugin: Plugin) -> None:
     if not (plugin.rewards or plugin.observations):
         raise SurefootError(f"plug-in {plugin.path}: registers no reward term and no observation")
     _plugins[plugin.path] = plugin
+
+
+def remove_plugins() -> None:
+    """Take all plug-ins out of the tables."""
+    for plugin in registered_plugins():
+        _remove(plugin)
 
 
 def _remove(plugin: Plugin) -> None:
