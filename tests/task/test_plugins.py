@@ -74,8 +74,7 @@ def make_env() -> LocomotionEnv:
 
 
 def test_terms_and_observations_work_as_built_in_ones(write) -> None:
-    write(TASK = TaskConfig(reference=ReferenceConfig(kind="sine", extension=WaveConfig(offset=2.0)))
-CONSTANT, TWICE)
+    write(CONSTANT, TWICE)
     env = make_env()
     observation, _ = env.reset()
     np.testing.assert_allclose(observation[:, 1], 2 * env.readings.motor_angle[:, 0], rtol=1e-6)
@@ -85,8 +84,7 @@ CONSTANT, TWICE)
 
 
 def test_a_policy_records_its_plugins_and_needs_their_observations_alone(write, robot) -> None:
-    path = write(TASK = TaskConfig(reference=ReferenceConfig(kind="sine", extension=WaveConfig(offset=2.0)))
-CONSTANT, TWICE)
+    path = write(CONSTANT, TWICE)
     contract = Contract.from_json(make_contract(make_env()).to_json())
     (record,) = contract.plugins
     assert (record.name, record.rewards, record.observations) == ("mine.py", ("constant",), ("twice",))
@@ -98,7 +96,7 @@ CONSTANT, TWICE)
     assert task_from_contract(contract, robot).reward == {"energy": 0.0}
     changed, skipped = plugin_notes(contract)
     assert changed == f"plug-in {path} has changed since the policy was trained with it"
-    assert skipped == "returns are without 'constant'; to have them, name the plug-in: --plugin 'mine\.py'"
+    assert skipped == "returns are without 'constant'; to have them, name the plug-in: --plugin 'mine.py'"
 
     remove_plugins()
     with pytest.raises(

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from surefoot.api.episodes import draw_episode, print_summaries
+from surefoot.api.simulator import with_duration
 from surefoot.cli.helpers.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import RangeOptions, take_ranges
-from surefoot.cli.helpers.simulator import RunOptions, describe_simulator, with_duration
+from surefoot.cli.helpers.simulator import RunOptions, describe_simulator
 from surefoot.configuration import Duration, to_mapping
 from surefoot.errors import SurefootError
 
