@@ -164,7 +164,7 @@ def test_names_of_two_plugins_must_differ(write) -> None:
         ("motion.foot_force", None, r"mine\.py, line 7: reward term 'constant': AttributeError: "),
         (None, "np.zeros(2)", r"mine\.py: observation 'twice' has shape \(2,\); it must have \(2, 1\)"),
         (None, "np.full((2, 1), np.inf)", r"mine\.py: observation 'twice' is not finite"),
-        (None, "inputs.truth", r"mine\.py, line 12: observation 'twice': AttributeError: "),
+        (None, "inputs.truth", r"mine\.py, line 11: observation 'twice': AttributeError: "),
     ],
 )
 def test_a_function_that_fails_is_named_in_one_line(write, term, observation, message: str) -> None:
