@@ -21,10 +21,11 @@ import numpy as np
 import torch
 
 from surefoot import __version__
-from surefoot.configuration import from_mapping, read_yaml, to_mapping, write_yaml
+from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors, quote
 from surefoot.files import atomic_write, read_configuration, read_json_lines
 from surefoot.learn.config import TrainConfig
+from surefoot.learn.run_config import read_run_config, write_run_config
 from surefoot.policy.contract import PluginRecord
 from surefoot.task.observation import PARTS
 from surefoot.task.plugins import changed_plugins, used_plugins
@@ -154,7 +155,7 @@ class RunFolder:
         try:
             folder.checkpoints.mkdir(parents=True, exist_ok=True)
             folder.figures_log.unlink(missing_ok=True)
-            write_yaml(path / "config.yaml", config)
+            write_run_config(config, path)
         except OSError as error:
             raise SurefootError(f"{path}: a run folder can't be made there: {error.strerror}") from error
         about = {
@@ -196,11 +197,7 @@ class RunFolder:
                 f"this is surefoot {__version__}, which reads format {FORMAT}"
             )
         _check_plugins(path, about)
-        config_path = path / "config.yaml"
-        data = read_yaml(config_path)
-        with prefix_errors(config_path):
-            config = from_mapping(TrainConfig, data)
-        return cls(path), config
+        return cls(path), read_run_config(path)
 
     def save(self, state: dict[str, Any]) -> None:
         """Save the run's state; keep the one saved before as `previous.ckpt`."""

@@ -123,7 +123,7 @@ def observation(
             values, readings = _call(plugin, what, function, inputs), inputs.readings
             width = next((width for width in widths if np.shape(values)[1:] == (width,)), min(widths))
             angles = np.hstack([readings.roll_pitch_yaw, readings.angular_velocity_base, readings.motor_angle])
-            rows: NDArray[np.bool_] = np.isfinite(angles).all(axis=1)
+            rows = np.asarray(np.isfinite(angles).all(axis=1))
             return _check_values(plugin, what, values, (len(rows), width), rows)
 
         PARTS[name] = Part(unit, frame, names, read, tuple(flipped))
