@@ -29,9 +29,14 @@ def print_summaries(summaries: dict[str, dict[str, Any]]) -> None:
     """Print the figures of evaluations, a column for each."""
     from surefoot.tables import print_table
 
+    print_table(summary_rows(summaries))
+
+
+def summary_rows(summaries: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
+    """Return the figures of one evaluation or more as text: a row a measure, a column an evaluation."""
     columns = {name: _summary_texts(summary) for name, summary in summaries.items()}
     measures = next(iter(columns.values()))
-    print_table([{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures])
+    return [{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures]
 
 
 def _tracking_texts(summary: dict[str, Any]) -> dict[str, str]:
