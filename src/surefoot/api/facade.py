@@ -130,7 +130,7 @@ def load(policy: str | Path | Run | Policy, *, robot: str | Path | None = None) 
         if robot is None:
             return policy
         policy = policy.path
-    path = find_policy(str(policy.path if isinstance(policy, Run) else policy))
+    path = policy.path / "policy.onnx" if isinstance(policy, Run) else find_policy(str(policy))
     controller, description, task, origin = load_gait(path, None if robot is None else str(robot))
     return Policy(origin["name"], path, description, task, controller)
 
