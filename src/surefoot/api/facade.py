@@ -69,6 +69,9 @@ def train(
 ) -> Run:
     """Train a policy, as `surefoot train` does, with a progress display.
 
+    The run folder is printed first. If the training is interrupted, the folder holds the newest policy, and
+    `surefoot train --resume` goes on.
+
     Args:
         task: name of a task, such as "trot", or a YAML file.
         robot: name of a robot that ships, or an own robot's folder; the task's, if None.
@@ -101,10 +104,13 @@ def train(
         data["task"] = resolve_table(dict(changes), robot=base.task.robot)
     config = from_mapping(TrainConfig, data, base=base)
     check_config(config)
-    folder = RunFolder.create(config, Path(runs))
+    # The configuration in the folder names copies, which stay where they are.
+    folder, config = RunFolder.open(RunFolder.create(config, Path(runs)).path)
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(f"Training {config.task.name} in {folder.path}")
     with folder_lock(folder.path):
         loop = TrainingLoop(config, folder, find_world(config.world))
-        with TrainingProgress(config, Console()) as progress:
+        with TrainingProgress(config, console) as progress:
             loop.run(progress.report)
         if not figures:
             loop.export(folder.policy)
@@ -130,7 +136,7 @@ def load(policy: str | Path | Run | Policy, *, robot: str | Path | None = None) 
         if robot is None:
             return policy
         policy = policy.path
-    path = policy.path / "policy.onnx" if isinstance(policy, Run) else find_policy(str(policy))
+    path = find_policy(str(policy.path if isinstance(policy, Run) else policy))
     controller, description, task, origin = load_gait(path, None if robot is None else str(robot))
     return Policy(origin["name"], path, description, task, controller)
 
@@ -306,7 +312,7 @@ def export(
         raise SurefootError("no env is given; give the environment that the module was trained on")
     batch = find_batch(env)
     contract = make_contract(batch, replace(batch.task, name=name or batch.task.name))
-    return load(export_policy(network, contract, path, output))
+    return load(export_policy(network, contract, path, output, batch.robot.archive))
 
 
 def _task(

@@ -118,6 +118,7 @@ class _Recorder:
                 "energy": truth.energy,
                 "foot_contact": truth.foot_contact,
                 "foot_position_world": env.world.foot_positions(),
+                "motor_saturation": truth.motor_saturation,
                 "true_motor_angle": truth.motor_angle,
                 "command": self.command,
                 "reward": env.reward,
@@ -134,6 +135,7 @@ class _Recorder:
             base_position_world=np.array([row[robot] for row in self.position[: steps + 1]]),
             base_quat_world=np.array([row[robot] for row in self.quat[: steps + 1]]),
             meta=meta,
+            robot_archive=self.env.robot.archive,
             **arrays,
         )
 

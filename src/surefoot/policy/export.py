@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -14,7 +15,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.files import atomic_write
 from surefoot.policy.contract import METADATA_KEY, Contract
-from surefoot.policy.digest import add_digest, read_parts
+from surefoot.policy.digest import ROBOT_KEY, add_digest, read_parts
 from surefoot.policy.network import INPUT, OPSET, OUTPUT, check_network
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.policy.torch_graph import Graph, trace_module
@@ -29,7 +30,11 @@ _TOLERANCE = 1e-4
 
 
 def export_policy(
-    network: nn.Module, contract: Contract, path: str | Path, output: Literal["action", "feedback"] = "action"
+    network: nn.Module,
+    contract: Contract,
+    path: str | Path,
+    output: Literal["action", "feedback"] = "action",
+    robot: bytes = b"",
 ) -> Path:
     """Write a network as a policy file; the file appears whole or not at all.
 
@@ -41,6 +46,7 @@ def export_policy(
         contract: the policy's; its bounds are constants of the file.
         path: .onnx to write.
         output: what the network gives: actions, as environments take them, or feedback in leg space.
+        robot: archive of a robot that does not ship (`RobotDescription.archive`), which the file is to carry.
 
     Raises:
         SurefootError: another ending, a network that does not fit its contract or can't be written, or numbers that
@@ -52,7 +58,7 @@ def export_policy(
     modes = {module: module.training for module in network.modules()}
     network.eval()
     try:
-        data = _build_model(network, contract, output)
+        data = _build_model(network, contract, output, robot)
         check_network(read_parts(data).graph)
         signed = add_digest(data)
         _compare(network, PolicyRuntime.parse(signed), output)
@@ -66,7 +72,7 @@ def export_policy(
     return path
 
 
-def _build_model(network: nn.Module, contract: Contract, output: str) -> bytes:
+def _build_model(network: nn.Module, contract: Contract, output: str, robot: bytes) -> bytes:
     """Return the ONNX model of a network, without digest."""
     low, high = np.array(contract.low), np.array(contract.high)
     half, middle = (high - low)[None] / 2, (high + low)[None] / 2
@@ -92,7 +98,10 @@ def _build_model(network: nn.Module, contract: Contract, output: str) -> bytes:
         producer_name="surefoot",
         producer_version=contract.version,
     )
-    helper.set_model_props(model, {METADATA_KEY: contract.to_json()})
+    properties = {METADATA_KEY: contract.to_json()}
+    if robot:
+        properties[ROBOT_KEY] = base64.b64encode(robot).decode()
+    helper.set_model_props(model, properties)
     onnx.checker.check_model(model, full_check=True)
     data: bytes = model.SerializeToString()
     return data
