@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
-from surefoot.api.results import Drive, Evaluation, Policy, Run, Video
+from surefoot.api.extras import describes_missing
+from surefoot.api.results import Drive, Evaluation, Policy, Run, Video, load
 from surefoot.errors import SurefootError
+
+__all__ = ["drive", "evaluate", "export", "load", "play", "robots", "train"]
 
 if TYPE_CHECKING:
     from surefoot.robot import RobotDescription
@@ -21,28 +23,8 @@ if TYPE_CHECKING:
 Parameters = Mapping[str, Any] | str | Path | None
 """Physical parameters by name, or a file of a robot's (.toml, or the name of one that ships with it)."""
 
-P = ParamSpec("P")
-T = TypeVar("T")
 
-
-def _with_hints(function: Callable[P, T]) -> Callable[P, T]:
-    """Return a function that says which extra to install where a package is missing, as the commands do."""
-
-    @functools.wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        try:
-            return function(*args, **kwargs)
-        except ModuleNotFoundError as error:
-            from surefoot.api.extras import describe_missing
-
-            if hint := describe_missing(error):
-                raise SurefootError(hint) from error
-            raise
-
-    return call
-
-
-@_with_hints
+@describes_missing
 def robots(*folders: str | Path) -> dict[str, RobotDescription]:
     """Return descriptions of robots by name: those that ship, and those of own folders.
 
@@ -55,7 +37,7 @@ def robots(*folders: str | Path) -> dict[str, RobotDescription]:
     return {robot.name: robot for robot in described}
 
 
-@_with_hints
+@describes_missing
 def train(
     task: str | Path,
     *,
@@ -118,30 +100,7 @@ def train(
         return Run(folder.path, finish_run(loop, folder, lambda line: None))
 
 
-@_with_hints
-def load(policy: str | Path | Run | Policy, *, robot: str | Path | None = None) -> Policy:
-    """Load a policy.
-
-    Args:
-        policy: name of one that ships, such as "go2-steer"; a policy file (.onnx), handcrafted gait (.yaml) or run
-            folder; or a run.
-        robot: another robot of the policy's legs, by name or folder; the policy's own, if None.
-
-    Raises:
-        SurefootError: no such policy, a damaged file, or a policy that does not fit the robot.
-    """
-    from surefoot.api.policies import find_policy, load_gait
-
-    if isinstance(policy, Policy):
-        if robot is None:
-            return policy
-        policy = policy.path
-    path = find_policy(str(policy.path if isinstance(policy, Run) else policy))
-    controller, description, task, origin = load_gait(path, None if robot is None else str(robot))
-    return Policy(origin["name"], path, description, task, controller)
-
-
-@_with_hints
+@describes_missing
 def evaluate(
     policy: str | Path | Run | Policy,
     *,
@@ -197,7 +156,7 @@ def evaluate(
     return Evaluation(measure_runs(traces), summarize(traces, loaded.robot.urdf.total_mass), traces)
 
 
-@_with_hints
+@describes_missing
 def play(
     policy: str | Path | Run | Policy,
     *,
@@ -243,7 +202,7 @@ def play(
     return Video(film(loaded.robot, trace, path))
 
 
-@_with_hints
+@describes_missing
 def drive(
     policy: str | Path | Run | Policy,
     *,
@@ -270,7 +229,7 @@ def drive(
     return Drive(DrivePage(str(loaded.path), world, None if robot is None else str(robot)), host, port)
 
 
-@_with_hints
+@describes_missing
 def export(
     model: Any,
     path: str | Path,

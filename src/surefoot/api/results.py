@@ -9,6 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from surefoot.api.extras import describes_missing
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -68,8 +69,6 @@ class Run:
         Raises:
             SurefootError: the run was interrupted before it had one.
         """
-        from surefoot.api.facade import load
-
         return load(self.path / "policy.onnx")
 
     @property
@@ -182,3 +181,26 @@ class Drive:
         address = escape(self.address)
         frame = f'<iframe src="{address}" width="100%" height="640" style="border:0"></iframe>'
         return f'<p><a href="{address}" target="_blank">{address}</a></p>{frame}'
+
+
+@describes_missing
+def load(policy: str | Path | Run | Policy, *, robot: str | Path | None = None) -> Policy:
+    """Load a policy.
+
+    Args:
+        policy: name of one that ships, such as "go2-steer"; a policy file (.onnx), handcrafted gait (.yaml) or run
+            folder; or a run.
+        robot: another robot of the policy's legs, by name or folder; the policy's own, if None.
+
+    Raises:
+        SurefootError: no such policy, a damaged file, or a policy that does not fit the robot.
+    """
+    from surefoot.api.policies import find_policy, load_gait
+
+    if isinstance(policy, Policy):
+        if robot is None:
+            return policy
+        policy = policy.path
+    path = find_policy(str(policy.path if isinstance(policy, Run) else policy))
+    controller, description, task, origin = load_gait(path, None if robot is None else str(robot))
+    return Policy(origin["name"], path, description, task, controller)
