@@ -36,7 +36,7 @@ _SHADOW = 0.62
 _TEXELS = 300
 """Points of the shadow along its longer side."""
 _LEVEL = float(FLAT.height(np.zeros(2)))
-_EXTENT = 0.8856
+_EXTENT = 0.8737
 """Extent [m] of a robot that fills the picture of a camera as it stands."""
 
 
