@@ -29,11 +29,16 @@ def print_summaries(summaries: dict[str, dict[str, Any]]) -> None:
     """Print the figures of evaluations, a column for each; and a line, if a motor limits the first one's gait."""
     from surefoot.tables import print_table
 
-    columns = {name: _summary_texts(summary) for name, summary in summaries.items()}
-    measures = next(iter(columns.values()))
-    print_table([{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures])
+    print_table(summary_rows(summaries))
     if note := saturation_note(next(iter(summaries.values()))):
         print(note)
+
+
+def summary_rows(summaries: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
+    """Return the figures of one evaluation or more as text: a row a measure, a column an evaluation."""
+    columns = {name: _summary_texts(summary) for name, summary in summaries.items()}
+    measures = next(iter(columns.values()))
+    return [{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures]
 
 
 def saturation_note(summary: dict[str, Any]) -> str | None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surefoot.cli.helpers.link_options import LinkOptions
-from surefoot.cli.helpers.options import PAGE_PORT, Count, Json, PagePort, PolicyName, Port, check_folder
+from surefoot.cli.helpers.options import PAGE_PORT, Count, Json, PagePort, PluginNames, PolicyName, Port, check_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
@@ -52,6 +52,7 @@ class DeployCommand(LinkOptions):
     dry_run: bool = False
     """Do everything but arm the robot: states are read and commands computed, none is sent."""
     json: Json = False
+    plugin: PluginNames = ()
     commands: str | None = None
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate), keyboard, gamepad, or the
     number of a UDP port on this computer; without it such a robot stands."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from surefoot.cli.helpers.options import PAGE_PORT, PagePort, Settings
+from surefoot.cli.helpers.options import PAGE_PORT, PagePort, PluginNames, Settings
 from surefoot.cli.helpers.output import make_console, next_command, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import ranges_help, take_ranges
@@ -20,6 +20,7 @@ from surefoot.learn.config import LoggerName, Steps, TrainConfig, load_train_con
 from surefoot.robot import parse_settings
 from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
+from surefoot.task.plugins import load_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -67,6 +68,7 @@ class ViewOptions:
     browser: bool = False
     """Show the newest policy on a page in the browser while it learns."""
     page_port: PagePort = PAGE_PORT
+    plugin: PluginNames = ()
 
     @property
     def page(self) -> int | None:
@@ -110,7 +112,9 @@ class TrainCommand(ViewOptions, TrainConfig):
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     """Return the configuration of the arguments, with the task's values as defaults, and the command."""
-    base = load_train_config(argv[0], _robot_name(argv))
+    # The defaults of the other options depend on these two.
+    load_plugins(_option_values(argv, "--plugin"))
+    base = load_train_config(argv[0], next(reversed(_option_values(argv, "--robot")), None))
     words, range_options = take_ranges(argv[1:])
     ranges = range_options.apply(base.task.robot, base.task.randomize)
     # Ranges have options of their own: tyro's would take any count of numbers.
@@ -123,13 +127,10 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
 
 
-def _robot_name(argv: list[str]) -> str | None:
-    """Return the value of `--robot`, on which the defaults of the other options depend; None without it."""
-    for word, after in zip(argv, [*argv[1:], ""], strict=True):
-        name, _, value = word.partition("=")
-        if name == "--robot":
-            return value or after
-    return None
+def _option_values(argv: list[str], option: str) -> list[str]:
+    """Return the values of an option, as often as it is given."""
+    pairs = [(*word.partition("="), after) for word, after in zip(argv, [*argv[1:], ""], strict=True)]
+    return [value or after for name, _, value, after in pairs if name == option]
 
 
 def _resume(command: ResumeCommand) -> int:
