@@ -19,6 +19,7 @@ _EXTRAS = {
     "tune": ("cma",),
     "bags": ("rosbags",),
     "page": ("viser", "websockets"),
+    "wandb": ("wandb",),
 }
 
 

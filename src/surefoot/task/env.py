@@ -124,6 +124,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.target = np.zeros((self.num_envs, self.robot.num_motors))
         self.reward = np.zeros(self.num_envs)
         self.reward_terms: dict[str, Array] = {}
+        self.command_error = np.zeros((self.num_envs, 3))
         self.readings: Readings = self.world.readings()
         self.truth: Truth = self.world.truth()
         self._begin(np.arange(self.num_envs))
@@ -189,11 +190,13 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.readings = world.step(self.target, active)
         before, self.truth = self.truth, world.truth()
         diverged = self.truth.diverged
-        reward, self.reward_terms = step_reward(task.reward, task.reward_limits, self._motion(before, last))
+        motion = self._motion(before, last)
+        reward, self.reward_terms = step_reward(task.reward, task.reward_limits, motion)
         if self.source is not None and self.commands is not None:
+            self.command_error = motion.command_error
             self.source.update(self.readings.time)
             self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
-        for part in (reward, *self.reward_terms.values()):
+        for part in (reward, self.command_error, *self.reward_terms.values()):
             part[diverged | self.over] = 0.0
         self.reward = reward
         self.steps += ~self.over
