@@ -21,4 +21,4 @@ def main(steps: int = 500_000, path: str = "sb3-trot.onnx", robots: int = 64, ep
 
 
 if __name__ == "__main__":
-    main(*(int(word) for word in sys.argv[1:2]))  # then: surefoot drive sb3-trot.onnx
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500_000)  # then: surefoot drive sb3-trot.onnx
