@@ -26,13 +26,13 @@ GAP = 4
 
 
 def sheet(pictures: list[Image.Image], columns: int) -> Image.Image:
-    """Return pictures of one size in rows, in few colors."""
+    """Return pictures of one size in rows."""
     width, height = pictures[0].size
     rows = -(-len(pictures) // columns)
     whole = Image.new("RGB", (columns * (width + GAP) - GAP, rows * (height + GAP) - GAP), "white")
     for k, picture in enumerate(pictures):
         whole.paste(picture, (k % columns * (width + GAP), k // columns * (height + GAP)))
-    return whole.quantize(256, dither=Image.Dither.FLOYDSTEINBERG)
+    return whole
 
 
 def stride(name: str, size: tuple[int, int]) -> list[Image.Image]:
