@@ -68,7 +68,8 @@ def train(
     Raises:
         SurefootError: a task, robot or setting that does not exist or does not fit.
     """
-    _require_drawing(figures)
+    if figures:
+        _require_drawing()
     from rich.console import Console
 
     from surefoot.api.training import TrainingProgress, check_config, finish_run
@@ -186,7 +187,7 @@ def play(
     Raises:
         SurefootError: as `evaluate`, or a file of another ending than .mp4.
     """
-    _require_drawing(True)
+    _require_drawing()
     from surefoot.api.episodes import film
     from surefoot.api.policies import run_policy
     from surefoot.world.registry import find_world
@@ -299,9 +300,9 @@ def _task(
     return task if duration is None else with_duration(task, policy.robot, duration)
 
 
-def _require_drawing(needed: bool) -> None:
-    """Import what draws, if it is needed, so that a missing package is reported before anything is simulated."""
-    for module in ("matplotlib", "imageio_ffmpeg", "PIL") if needed else ():
+def _require_drawing() -> None:
+    """Import what draws, so that a missing package is reported before anything is simulated."""
+    for module in ("matplotlib", "imageio_ffmpeg", "PIL"):
         import_module(module)
 
 
