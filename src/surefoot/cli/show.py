@@ -56,7 +56,7 @@ def main(argv: list[str]) -> int:
         return 0
     server = PageServer(command.host, command.port, None, page)
     try:
-        print(f"{server.address}   (Ctrl-C ends)", flush=True)
+        server.print_addresses()
         threading.Event().wait()
     finally:
         server.stop()
