@@ -179,7 +179,10 @@ class PageServer:
         file = self.files[(name or "").removeprefix("files/")]
         kind = _TYPES.get(file.suffix, "application/octet-stream")
         # Downloaded, never opened as a page of this origin, where its script could drive.
-        headers = [("Content-Disposition", f'attachment; filename="{file.name}"'), ("X-Content-Type-Options", "nosniff")]
+        headers = [
+            ("Content-Disposition", f'attachment; filename="{file.name}"'),
+            ("X-Content-Type-Options", "nosniff"),
+        ]
         return file.read_bytes(), [("Content-Type", kind), *headers, ("Cross-Origin-Resource-Policy", "same-origin")]
 
     async def _handle(self, connection: ServerConnection) -> None:

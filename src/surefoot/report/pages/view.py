@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import time
 from collections import deque
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +22,18 @@ from surefoot.errors import SurefootError
 from surefoot.report.drawing.scene import extent, poses, scene
 from surefoot.robot import RobotDescription
 from surefoot.robot.urdf import GREY, Shape
-from surefoot.rotations import matrix_quat
+from surefoot.rotations import in_heading_frame, matrix_quat, quat_yaw
 from surefoot.world.ground import FLAT
 
 _TRAIL_POINTS = 300
 _FOLLOW = 0.4
 """Share of the way to the robot that the frame moves with each picture."""
+_GHOST_COLOR, _GHOST_OPACITY = (208, 102, 43), 0.4
+WEIGHT_ARROW = 0.8
+"""Length of an arrow as large as the robot's weight, over the robot's extent."""
+PUSH_COLOR = (179, 38, 30)
+_ARROW_TIME = 0.3
+"""How long the arrow of a push is seen at least [s]: many pushes are over within three pictures."""
 _HIDE_PANELS = "<style>.mantine-Paper-root, .mantine-Notifications-root { display: none !important; }</style>"
 """Hides viser's own panel and notes, which would cover a small picture."""
 
@@ -64,9 +72,9 @@ def add_path(scene: viser.SceneApi, name: str, points: Array, color: tuple[int, 
         scene.add_line_segments(name, np.stack([points[:-1], points[1:]], axis=1), color, thickness=0.008)
 
 
-def add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
+def add_shape(scene: viser.SceneApi, name: str, shape: Shape, opacity: float | None = None) -> None:
     """Add a solid in the frame of its body."""
-    place: dict[str, Any] = {"position": shape.position, "wxyz": matrix_quat(shape.rotation)}
+    place: dict[str, Any] = {"position": shape.position, "wxyz": matrix_quat(shape.rotation), "opacity": opacity}
     if shape.kind == "box":
         x, y, z = shape.size
         scene.add_box(name, shape.color, (2 * x, 2 * y, 2 * z), **place)
@@ -74,6 +82,12 @@ def add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
         scene.add_cylinder(name, shape.size[0], 2 * shape.size[1], shape.color, **place)
     else:
         scene.add_icosphere(name, shape.size[0], shape.color, subdivisions=2, **place)
+
+
+@dataclass(frozen=True)
+class _DrawnRobot:
+    robot: RobotDescription
+    links: dict[str, viser.FrameHandle]
 
 
 class RobotView:
@@ -85,39 +99,85 @@ class RobotView:
         self.frames = 0
         """Number of pictures that were sent."""
 
-    def show(self, robot: RobotDescription) -> None:
-        """Show another robot, at the start of a new trail."""
-        self._robot, size, server = robot, extent(robot), self._server
-        self._links: dict[str, viser.FrameHandle] = {}
+    def show(self, robot: RobotDescription, ghost: RobotDescription | None = None) -> None:
+        """Show another robot, at the start of a new trail, and a transparent one beside it, if any."""
+        size, server = extent(robot), self._server
         self._trail: deque[Array] = deque(maxlen=_TRAIL_POINTS)
-        self._at, self._size = np.zeros(2), size
+        self._at, self._size, self._base, self._yaw = np.zeros(2), size, np.zeros(3), 0.0
+        self._arrow: viser.ArrowsHandle | None = None
+        self._arrow_until, self._push = 0.0, np.zeros(3)
         with server.atomic():
             server.scene.reset()
             self._world = add_world(server.scene, size)
-            for k, shape in enumerate(scene(robot)):
-                if shape.link not in self._links:
-                    self._links[shape.link] = server.scene.add_frame(f"/world/{shape.link}", show_axes=False)
-                add_shape(server.scene, f"/world/{shape.link}/{k}", shape)
+            self._robots = [self._add_robot("/world", robot, False)]
+            if ghost is not None:
+                self._robots.append(self._add_robot("/world/ghost", ghost, True))
             server.initial_camera.position = (1.1 * size, -1.5 * size, 0.7 * size)
             server.initial_camera.look_at = (0.0, 0.0, 0.2 * size)
 
-    def move(self, base_position: ArrayLike, base_quat: ArrayLike, motor_angles: ArrayLike) -> None:
-        """Show the robot at a base position (3,) [m], orientation (4,) w x y z and motor angles (M,) [rad]."""
+    def _add_robot(self, node: str, robot: RobotDescription, is_ghost: bool) -> _DrawnRobot:
+        stage, links = self._server.scene, {}
+        for k, shape in enumerate(scene(robot)):
+            if shape.link not in links:
+                links[shape.link] = stage.add_frame(f"{node}/{shape.link}", show_axes=False)
+            if is_ghost:
+                shape = replace(shape, color=_GHOST_COLOR)
+            add_shape(stage, f"{node}/{shape.link}/{k}", shape, _GHOST_OPACITY if is_ghost else None)
+        return _DrawnRobot(robot, links)
+
+    def move(self, *states: tuple[ArrayLike, ArrayLike, ArrayLike]) -> None:
+        """Show the robot, and the ghost, if there is one.
+
+        Each state is a base position (3,) [m], orientation (4,) w x y z and motor angles (M,) [rad].
+        """
         with contextlib.suppress(SurefootError), self._server.atomic():  # a diverged state is not drawn
-            placed = poses(self._robot, base_position, base_quat, motor_angles)
-            at = np.asarray(base_position, float)
+            placed = [poses(one.robot, *state) for one, state in zip(self._robots, states, strict=True)]
+            at = np.asarray(states[0][0], float)
             far = np.linalg.norm(at[:2] - self._at) > 2 * self._size
             self._at = at[:2].copy() if far else self._at + _FOLLOW * (at[:2] - self._at)
             self._world.position = np.array([*-self._at, 0.0])
-            for name, link in self._links.items():
-                pose = placed[name][0]
-                link.position, link.wxyz = pose[:3, 3], matrix_quat(pose[:3, :3])
+            for one, frames in zip(self._robots, placed, strict=True):
+                for name, link in one.links.items():
+                    pose = frames[name][0]
+                    link.position, link.wxyz = pose[:3, 3], matrix_quat(pose[:3, :3])
+            self._yaw = float(quat_yaw(np.asarray(states[0][1], float)))
+            self._base = at
+            if self._arrow is not None:
+                self._arrow.position = at
             if far:
                 self._trail.clear()
             if not self._trail or np.linalg.norm(at[:2] - self._trail[-1][:2]) > 0.05 * self._size:
                 self._trail.append(np.array([*at[:2], FLAT.height(at[:2]) + 0.004]))
                 add_path(self._server.scene, "/world/trail", np.array(self._trail), GREY)
         self.frames += 1
+
+    def show_push(self, force_world: Array) -> None:
+        """Show a force (3,) [N] on the base as an arrow that ends at the body; zero ends it, when it was seen."""
+        size, now = float(np.linalg.norm(force_world)), time.monotonic()
+        if size == 0.0:
+            if self._arrow is not None and now > self._arrow_until:
+                self._arrow.remove()
+                self._arrow = None
+            return
+        if self._arrow is None or not np.array_equal(force_world, self._push):
+            robot, self._push = self._robots[0].robot, force_world.copy()
+            along, length = force_world / size, WEIGHT_ARROW * self._size * size / robot.weight
+            # Where the arrow meets the box around the body, which reaches as far as the legs' mounts.
+            half = np.array([robot.body_length / 2, np.abs(robot.leg_mounts[:, 1]).max()])
+            heading = in_heading_frame(along[None], np.array([self._yaw]))[0, :2]
+            tip = -along * np.min(half / np.abs(heading).clip(1e-6))
+            points = np.array([[tip - along * length, tip]])
+            thick = 0.022 * self._size
+            self._arrow = self._server.scene.add_arrows(
+                "/world/push",
+                points,
+                PUSH_COLOR,
+                shaft_radius=thick,
+                head_radius=2.4 * thick,
+                head_length=min(6 * thick, 0.6 * length),
+                position=self._base,
+            )
+        self._arrow_until = now + _ARROW_TIME
 
     def stop(self) -> None:
         """Close the port."""
