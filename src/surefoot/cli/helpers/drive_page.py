@@ -19,7 +19,7 @@ from surefoot.cli.helpers.policies import find_policy, load_gait
 from surefoot.cli.helpers.policy_list import list_policies
 from surefoot.errors import SurefootError, choices
 from surefoot.robot.commands import COMMANDS, STAND
-from surefoot.world.registry import WORLDS, find_world
+from surefoot.world.registry import WORLDS
 
 if TYPE_CHECKING:
     from surefoot.deploy.command_sources import CommandSource
