@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.cli.helpers.policies import find_policy
+from surefoot.api.policies import find_policy
 from surefoot.deploy.controller import Controller
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription

@@ -23,7 +23,7 @@ from typing import Any, cast
 import numpy as np
 from rounds import measure, median_ratio
 
-from surefoot.cli.helpers.policies import find_policy
+from surefoot.api.policies import find_policy
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import PhysicalParams
 from surefoot.task.contract_mapping import task_from_contract

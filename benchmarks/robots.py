@@ -21,9 +21,9 @@ import numpy as np
 from rounds import measure, ratio_quartiles
 from throughput import Bench
 
-from surefoot.cli.helpers.policies import find_policy
-from surefoot.evaluate.gap import home_task
-from surefoot.evaluate.rollout import run_episodes
+from surefoot.api.policies import find_policy
+from surefoot.evaluation.gap import home_task
+from surefoot.evaluation.rollout import run_episodes
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig

@@ -37,7 +37,7 @@ import numpy as np
 from numba import njit
 from rounds import measure, ratio_quartiles
 
-from surefoot.cli.helpers.policies import find_policy
+from surefoot.api.policies import find_policy
 from surefoot.learn.config import load_train_config
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.policy.runtime import PolicyRuntime

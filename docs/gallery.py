@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from surefoot.cli.helpers.policies import SEARCH_PATHS, find_policy, load_policy, run_policy
+from surefoot.api.policies import SEARCH_PATHS, find_policy, load_policy, run_policy
 from surefoot.cli.helpers.simulator import RunOptions, with_duration
 from surefoot.files import atomic_write
 from surefoot.report.pages.recorded_runs import ShownTrace, recording_page

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from surefoot.cli.helpers.policies import find_policy
+from surefoot.api.policies import find_policy
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.digest import add_digest
 from surefoot.robot import RobotDescription

@@ -26,18 +26,22 @@ def write_npz(path: Path, arrays: Mapping[str, Any], meta: Mapping[str, Any]) ->
     atomic_write(path, buffer.getvalue())
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+def read_npz(path: Path, limit: int = DATA_BYTES, unpacked: int = DATA_BYTES) -> dict[str, NDArray[Any]]:
     """Read every array of an .npz file whole, so that each member's checksum is verified.
 
+    Args:
+        path: the file.
+        limit: size of the largest file that is read [bytes].
+        unpacked: the same of its arrays [bytes].
+
     Raises:
-        SurefootError: no such file, or one that is damaged, unpacks to more than `DATA_BYTES` or holds objects; without
-            its path.
+        SurefootError: no such file, or one that is damaged, too large or holds objects; without its path.
     """
     try:
-        check_readable(path)
+        check_readable(path, limit)
         with zipfile.ZipFile(path) as archive:
-            if sum(member.file_size for member in archive.infolist()) > DATA_BYTES:
-                raise ValueError(f"it unpacks to more than {DATA_BYTES} bytes")
+            if sum(member.file_size for member in archive.infolist()) > unpacked:
+                raise ValueError(f"it unpacks to more than {unpacked} bytes")
             return {name.removesuffix(".npy"): _read_array(archive.read(name)) for name in archive.namelist()}
     except OSError as error:
         raise SurefootError(f"can't be read: {error.strerror or error}") from error

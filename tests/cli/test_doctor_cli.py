@@ -19,7 +19,7 @@ from processes import Emulator, EmulatorHere, TooBusyError, emulators, refused, 
 pytest.importorskip("mujoco")
 onnx = pytest.importorskip("onnx")
 
-from surefoot.cli.helpers.policies import find_policy  # noqa: E402
+from surefoot.api.policies import find_policy  # noqa: E402
 from surefoot.policy.contract import METADATA_KEY  # noqa: E402
 
 QUICK = ("--pings", "40", "--steps", "50")

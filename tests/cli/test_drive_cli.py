@@ -26,11 +26,11 @@ import websockets
 from chromium import errors_of, hold_stick, in_browser, running_browser
 from websockets.sync.client import connect
 
+from surefoot.api.drive_page import DrivePage, serve
 from surefoot.cli import play
-from surefoot.cli.helpers.drive_page import DrivePage, serve
 from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
-from surefoot.evaluate.driven import DrivenStep
+from surefoot.evaluation.driven import DrivenStep
 from surefoot.report.pages.server import PageServer
 from surefoot.report.pages.view import RobotView
 
@@ -162,7 +162,7 @@ def test_file_of_commands_replaces_the_page(running: Running, tmp_path: Path):
 
 def test_play_browser_serves_the_page_with_its_parameters(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     served: list[Any] = []
-    monkeypatch.setattr("surefoot.cli.helpers.drive_page.serve", lambda *arguments: served.append(arguments))
+    monkeypatch.setattr("surefoot.api.drive_page.serve", lambda *arguments: served.append(arguments))
     assert play.main(["go2-steer", "--browser", "--set", "base_mass_ratio=1.5", "--commands", "walk.csv"]) == 0
     ((drive, host, _, commands),) = served
     assert drive.robot.env.world.params.base_mass_ratio.tolist() == [1.5]
@@ -191,11 +191,11 @@ def test_taken_port_is_one_line():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        words = [sys.executable, "-m", "surefoot", "drive", "go2-steer", "--port", str(taken.getsockname()[1])]
+        words = [sys.executable, "-m", "surefoot", "drive", "go2-steer", "--page-port", str(taken.getsockname()[1])]
         done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
-    assert "--port" in done.stderr
+    assert "--page-port" in done.stderr
 
 
 @pytest.fixture(scope="module")

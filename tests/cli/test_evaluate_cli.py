@@ -61,7 +61,7 @@ def test_help_is_fast_and_names_the_commands():
 
 
 def test_errors_come_before_anything_heavy_is_imported():
-    lines = ("evaluate no.onnx --episodes 0", "sensitivity no.onnx --episodes 0", "gap no.onnx --to bullet --runs 0")
+    lines = ("evaluate x.onnx --episodes 0", "sensitivity x.onnx --episodes 0", "gap x.onnx --to bullet --episodes 0")
     script = (
         "import sys; from surefoot.cli.main import main;"
         f"assert [main(line.split()) for line in {lines}] == [2, 2, 2];"
@@ -111,7 +111,10 @@ def test_settings_and_pushes_change_the_result(policy: Path):
         ("evaluate POLICY --episodes 0", "episodes is 0; it must be 1 or more"),
         ("evaluate POLICY --push-force 40 20", "pushes.force is [40.0, 20.0]; the lower bound must come first"),
         ("evaluate POLICY --push-force -1 20", "push_force[0] is -1; it must be 0 or more"),
-        ("evaluate POLICY --set strength=1", "'strength' is not a physical parameter; choices: base_mass_ratio"),
+        (
+            "evaluate POLICY --set strength=1",
+            "'strength' is not a physical parameter; did you mean motor_strength? choices: base_mass",
+        ),
         ("evaluate POLICY --set motor_strength=9", "motor_strength is 9; minitaur allows 0 to 2"),
         ("evaluate POLICY --set motor_strength=much", "sets no number"),
         ("evaluate POLICY --world moon", "world 'moon' does not exist; choices: mujoco"),
@@ -119,7 +122,7 @@ def test_settings_and_pushes_change_the_result(policy: Path):
         ("evaluate POLICY --out /dev/null/out", "/dev/null"),
         ("evaluate POLICY --episodes x", "x"),
         ("evaluate nowhere", "policy 'nowhere' does not exist"),
-        ("play POLICY --seconds 0", "seconds is 0"),
+        ("play POLICY --duration 0", "duration is 0"),
         ("play POLICY --out film.gif", "the name must end in .mp4"),
         ("evaluate", "no POLICY and no --trace is given"),
         ("evaluate trot --trace run.npz", "--trace and a policy are given"),
@@ -141,7 +144,7 @@ def test_a_damaged_policy_is_refused(tmp_path: Path, policy: Path):
 
 def test_play_writes_a_video_where_there_is_no_display(policy: Path, tmp_path: Path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    done = surefoot("play", policy, "--seconds", "0.4", cwd=tmp_path)
+    done = surefoot("play", policy, "--duration", "0.4", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "wrote untrained.mp4\n"
     frames = ffmpeg.read_frames(str(tmp_path / "untrained.mp4"))
@@ -198,12 +201,12 @@ def test_an_interrupt_ends_with_130():
 
 
 def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from surefoot.cli.helpers import policies
+    from surefoot.api import policies
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(policies, "SEARCH_PATHS", (policy.parent,))
     assert policies.find_policy("untrained") == policy
-    with pytest.raises(ValueError, match=r"policy 'trot' .*policies that ship: untrained"):
+    with pytest.raises(ValueError, match=r"policy 'trot' .*choices: untrained"):
         policies.find_policy("trot")
 
 
@@ -248,7 +251,7 @@ def test_a_robot_without_a_measured_position_has_a_power(recorded: tuple[Path, d
 
 
 def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from surefoot.evaluate import tracking
+    from surefoot.evaluation import tracking
     from surefoot.task.trace import EpisodeTrace
 
     monkeypatch.setattr(tracking, "GRID", 2)

@@ -44,8 +44,8 @@ def test_motor_figure_without_a_log(tmp_path: Path) -> None:
 def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) -> None:
     pytest.importorskip("pybullet")
     log, out = tmp_path / "motor.csv", tmp_path / "motor.png"
-    words = ["motor-figure", "--out", out, "--json"]
-    assert identify(*words, "--world", "bullet", "--record", log, "--duration", 0.5).returncode == 0
+    words = ["motor-figure", "--json", "--out", out]
+    assert identify(*words, log, "--world", "bullet", "--duration", 0.5).returncode == 0
     output = json.loads(identify(*words, "--log", log).stdout)
     assert output["against"] == str(log)
     # The same laws in another engine come out the same; another law does not.
@@ -58,7 +58,7 @@ def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) 
     [
         (
             ["tail"],
-            "'tail' is no experiment; choices: latency, motor, mass, contact, motor-figure, or --from-trace FOLDER",
+            "'tail' is no experiment; choices: latency, motor, mass, contact, motor-figure, or --trace FOLDER",
         ),
         (["motor"], "give one of them; none is given"),
         (["motor", "--port", "x", "--recording", "y"], "give one of them; both is given"),
@@ -74,8 +74,8 @@ def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) 
             "motors will move and the robot must hang free, its legs in the air; without",
         ),
         (["mass", "--port", "/dev/none", "--record-only"], "the robot must sit on flat ground with a metre of room"),
-        (["--from-trace", "none"], "trace folder none does not exist"),
-        (["--from-trace=none"], "trace folder none does not exist"),
+        (["--trace", "none"], "trace folder none does not exist"),
+        (["--trace=none"], "trace folder none does not exist"),
         (["motor-figure", "--motor", "tail"], "motor 'tail' does not exist"),
         (["motor-figure", "--out", "motor.pdf"], "must end in .png"),
         (["motor-figure", "--frequency", "0"], "frequency is 0; it must be over 0"),
@@ -98,7 +98,7 @@ def test_identify_without_words_lists_the_experiments():
     done = identify()
     assert done.returncode == 2
     assert identify("--help").stdout == done.stderr
-    for name in ("latency", "motor", "mass", "contact", "--from-trace FOLDER", "motor-figure"):
+    for name in ("latency", "motor", "mass", "contact", "--trace FOLDER", "motor-figure"):
         assert f"\n  {name}  " in done.stderr
 
 
@@ -325,7 +325,7 @@ def test_identify_from_traces(tmp_path: Path):
     traces, out = tmp_path / "traces", tmp_path / "out"
     words = ["evaluate", "trot", "--episodes", 2, "--threads", 1, "--set", "motor_strength=0.9", "--out", traces]
     assert surefoot(*words).returncode == 0
-    done = identify("--from-trace", traces, "--fit", "motor_strength", "--out", out, "--json")
+    done = identify("--trace", traces, "--fit", "motor_strength", "--out", out, "--json")
     assert done.returncode == 0, done.stderr
     output = json.loads(done.stdout)
     assert output["experiment"] == "traces"
@@ -334,7 +334,7 @@ def test_identify_from_traces(tmp_path: Path):
     assert set(overlay["params"]) == {"motor_strength"}
     assert np.mean(overlay["params"]["motor_strength"]) == pytest.approx(0.9, abs=0.03)
     assert overlay["identified"]["traces"]["file"] == str(traces)
-    done = identify("--from-trace", traces, "--fit", "contact_friction")
+    done = identify("--trace", traces, "--fit", "contact_friction")
     refused(done, "traces can't identify 'contact_friction'; choices: motor_strength")
 
 
@@ -345,7 +345,7 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
     from surefoot.identify.replay import Replayer, segment_from_log
 
     pupper, logs, out = RobotDescription.load("pupper_v2"), tmp_path / "logs", tmp_path / "out"
-    words = ("--from-trace", logs, "--robot", "pupper_v2")
+    words = ("--trace", logs, "--robot", "pupper_v2")
     logs.mkdir()
     refused(identify(*words), f"folder {logs} holds no logs (.npz)")
     truth = PhysicalParams.nominal(pupper).with_values(pupper, control_latency=0.030)
@@ -359,7 +359,7 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
         output = replayer.run(segment_from_log(blank, pupper), truth)
         np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=output.motor_angle[0])
     refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick'; logs: fast, slow")
-    refused(identify("--from-trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
+    refused(identify("--trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
     how = ("--rack", "fast", "slow", "--hold-out", "fast", "--fit", "control_latency", "--out", out)
     done = identify(*words, *how, "--json")
     assert done.returncode == 0, done.stderr

@@ -30,7 +30,7 @@ def test_from_a_file_to_a_robot_that_trains(tmp_path: Path) -> None:
         assert (np.abs(picture - [red, green, blue]).sum(axis=2) < 30).sum() > 100
     words = ("--steps", "2048", "--num-envs", "16", "--evaluate-every", "2048", "--evaluation-episodes", "2")
     short = ("--task.max-steps", "60")
-    result = surefoot("train", "trot", "--task.robot", "mine", *words, *short, cwd=tmp_path)
+    result = surefoot("train", "trot", "--robot", "mine", *words, *short, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     (policy,) = tmp_path.glob("runs/mine-trot/*/policy.onnx")
     result = surefoot("evaluate", str(policy), "--episodes", "2", "--json", cwd=tmp_path)

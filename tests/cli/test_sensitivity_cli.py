@@ -14,7 +14,7 @@ from processes import surefoot
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
 
-from surefoot.cli.helpers.policies import distinct_names, find_policy
+from surefoot.api.policies import distinct_names, find_policy
 
 SHORT = ("--values", "2", "--episodes", "1", "--duration", "0.12", "--threads", "1")
 ROWS = ["base_mass_ratio", "leg_mass_ratio", "motor_friction", "base_inertia_ratio", "leg_inertia_ratio"]

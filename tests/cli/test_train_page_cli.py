@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow
 
 TINY = (
-    *("steer", "--task.robot", "go2", "--num-envs", "8", "--steps-per-update", "16", "--threads", "1"),
+    *("steer", "--robot", "go2", "--num-envs", "8", "--steps-per-update", "16", "--threads", "1"),
     *("--learning-threads", "1", "--evaluate-every", "1000000", "--evaluation-episodes", "2", "--task.max-steps", "60"),
 )
 
@@ -89,7 +89,7 @@ def test_page_does_not_change_the_weights(tmp_path: Path):
     options = {"with": ("--browser", "--page-port", "0"), "without": ()}
     runs = [
         subprocess.Popen(
-            [*SUREFOOT, "train", *TINY, "--steps", "512", "--runs", str(tmp_path / name), *words],
+            [*SUREFOOT, "train", *TINY, "--steps", "512", "--out", str(tmp_path / name), *words],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )
         for name, words in options.items()

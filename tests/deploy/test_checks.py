@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from surefoot.api.policies import find_policy
 from surefoot.check_result import CheckResult, first_failure
-from surefoot.cli.helpers.policies import find_policy
 from surefoot.deploy.checks import check_contract, check_policy, format_gains
 from surefoot.deploy.messages import Handshake
 from surefoot.errors import SurefootError

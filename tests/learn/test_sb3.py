@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-import surefoot.cli.envs  # registers the ids
+import surefoot.envs  # registers the ids
 from surefoot.errors import SurefootError
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -45,7 +45,7 @@ def train(env) -> PPO:
 
 
 def test_ppo_trains_on_single_robots():
-    train(make_vec_env(surefoot.cli.envs.IDS[0], n_envs=2, seed=0))
+    train(make_vec_env(surefoot.envs.IDS[0], n_envs=2, seed=0))
 
 
 def test_ppo_trains_on_a_batch_and_sees_its_episodes():

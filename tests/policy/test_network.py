@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from edited import edited_policy
 
-from surefoot.cli.helpers.policies import find_policy
+from surefoot.api.policies import find_policy
 from surefoot.errors import SurefootError
 from surefoot.policy import runtime
 from surefoot.policy.digest import add_digest, read_parts

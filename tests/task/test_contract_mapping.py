@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium")
 
-from surefoot.cli.helpers.policies import find_policy
+from surefoot.api.policies import find_policy
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from scripted import ScriptedWorld
 
-import surefoot.cli.envs
+import surefoot.envs
 from surefoot.errors import SurefootError
 from surefoot.task.config import FeedbackConfig, TaskConfig, preset_names
 from surefoot.task.env import LocomotionEnv, LocomotionSingleEnv
@@ -62,8 +62,8 @@ def test_without_a_seed_robots_differ():
 
 
 def test_every_preset_has_an_id():
-    assert {"surefoot/Gallop-v0", "surefoot/Trot-v0", "surefoot/TrotRobust-v0"} <= set(surefoot.cli.envs.IDS)
-    assert len(surefoot.cli.envs.IDS) == len(preset_names())
+    assert {"surefoot/Gallop-v0", "surefoot/Trot-v0", "surefoot/TrotRobust-v0"} <= set(surefoot.envs.IDS)
+    assert len(surefoot.envs.IDS) == len(preset_names())
 
 
 @pytest.mark.parametrize("name", ["surefoot/Gallop-v0", "surefoot/Trot-v0"])
@@ -74,7 +74,7 @@ def test_gymnasiums_checker_passes(name):
 
 
 def test_an_id_can_bring_its_module_and_adds_no_time_limit_and_its_spec_survives_json():
-    env = gymnasium.make("surefoot.cli.envs:surefoot/Trot-v0")
+    env = gymnasium.make("surefoot.envs:surefoot/Trot-v0")
     assert env.spec.max_episode_steps is None
     assert env.unwrapped.batch.task.max_steps == 1000
     again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))

@@ -10,12 +10,12 @@ from typing import Annotated
 from rich.console import Console
 from rich.text import Text
 
+from surefoot.api.policies import find_policy, open_policy
 from surefoot.check_result import CheckResult
 from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import Json, PolicyName, Port, Yes, ask_to_move, check_terminal
 from surefoot.cli.helpers.output import make_console, print_json
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.policies import find_policy, open_policy
 from surefoot.configuration import Within
 from surefoot.deploy.doctor.examination import STEPS, examine
 from surefoot.deploy.doctor.link_check import PINGS

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, RobotName, World, check_folder
-from surefoot.cli.helpers.parsing import parse
+from surefoot.api.options import PAGE_PORT, Host, PagePort, PolicyName, RobotName, World, check_folder
+from surefoot.api.parsing import parse
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class DriveCommand:
     policy: PolicyName
     world: World = "mujoco"
     robot: RobotName = None
-    port: PagePort = PAGE_PORT
+    page_port: PagePort = PAGE_PORT
     commands: str | None = None
     """What steers in place of the page: a file (CSV: time, forward, sideways, yaw_rate), keyboard or gamepad at this
     terminal, or the number of a UDP port on this computer."""
@@ -29,8 +29,8 @@ def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(DriveCommand, argv, "surefoot drive")
     check_folder(command.out)
-    from surefoot.cli.helpers.drive_page import DrivePage, serve
+    from surefoot.api.drive_page import DrivePage, serve
 
     drive = DrivePage(command.policy, command.world, command.robot, recordings=command.out)
-    serve(drive, command.host, command.port, command.commands)
+    serve(drive, command.host, command.page_port, command.commands)
     return 0

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from surefoot.cli.helpers.episodes import draw_episode, print_summaries
+from surefoot.api.episodes import draw_episode, print_summaries
 from surefoot.cli.helpers.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import RangeOptions, take_ranges
-from surefoot.cli.helpers.simulator import RunOptions, describe_simulator
-from surefoot.configuration import to_mapping
+from surefoot.cli.helpers.simulator import RunOptions, describe_simulator, with_duration
+from surefoot.configuration import Duration, to_mapping
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ class EvaluateCommand(RunOptions):
     """Recorded runs instead of a policy: trace files (.npz), or folders of them."""
     episodes: Count = 20
     """Episodes to run, side by side."""
+    duration: Duration | None = None
+    """Length of an episode [s]; that of the policy's task, if not given."""
     json: Json = False
     command_grid: bool = False
     """Give a policy with commands one command an episode, over a grid of its range, not drawn ones; with --out a
@@ -58,7 +60,7 @@ def main(argv: list[str]) -> int:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
     else:
         traces, robot, about = _simulate(command, ranges)
-    from surefoot.evaluate.runs import summarize
+    from surefoot.evaluation.runs import summarize
 
     summary = summarize(traces, robot.urdf.total_mass)
     summary["faults"] = sum(trace.meta["ended"] == "fault" for trace in traces)
@@ -89,7 +91,7 @@ def _simulate(
     command: EvaluateCommand, range_options: RangeOptions
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; return its traces, the robot, and the settings of the run."""
-    from surefoot.cli.helpers.policies import find_policy, load_gait, run_policy
+    from surefoot.api.policies import find_policy, load_gait, run_policy
     from surefoot.world.registry import find_world
 
     path = find_policy(str(command.policy))
@@ -97,9 +99,11 @@ def _simulate(
     policy, robot, task, names = load_gait(path, command.robot)
     ranges = range_options.apply(robot.folder)
     task = command.apply(task, robot, ranges, command.thermal_protection)
+    if command.duration is not None:
+        task = with_duration(task, robot, command.duration)
     episodes = command.episodes
     if command.command_grid:
-        from surefoot.evaluate.tracking import command_grid
+        from surefoot.evaluation.tracking import command_grid
 
         if command.commands is not None:
             raise SurefootError("--command-grid and --commands are given; give one of them")
@@ -135,7 +139,7 @@ def _load_traces(
         name = changed[0] if changed else "randomize"
         option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
         raise SurefootError(f"--trace and {option} are given; recorded runs are measured as they are, nothing is run")
-    from surefoot.evaluate.recorded import find_traces
+    from surefoot.evaluation.recorded import find_traces
     from surefoot.robot import RobotDescription
 
     recorded = [one for path in command.trace for one in find_traces(path)]

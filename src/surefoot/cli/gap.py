@@ -27,8 +27,8 @@ from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, check_name, prefix_errors
 
 if TYPE_CHECKING:
-    from surefoot.cli.helpers.policies import Candidate
-    from surefoot.evaluate.recorded import RecordedTraces
+    from surefoot.api.policies import Candidate
+    from surefoot.evaluation.recorded import RecordedTraces
     from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
 
@@ -110,10 +110,10 @@ class GapCommand:
     """Home: mujoco or bullet, or recorded traces."""
     away: Annotated[Repeated, tyro.conf.arg(name="to", metavar="WORLD | trace FOLDER")] = ()
     """Another world: mujoco or bullet, or recorded traces; as often as you like."""
-    runs: Count = 3
-    """Runs of each policy in each world."""
+    episodes: Count = 3
+    """Episodes of each policy in each world."""
     duration: Duration | None = None
-    """Length of a run [s], the same in all worlds; that of the policy's task, if not given."""
+    """Length of an episode [s], the same in all worlds; that of the policy's task, if not given."""
     params: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File of a robot's physical parameters (.toml): that robot is simulated on all sides, at home too."""
     settings: Settings = ()
@@ -135,14 +135,14 @@ class GapCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
-    from surefoot.cli.helpers.policies import load_policies, run_policy
+    from surefoot.api.policies import load_policies, run_policy
     from surefoot.world.registry import find_world
 
     home, away = parse_side("--from", command.home), [parse_side("--to", words) for words in command.away]
     _check_sides(command, home, away)
-    from surefoot.evaluate.recorded import assign_to_policies, find_traces, save_runs
-    from surefoot.evaluate.runs import common_value
-    from surefoot.evaluate.sensitivity import episode_duration
+    from surefoot.evaluation.recorded import assign_to_policies, find_traces, save_runs
+    from surefoot.evaluation.runs import common_value
+    from surefoot.evaluation.sensitivity import episode_duration
     from surefoot.world.process_world import worker_pool
 
     sides, worlds = (home, *away), []
@@ -180,19 +180,19 @@ def main(argv: list[str]) -> int:
                     continue
                 task, title = (
                     at_home if label == labels[0] else elsewhere,
-                    f"{one.name} in {label}: {command.runs} runs",
+                    f"{one.name} in {label}: {command.episodes} episodes",
                 )
-                options = (command.runs, side, command.seed, command.threads, one.name, title)
+                options = (command.episodes, side, command.seed, command.threads, one.name, title)
                 simulated = run_policy(one.policy, task, *options)
                 runs[one.name][label] = save_runs(command.out / one.name / label, simulated)
-    _report(command, candidates, tasks, robot.name, sides, runs)
+    _report(command, candidates, tasks, robot, sides, runs)
     return 0
 
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
     """Return the task of a policy at home, and in the other worlds, of the same duration."""
-    from surefoot.evaluate.gap import away_task, home_task
-    from surefoot.evaluate.sensitivity import episode_duration
+    from surefoot.evaluation.gap import away_task, home_task
+    from surefoot.evaluation.sensitivity import episode_duration
 
     def adjusted(side: TaskConfig, settings: Repeated, actuator: Literal["dc", "constraint"] | None) -> TaskConfig:
         simulator, words = Simulator(actuator, params=command.params), (*command.settings, *settings)
@@ -208,18 +208,19 @@ def _report(
     command: GapCommand,
     candidates: list[Candidate],
     tasks: list[tuple[TaskConfig, TaskConfig]],
-    robot: str,
+    robot: RobotDescription,
     sides: tuple[Side, ...],
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
-    from surefoot.evaluate.gap import PolicyGap, gap_text
-    from surefoot.evaluate.runs import measure_runs
+    from surefoot.evaluation.gap import PolicyGap, gap_text
+    from surefoot.evaluation.runs import measure_runs
     from surefoot.report.figures.runs import side_by_side
     from surefoot.studies.study_figures import gap_figure
     from surefoot.tables import plain_rows, print_files, print_table, write_csv
 
     out, gaps, episodes, figures = command.out, [], [], []
+    unit = min(task.return_unit(robot) for task, _ in tasks)
     for name, worlds in runs.items():
         traces = {world: [trace for _, trace in recorded] for world, recorded in worlds.items()}
         gaps.append(PolicyGap.from_runs(name, [measure_runs(part, world) for world, part in traces.items()]))
@@ -231,13 +232,13 @@ def _report(
     files = [
         write_csv(out / "gap.csv", [row for part in rows.values() for row in part]),
         write_csv(out / "episodes.csv", episodes),
-        gap_figure([*gaps, *pooled], out / "gap.png"),
+        gap_figure([*gaps, *pooled], out / "gap.png", unit),
         *figures,
     ]
     if not command.json:
         title = f"Reality gap: return in {gaps[0].worlds[0]} less return elsewhere, ± one standard error"
         texts = [
-            {"policy": name} | gap_text(row, row["side"] == "home", sign=True)
+            {"policy": name} | gap_text(row, row["side"] == "home", sign=True, unit=unit)
             for name, part in rows.items()
             for row in part
         ]
@@ -248,10 +249,10 @@ def _report(
         return
     plain = {name: plain_rows(part) for name, part in rows.items()}
     result = {
-        "robot": robot,
+        "robot": robot.name,
         "from": _text(sides[0]),
         "to": list(map(_text, sides[1:])),
-        "runs": command.runs,
+        "runs": command.episodes,
         "seed": command.seed,
         "pushes": command.pushes,
         "policies": [

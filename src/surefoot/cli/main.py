@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from surefoot import __version__
 from surefoot.cli.helpers.output import table_lines
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.stop_signals import enable_interrupt
 
 COMMANDS = {
@@ -86,7 +86,7 @@ def _run(words: list[str]) -> int:
         print(f"surefoot {__version__}")
         return 0
     if words[0] not in COMMANDS:
-        raise SurefootError(f"'{words[0]}' is not a command; choices: {choices(COMMANDS)}")
+        raise SurefootError(f"'{words[0]}' is not a command; {suggest(words[0], COMMANDS)}")
     if not all(word.isprintable() for word in words):
         raise SurefootError("the arguments hold characters that can't be printed; use UTF-8 without control characters")
     enable_interrupt()

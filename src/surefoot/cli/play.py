@@ -21,7 +21,7 @@ class PlayCommand(RunOptions):
     """
 
     policy: PolicyName
-    seconds: Duration = 6.0
+    duration: Duration = 6.0
     """How long the robot runs, in simulated time."""
     out: Path | None = None
     """MP4 to write, display or not; POLICY.mp4 here, if not given and there is no display."""
@@ -33,8 +33,8 @@ def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(PlayCommand, argv, "surefoot play")
     check_suffix("video", command.out, ".mp4")
-    from surefoot.cli.helpers.episodes import film
-    from surefoot.cli.helpers.policies import find_policy, load_gait, run_policy
+    from surefoot.api.episodes import film
+    from surefoot.api.policies import find_policy, load_gait, run_policy
     from surefoot.cli.helpers.viewer import has_display, replay
     from surefoot.world.registry import find_world
 
@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
     if command.browser:
         return _serve_page(command)
     policy, robot, task, origin = load_gait(path, command.robot)
-    task = with_duration(command.apply(task, robot), robot, command.seconds)
+    task = with_duration(command.apply(task, robot), robot, command.duration)
     window = command.out is None and has_display()
     # Imported before anything is simulated, so that a missing package is reported at once.
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):
@@ -60,7 +60,7 @@ def _serve_page(command: PlayCommand) -> int:
     """Run the policy on the page of `surefoot drive`; return the exit code."""
     if command.out is not None:
         raise SurefootError("--browser and --out are given; a page makes no MP4")
-    from surefoot.cli.helpers.drive_page import DrivePage, serve
+    from surefoot.api.drive_page import DrivePage, serve
 
     drive = DrivePage(command.policy, command.world, command.robot, replace(command, commands=None).apply)
     serve(drive, None, PAGE_PORT, None if command.commands is None else str(command.commands))

@@ -82,7 +82,7 @@ def main(argv: list[str]) -> int:
 
 def _check(config: SearchConfig) -> None:
     """Refuse a task that can't be simulated, as it is or at either end of every range, before anything is trained."""
-    from surefoot.cli.helpers.training import check_config
+    from surefoot.api.training import check_config
 
     check_config(config.train)
     for end in (0, -1):

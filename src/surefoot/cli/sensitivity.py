@@ -23,7 +23,7 @@ from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions, describe
 from surefoot.configuration import Duration, Within, to_mapping
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.sensitivity import Sensitivity
+    from surefoot.evaluation.sensitivity import Sensitivity
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def main(argv: list[str]) -> int:
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
     import pandas as pd
 
-    from surefoot.cli.helpers.policies import load_policies
+    from surefoot.api.policies import load_policies
     from surefoot.progress import ProgressBar
     from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import WORLDS, find_world
@@ -75,7 +75,7 @@ def main(argv: list[str]) -> int:
     for task in tasks:
         task.nominal(robot)  # refuses parameters that the robot does not allow
     make_figures_folder(command.out)
-    from surefoot.evaluate.sensitivity import episode_duration, run_sensitivity, trained_ranges
+    from surefoot.evaluation.sensitivity import episode_duration, run_sensitivity, trained_ranges
     from surefoot.report.figures.parameters import aggregate_figure, parameter_figure
     from surefoot.tables import write_csv
 
@@ -87,7 +87,7 @@ def main(argv: list[str]) -> int:
         "threads": command.threads,
         "robots": WORLDS[command.world].robots_side_by_side,
     }
-    results = []
+    results, unit = [], min(task.return_unit(robot) for task in tasks)
     for one, task in zip(loaded, tasks, strict=True):
         with ProgressBar(one.name) as bar:
             results.append(
@@ -103,8 +103,8 @@ def main(argv: list[str]) -> int:
             write_csv(command.out / f"{name}.csv", pd.concat(parts).set_index("policy").reset_index())
             for name, parts in tables.items()
         ),
-        aggregate_figure(results, command.out / "aggregate.png"),
-        *(parameter_figure(row, groups, command.out / f"{row}.png", trained) for row in results[0].rows),
+        aggregate_figure(results, command.out / "aggregate.png", unit),
+        *(parameter_figure(row, groups, command.out / f"{row}.png", trained, unit) for row in results[0].rows),
     ]
     if command.json:
         whole = {
@@ -125,13 +125,13 @@ def main(argv: list[str]) -> int:
         }
         print_json(whole)
     else:
-        _print_tables(results, files)
+        _print_tables(results, files, unit)
     return 0
 
 
 def _summary(result: Sensitivity) -> dict[str, Any]:
     """Return the aggregates of one policy's test worlds, as JSON holds them."""
-    from surefoot.evaluate.sensitivity import find_breaks
+    from surefoot.evaluation.sensitivity import find_breaks
 
     return {
         "policy": result.policy,
@@ -145,32 +145,35 @@ def _summary(result: Sensitivity) -> dict[str, Any]:
     }
 
 
-def _print_tables(results: list[Sensitivity], files: list[Path]) -> None:
-    """Print a table of the policies, and one of each row's range, worst world, and nearest values that break a gait."""
-    from surefoot.evaluate.sensitivity import find_breaks, row_unit
-    from surefoot.tables import print_files, print_table
+def _print_tables(results: list[Sensitivity], files: list[Path], unit: str) -> None:
+    """Print a table of the policies, and one of each row's range, worst world, and nearest values that break a gait.
+
+    `unit` is that of returns.
+    """
+    from surefoot.evaluation.sensitivity import find_breaks, row_unit
+    from surefoot.tables import print_files, print_table, with_unit
 
     policies, rows = [], []
     for result in results:
         policies.append(
             {
                 "policy": result.policy,
-                "nominal return (m)": f"{result.nominal['return'].mean():.2f}",
-                "return (m)": f"{result.mean:.2f} ± {result.std:.2f}",
+                with_unit("nominal return", unit): f"{result.nominal['return'].mean():.2f}",
+                with_unit("return", unit): f"{result.mean:.2f} ± {result.std:.2f}",
                 "test worlds": str(len(result.worlds)),
                 "falls": f"{result.tests.fell.sum()} of {len(result.tests)}",
             }
         )
         breaks = find_breaks(result)
         for row in result.rows:
-            worlds, unit = result.of_row(row), row_unit(row)
+            worlds = result.of_row(row)
             worst = worlds.loc[worlds.return_mean.idxmin()]
             rows.append(
                 {
                     "policy": result.policy,
-                    "row": f"{row} ({unit})" if unit else row,
+                    "row": with_unit(row, row_unit(row)),
                     "range": f"{worlds.value.iloc[0]:.3g} to {worlds.value.iloc[-1]:.3g}",
-                    "worst return (m)": f"{worst.return_mean:.2f}",
+                    with_unit("worst return", unit): f"{worst.return_mean:.2f}",
                     "at": f"{worst.value:.3g}",
                     "falls": f"{worlds.falls.sum()} of {worlds.episodes.sum()}",
                     "breaks at": ", ".join(f"{value:.3g}" for value in breaks.value[breaks.row == row]) or "-",

@@ -33,28 +33,28 @@ class ShowCommand:
     """Name or folder of the robot of such files, or of traces of a robot that does not ship."""
     layout: Literal["side", "over", "one"] = "side"
     """Robots side by side, laid over each other, or one at a time; the page can change it."""
-    html: Path | None = None
+    out: Path | None = None
     """File to write (.html) in place of serving: the whole page, which opens in a browser without anything else."""
-    port: PagePort = PAGE_PORT
+    page_port: PagePort = PAGE_PORT
     host: Host = None
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(ShowCommand, argv, "surefoot show")
-    check_suffix("html", command.html, ".html")
+    check_suffix("page", command.out, ".html")
     if not command.trace:
         raise SurefootError("no TRACE is given; give one or more files (.npz), or folders of them")
     from surefoot.report.pages.recorded_runs import recording_page
     from surefoot.report.pages.server import PageServer
 
     page = recording_page(_load_traces(command), command.layout)
-    if command.html is not None:
-        command.html.parent.mkdir(parents=True, exist_ok=True)
-        atomic_write(command.html, page)
-        print(f"wrote {command.html}: {len(page) / 1e6:.1f} MB; opens in a browser")
+    if command.out is not None:
+        command.out.parent.mkdir(parents=True, exist_ok=True)
+        atomic_write(command.out, page)
+        print(f"wrote {command.out}: {len(page) / 1e6:.1f} MB; opens in a browser")
         return 0
-    server = PageServer(command.host, command.port, None, page)
+    server = PageServer(command.host, command.page_port, None, page)
     try:
         server.print_addresses()
         threading.Event().wait()
@@ -65,8 +65,8 @@ def main(argv: list[str]) -> int:
 
 def _load_traces(command: ShowCommand) -> list[ShownTrace]:
     """Load traces and robots; a trace is named by its policy, and by world or file where that is not unique."""
-    from surefoot.cli.helpers.policies import distinct_names
-    from surefoot.evaluate.recorded import find_traces
+    from surefoot.api.policies import distinct_names
+    from surefoot.evaluation.recorded import find_traces
     from surefoot.identify.logs.importing import import_log
     from surefoot.npz import read_npz
     from surefoot.report.pages.recorded_runs import ShownTrace

@@ -34,9 +34,8 @@ class StudyCommand:
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """YAML file of the study."""
     out: Path | None = None
-    """Folder for tables, figures and the report; results/NAME if not given."""
-    runs: Path | None = None
-    """Folder for the runs; runs/NAME if not given."""
+    """Folder for the report with tables and figures, and for the runs, in runs/; results/NAME and runs/NAME, if not
+    given."""
     workers: Workers = 0
     ray: Ray = None
     seeds: tuple[Seed, ...] = ()
@@ -66,7 +65,7 @@ def main(argv: list[str]) -> int:
         study = replace(study, seeds=command.seeds)
     if command.steps is not None:
         study = study.with_steps(command.steps)
-    root = command.runs or Path("runs") / study.name
+    root = Path("runs") / study.name if command.out is None else command.out / "runs"
     runs = study_runs(study, root, command.only)
     for run in runs:
         run.check(extend=command.extend)
@@ -91,7 +90,7 @@ def main(argv: list[str]) -> int:
 
 def train(study: StudyConfig, runs: list[Training], command: StudyCommand, console: Console) -> TrainingsOutcome:
     """Train every run that is not finished, some at a time."""
-    from surefoot.cli.helpers.training import check_config
+    from surefoot.api.training import check_config
 
     waiting = [run for run in runs if run.state != "finished"]
     if not waiting:

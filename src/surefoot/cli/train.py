@@ -6,15 +6,18 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from surefoot.cli.helpers.options import PAGE_PORT, PagePort
-from surefoot.cli.helpers.output import make_console, next_command
+import tyro
+
+from surefoot.cli.helpers.options import PAGE_PORT, PagePort, Settings
+from surefoot.cli.helpers.output import make_console, next_command, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, suggest
 from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.robot import parse_settings
 from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
 
@@ -41,12 +44,12 @@ def main(argv: list[str]) -> int:
         resume = parse(ResumeCommand, argv, "surefoot train")
         return _train(None, resume.resume, resume.page)
     if argv[0].startswith("-"):
-        raise SurefootError(f"'{argv[0]}' is not a task; choices: {choices(preset_names())}, or a YAML file")
+        raise SurefootError(f"'{argv[0]}' is not a task; {suggest(argv[0], preset_names())}, or a YAML file")
     config, command = _parse(argv)
-    from surefoot.cli.helpers.training import check_config
+    from surefoot.api.training import check_config
 
     check_config(config)
-    return _train(config, command.runs, command.page)
+    return _train(config, command.out, command.page)
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,10 @@ class TrainCommand(PageOptions, TrainConfig):
     """Another simulator than the task's."""
     pushes: bool = False
     """Push the robot at random, as the task says how hard and how often."""
-    runs: Path = Path("runs")
+    robot: Annotated[str | None, tyro.conf.arg(help="Name or folder of the robot; the task's, if not given.")] = None
+    settings: Settings = ()
+    """Physical parameters that differ from the task's, such as motor_strength=0.8."""
+    out: Path = Path("runs")
     """Folder for run folders."""
 
 
@@ -93,26 +99,26 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     # Ranges have options of their own: tyro's would take any count of numbers.
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize={})})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
-    # Parameters given by name go over a file of parameters, which replaces the task's own.
-    params = {name: value for name, value in command.task.params.items() if base.task.params.get(name) != value}
-    task = command.simulator.apply(replace(command.task, params=base.task.params), params)
+    settings = parse_settings([word for group in command.settings for word in group])
+    task = command.simulator.apply(command.task, settings)
     pushes = replace(task.pushes, enabled=task.pushes.enabled or command.pushes)
     task = replace(task, pushes=pushes, randomize=ranges)
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
 
 
 def _robot_name(argv: list[str]) -> str | None:
-    """Return the value of `--task.robot`, on which the defaults of the other options depend; None without it."""
+    """Return the value of `--robot`, on which the defaults of the other options depend; None without it."""
     for word, after in zip(argv, [*argv[1:], ""], strict=True):
         name, _, value = word.partition("=")
-        if name == "--task.robot":
+        if name == "--robot":
             return value or after
     return None
 
 
 def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int:
     """Train in a new folder below `path`, or without a configuration resume the run in it; return the exit code."""
-    from surefoot.cli.helpers.training import TrainingProgress, finish_run
+    from surefoot.api.episodes import print_summaries
+    from surefoot.api.training import EPISODE, TrainingProgress, finish_run
     from surefoot.learn.folder_lock import folder_lock
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
@@ -149,5 +155,9 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
             console.print(f"Stopped and saved at {loop.learner.steps:,} steps.")
             console.print(next_command("resume", "train", "--resume", folder.path))
             return 130
-        finish_run(loop, folder)
+        summaries = finish_run(loop, folder, console.print)
+    print_summaries({kind.replace("_", " "): summary for kind, summary in summaries.items()})
+    console.print(f"Policy, table, figures and video are in {folder.path}")
+    console.print(show_command([folder.path / "figures" / EPISODE]))
+    console.print(next_command("drive it", "drive", folder.policy))
     return 0

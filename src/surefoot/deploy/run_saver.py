@@ -71,7 +71,7 @@ class RunSaver:
             "motor_names": list(contract.motor_names),
             "observation_names": list(contract.columns),
             "params": {},
-            "energy_weight": controller.task.energy_weight(robot),
+            **controller.task.return_meta(robot),
             "max_steps": max_steps,
             "gait_period": controller.gait.reference.period,
             "lead": self.link.lead,

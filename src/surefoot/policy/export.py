@@ -10,7 +10,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.files import atomic_write
 from surefoot.policy.contract import METADATA_KEY, Contract
 from surefoot.policy.digest import add_digest, read_parts
@@ -67,7 +67,7 @@ def build_model(
         SurefootError: an unknown activation, or layers that do not fit the contract.
     """
     if activation not in ACTIVATIONS:
-        raise SurefootError(f"activation is '{activation}'; choices: {choices(ACTIVATIONS)}")
+        raise SurefootError(f"activation is '{activation}'; {suggest(activation, ACTIVATIONS)}")
     inputs, outputs = contract.width, len(contract.action_names)
     widths = (layers[0][0].shape[1], layers[-1][0].shape[0])
     if widths != (inputs, outputs):

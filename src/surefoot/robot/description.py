@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_toml
-from surefoot.errors import SurefootError, check_name, choices, prefix_errors
+from surefoot.errors import SurefootError, check_name, choices, prefix_errors, quote, suggest
 from surefoot.robot.actuator import ActuatorData, DcMotorData, nominal_params, read_actuator
+from surefoot.robot.appearance import Appearance
 from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PARAMETERS
@@ -63,6 +64,8 @@ class RobotDescription:
     battery: Battery
     experiments: Experiments
     allowed: dict[str, tuple[float, float]]
+    looks: str | None = None
+    """Name of the file in the folder with what is drawn; None: the URDF's visuals are."""
 
     @classmethod
     def available(cls) -> list[str]:
@@ -84,8 +87,9 @@ class RobotDescription:
         folder = cls.find_folder(robot)
         sheet_path = folder / "robot.toml"
         if not sheet_path.is_file():
-            names = choices(cls.available())
-            raise SurefootError(f"robot '{robot}': no such robot and no folder with a robot.toml; robots: {names}")
+            raise SurefootError(
+                f"robot '{robot}': no such robot and no folder with a robot.toml; {suggest(robot, cls.available())}"
+            )
         data, _ = read_toml(sheet_path)
         with prefix_errors(sheet_path):
             sheet = from_mapping(Sheet, data)
@@ -100,8 +104,10 @@ class RobotDescription:
         sign = np.array(sheet.motors.sign or [1] * len(order), float)
         bounds = {name: item.bounds for name, item in PARAMETERS.items()}
         if unknown := [name for name in sheet.allowed if name not in bounds]:
-            raise SurefootError(f"allowed.{unknown[0]} is unknown; choices: {choices(bounds)}")
+            raise SurefootError(f"allowed.{unknown[0]} is unknown; {suggest(unknown[0], bounds)}")
         check_ranges("allowed", sheet.allowed)
+        if sheet.looks is not None and (Path(sheet.looks).name != sheet.looks or sheet.looks in ("", "..")):
+            raise SurefootError(f"looks is {quote(sheet.looks)}; it must be the name of a file in the robot's folder")
         places, axes, feet = _place_joints(urdf, sheet.base, legs)
         mounts = _mounts(places, feet, bool(sheet.leg_geometry))
         signs = sign[[[order.index(name) for name in leg.motors] for leg in legs]]
@@ -130,6 +136,7 @@ class RobotDescription:
             battery=sheet.complete_battery(voltage),
             experiments=read_experiments(sheet.experiments, space["extension"], actuator),
             allowed={**bounds, **sheet.allowed},
+            looks=sheet.looks,
         )
         description._check_legs()
         return description
@@ -254,6 +261,16 @@ class RobotDescription:
         frames = self.urdf.frames(self.joint_angles(angles))
         in_base = np.linalg.inv(frames[self.base])
         return {link: in_base @ frame for link, frame in frames.items()}
+
+    def appearance(self) -> Appearance:
+        """Return what is drawn of the robot: the parts in its file of looks, else the URDF's visuals.
+
+        Raises:
+            SurefootError: there is neither, or the file is invalid.
+        """
+        if self.looks is None:
+            return Appearance.from_urdf(self.urdf, self.legs)
+        return Appearance.load(self.folder / self.looks, self.urdf.links)
 
     def nominal_params(self) -> dict[str, Any]:
         """Return the nominal value of every physical parameter, by name: a number, or one for each motor."""

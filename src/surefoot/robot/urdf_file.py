@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices, describe_os_errors
+from surefoot.errors import SurefootError, choices, describe_os_errors, suggest
 from surefoot.files import read_configuration
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.urdf import GREY, Color, Joint, Link, Shape, Urdf
@@ -180,10 +180,10 @@ def _read_joint(element: ElementTree.Element, name: str, links: Collection[str],
     parent, child = attribute(element.find("parent"), "link"), attribute(element.find("child"), "link")
     for end in (parent, child):
         if end not in links:
-            raise SurefootError(f"{where} joins '{end}', not a link; choices: {choices(links)}")
+            raise SurefootError(f"{where} joins '{end}', not a link; {suggest(end, links)}")
     kind, limits = attribute(element, "type"), None
     if kind not in KINDS:
-        raise SurefootError(f"{where}: type is '{kind}'; choices: {choices(KINDS)}")
+        raise SurefootError(f"{where}: type is '{kind}'; {suggest(kind, KINDS)}")
     x, y, z = _read_numbers(attribute(element.find("axis"), "xyz", "1 0 0"), 3, f"{where}: axis")
     length = math.hypot(x, y, z)
     if kind != "fixed" and length == 0.0:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from surefoot.evaluate.gap import PolicyGap
-from surefoot.evaluate.statistics import Interval, MeanEstimate
+from surefoot.evaluation.gap import PolicyGap
+from surefoot.evaluation.statistics import Interval, MeanEstimate
 from surefoot.report.figures.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered
 from surefoot.studies.comparison import Comparison, bin_curve
+from surefoot.tables import with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,11 +82,11 @@ def _group_bar(ax: Axes, row: int, interval: Interval, values: pd.Series, color:
     ax.plot(values, lane, "o", color=color, markersize=4.5, markeredgecolor="white", markeredgewidth=0.6, clip_on=False)
 
 
-def gap_figure(policies: Sequence[PolicyGap], path: str | Path) -> Path:
+def gap_figure(policies: Sequence[PolicyGap], path: str | Path, unit: str = "m") -> Path:
     """Draw the return of each policy as bars, a bar a world, with one standard error and every run as a dot.
 
     Below each policy stands its gap to each other world; over a bar, how many of the runs fell, if any did: they are
-    crosses. All policies or groups of policies ran in the same worlds.
+    crosses. All policies or groups of policies ran in the same worlds. `unit` is that of returns.
     """
     names = policies[0].worlds
     width = max(5.2, 1.2 + len(policies) * max(1.6 if len(names) < 3 else 2.3, 0.62 * len(names)))
@@ -94,11 +95,11 @@ def gap_figure(policies: Sequence[PolicyGap], path: str | Path) -> Path:
             for number, world in enumerate(names):
                 _return_bar(ax, place, number, len(names), policy.in_world(world))
         ax.axhline(0.0, color=QUIET, linewidth=0.8)
-        place_labels(ax, [_label(policy) for policy in policies])
+        place_labels(ax, [_label(policy, unit) for policy in policies])
         ax.set_xlim(-0.5, len(policies) - 0.5)
         ax.margins(y=0.12)
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
-        ax.set_title("Return of an episode (m)", fontweight="bold", pad=24.0)
+        ax.set_title(with_unit("Return of an episode", unit), fontweight="bold", pad=24.0)
         legend = "bars: mean and one standard error; dots: runs, crosses: runs that ended in a fall"
         ax.set_xlabel(legend, color=QUIET, fontsize=8.0, labelpad=6.0)
         for number, name in enumerate(names):
@@ -129,11 +130,11 @@ def _return_bar(ax: Axes, place: int, number: int, count: int, runs: pd.DataFram
     ax.annotate(text, (x, top), offset, textcoords="offset points", ha="center", va="bottom", fontsize=7.5, color=INK)
 
 
-def _label(policy: PolicyGap) -> str:
+def _label(policy: PolicyGap, unit: str) -> str:
     """Return a policy's name, and below it its gap to each other world."""
     away, lines = policy.worlds[1:], []
     for world in away:
         gap = policy.gap(world).mean
         where = f"gap to {world}" if len(away) > 1 else "gap"
-        lines.append(f"{where} {gap:+.2f} m" if math.isfinite(gap) else f"{where} -")
+        lines.append(f"{where} {gap:+.2f} {unit}".rstrip() if math.isfinite(gap) else f"{where} -")
     return "\n".join([*policy.name.split(", "), *lines])

@@ -78,7 +78,7 @@ class Training:
             more = "" if name != "steps" or now < was else "go on with it by --extend, "
             raise SurefootError(
                 f"{self.path}: was trained with {name} {was!r}, and the study asks for {now!r}; {more}move the folder "
-                "away to train it anew, give another --runs, or change the study back"
+                "away to train it anew, give another --out, or change the study back"
             )
 
     def extend(self) -> None:

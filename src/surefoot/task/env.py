@@ -110,6 +110,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.start_position = np.zeros((self.num_envs, 3))
         self.feedback = np.zeros((self.num_envs, len(self.gait.action_names)))
         self.target = np.zeros((self.num_envs, self.robot.num_motors))
+        self.reward = np.zeros(self.num_envs)
+        self.reward_terms: dict[str, Array] = {}
         self.readings: Readings = self.world.readings()
         self.truth: Truth = self.world.truth()
         self._begin(np.arange(self.num_envs))
@@ -175,11 +177,13 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.readings = world.step(self.target, active)
         before, self.truth = self.truth, world.truth()
         diverged = self.truth.diverged
-        reward = step_reward(task.reward, task.reward_limits, self._motion(before, last))
+        reward, self.reward_terms = step_reward(task.reward, task.reward_limits, self._motion(before, last))
         if self.source is not None and self.commands is not None:
             self.source.update(self.readings.time)
             self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
-        reward[diverged | self.over] = 0.0
+        for part in (reward, *self.reward_terms.values()):
+            part[diverged | self.over] = 0.0
+        self.reward = reward
         self.steps += ~self.over
         self.returns += reward
         terminated = (has_fallen(self.truth, task.fall_angle, task.fall_height, self._ground) | diverged) & ~self.over

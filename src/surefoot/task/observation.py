@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, suggest
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.commands import CommandState
@@ -108,7 +108,7 @@ class Observer:
             raise SurefootError(f"observations is empty; choices: {choices(PARTS)}")
         for name in names:
             if name not in PARTS:
-                raise SurefootError(f"observation '{name}' does not exist; choices: {choices(PARTS)}")
+                raise SurefootError(f"observation '{name}' does not exist; {suggest(name, PARTS)}")
         if len(set(names)) != len(names):
             raise SurefootError(f"observations are {choices(names)}; names must not repeat")
         self.names = names

@@ -39,8 +39,10 @@ class TraceMeta:
     seed: int | None = None
     params: dict[str, Any] = field(default_factory=dict)
     """Physical parameters: each a number, or a list where motors or axes have their own."""
-    energy_weight: Annotated[float, Within(0, 1e6)] = ENERGY_WEIGHT
-    """Weight of energy in returns [m/J]."""
+    energy_weight: Annotated[float, Within(0, 1e6)] | None = ENERGY_WEIGHT
+    """Weight w of energy [m/J] of a task of the paper's reward, progress less w times energy; None: another reward."""
+    progress_limit: Annotated[float, Within(-1e6, 1e6)] | None = None
+    """Speed up to which progress counts [m/s]; None: any."""
     max_steps: Annotated[int, Within(1, 1e9)] = 1000
     gait_period: Annotated[float, Within(1e-3, 1e3)] | None = None
     """Of the reference [s]; None: it has none."""
@@ -55,7 +57,7 @@ class TraceMeta:
 LOG = "log"
 """World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
 time of their row, readings are taken right after, times may repeat, and everything but time and target may be NaN."""
-_OPTIONAL = ("command", "push_force_world")
+_OPTIONAL = ("command", "push_force_world", "reward")
 """Arrays that are not in the file where all is NaN."""
 # Arrays that may be NaN: a robot without motion capture or foot switches does not measure them.
 _MAY_BE_NAN = frozenset(
@@ -111,6 +113,9 @@ class EpisodeTrace:
     push_force_world: Array = field(default_factory=_absent)
     """(T, 3) N that pushed the base during the control step; all NaN where pushes are unknown or there are none, and
     then not in the file."""
+    reward: Array = field(default_factory=_absent)
+    """(T,) reward of the control step by the task's own terms; all NaN where it is not known, as on a robot, and then
+    not in the file."""
     meta: dict[str, Any] = field(default_factory=dict)
     """The entries of `TraceMeta`, and others that JSON can hold."""
 
@@ -205,7 +210,9 @@ def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict
         "foot_contact": (steps, legs),
         "foot_position_world": (steps, legs, 3),
         "true_motor_angle": (steps, motors),
-        **dict.fromkeys(_OPTIONAL, (steps, 3)),
+        "command": (steps, 3),
+        "push_force_world": (steps, 3),
+        "reward": (steps,),
     }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.ground import FLAT, Ground
 
@@ -90,7 +90,7 @@ class WorldConfig:
     def __post_init__(self) -> None:
         """Refuse contradictions and values out of bounds."""
         if self.actuator not in ACTUATORS:
-            raise SurefootError(f"actuator is '{self.actuator}'; choices: {choices(ACTUATORS)}")
+            raise SurefootError(f"actuator is '{self.actuator}'; {suggest(self.actuator, ACTUATORS)}")
         if self.threads < 0:
             raise SurefootError(f"threads is {self.threads}; it must be 0 (one a core) or more")
         if self.actuator == "constraint" and self.thermal_protection:

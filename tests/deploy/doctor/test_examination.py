@@ -13,8 +13,8 @@ import pytest
 
 pytest.importorskip("numba")  # the toy robot runs the emulator's firmware
 
+from surefoot.api.policies import find_policy
 from surefoot.check_result import CheckResult
-from surefoot.cli.helpers.policies import find_policy
 from surefoot.deploy.doctor import rack_check
 from surefoot.deploy.doctor.doctor_motion import DoctorMotion, MotionStoppedError
 from surefoot.deploy.doctor.examination import check_computer, examine, time_inference

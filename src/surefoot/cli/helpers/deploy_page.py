@@ -1,4 +1,4 @@
-"""The page of `surefoot deploy --drive`: the robot's own state in a browser, and commands from there.
+"""The page of `surefoot deploy --browser`: the robot's own state in a browser, and commands from there.
 
 The page runs in a process of its own, so that it never makes the control loop wait. It receives the robot's state by
 the pipe of the live display and sends commands by the command channel (`deploy.command_sources`). So the robot stands
@@ -138,7 +138,7 @@ class Page:
             self._server.send(report=self._report(drives))
 
     def _receive(self, message: dict[str, Any], now: float) -> None:
-        from surefoot.cli.helpers.drive_page import finite_numbers
+        from surefoot.api.drive_page import finite_numbers
 
         try:
             if "command" in message and self._setup["limits"]:

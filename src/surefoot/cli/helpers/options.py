@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -86,6 +87,17 @@ def check_suffix(what: str, path: Path | None, suffix: str) -> None:
     """Refuse the name of a file that does not end in `suffix`; `what` is the purpose of the file."""
     if path is not None and path.suffix.lower() != suffix:
         raise SurefootError(f"{what} {path}: the name must end in {suffix}")
+
+
+def files_by_suffix(paths: Sequence[Path], suffixes: Sequence[str]) -> dict[str, Path]:
+    """Return the files of `--out` by suffix, where each kind of file has one; refuse two of a kind, and other kinds."""
+    files: dict[str, Path] = {}
+    for path in paths:
+        suffix = path.suffix.lower()
+        if suffix not in suffixes or suffix in files:
+            raise SurefootError(f"out {path}: takes one file of each kind, with names in {choices(suffixes)}")
+        files[suffix] = path
+    return files
 
 
 def check_folder(path: Path | None) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 
 
 def make_console(stderr: bool = False) -> Console:
@@ -68,5 +68,5 @@ def run_action(argv: list[str], command: str, actions: Mapping[str, tuple[str, C
         print(usage, file=sys.stdout if argv else sys.stderr)
         return 0 if argv else 2
     if argv[0] not in actions:
-        raise SurefootError(f"'{argv[0]}' is not an action; choices: {choices(actions)}")
+        raise SurefootError(f"'{argv[0]}' is not an action; {suggest(argv[0], actions)}")
     return actions[argv[0]][1](argv[1:])

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surefoot.cli.helpers.drive_page import DrivePage, serve
+from surefoot.api.drive_page import DrivePage, serve
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 

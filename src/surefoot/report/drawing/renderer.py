@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFilter
 
 from surefoot.arrays import Array
+from surefoot.robot.appearance import solid
 from surefoot.robot.urdf import Shape
 from surefoot.world.ground import FLAT
 
@@ -22,7 +23,6 @@ SUPERSAMPLE = 2
 TILE = 0.25  # m, side of a square of the ground
 FAR = 6.0  # m from the camera where the squares have faded out
 NEAR = 0.1  # m from the camera; what is nearer is not drawn
-SEGMENTS = 20  # of a circle
 TO_LIGHT = np.array([-0.30, -0.42, 0.86]) / np.linalg.norm([-0.30, -0.42, 0.86])
 SKY, HAZE, GROUND, SQUARE = np.array([(150, 184, 216), (232, 238, 243), (208, 213, 216), (184, 191, 197)], float)
 SHADOW = (52, 58, 66)
@@ -58,7 +58,7 @@ class Mesh:
     """All shapes as flat faces, in the frames of their bodies."""
 
     def __init__(self, shapes: Sequence[Shape], bodies: list[str]) -> None:
-        solids = [_solid(shape.kind, shape.size) for shape in shapes]
+        solids = [solid(shape.kind, shape.size) for shape in shapes]
         start = np.cumsum([0] + [len(points) for points, _ in solids])
         corner = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
         self.half = np.array([np.abs(points).max(axis=0) for points, _ in solids])  # (S, 3) of the bounding boxes
@@ -235,23 +235,3 @@ def _normal(corners: Array) -> Array:
     """Return the unit normal of a flat face (K, 3) of counter-clockwise corners (Newell's method)."""
     normal: Array = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
     return normal / np.linalg.norm(normal)
-
-
-def _solid(kind: str, size: tuple[float, ...]) -> tuple[Array, list[tuple[int, ...]]]:
-    """Return points (P, 3) about the centre and faces (indices, counter-clockwise seen from outside)."""
-    # Rings above each other, each with a scale and a height: two for a box and a cylinder, a stack for a sphere.
-    angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    if kind == "box":
-        ring = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.array(size[:2])
-        levels = [(1.0, -size[2]), (1.0, size[2])]
-    elif kind == "cylinder":
-        levels = [(size[0], -size[1]), (size[0], size[1])]
-    else:
-        tilt = np.linspace(-0.44, 0.44, SEGMENTS // 2 - 2) * np.pi
-        levels = [(size[0] * np.cos(t), size[0] * np.sin(t)) for t in tilt]
-    points, count = np.array([(scale * x, scale * y, z) for scale, z in levels for x, y in ring]), len(ring)
-    below, top = range(0, len(points) - count, count), range(len(points) - count, len(points))
-    across = [(i, (i + 1) % count, (i + 1) % count + count, i + count) for i in range(count)]
-    sides = [tuple(start + i for i in face) for start in below for face in across]
-    return points, [*sides, tuple(reversed(range(count))), tuple(top)]

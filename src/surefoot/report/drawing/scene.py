@@ -9,41 +9,15 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.report.drawing.renderer import Mesh
 from surefoot.robot import RobotDescription
+from surefoot.robot.appearance import visual_shapes
 from surefoot.robot.urdf import Shape
 from surefoot.rotations import quat_matrix
 from surefoot.task.trace import EpisodeTrace
 
-_HIP = 0.35
-"""Radius of a hip that is drawn over its length."""
-
 
 def scene(robot: RobotDescription) -> list[Shape]:
-    """Return the boxes, cylinders and spheres among the URDF's visuals, one or more.
-
-    Links from abduction to hip that have none of these are drawn as cylinders.
-    """
-    shapes = [shape for link in robot.urdf.links.values() for shape in link.visuals]
-    if not shapes:
-        raise SurefootError(
-            f"{robot.urdf.path}: has nothing to draw; a link's <visual> must be a box, cylinder or sphere"
-        )
-    return shapes + _hips(robot, {shape.link for shape in shapes})
-
-
-def _hips(robot: RobotDescription, drawn: set[str]) -> list[Shape]:
-    """Return a cylinder along the hip's axis for each link between abduction and hip that is not `drawn`."""
-    shapes, joints = [], robot.urdf.joints
-    for leg in robot.legs:
-        hip = joints[leg.motors[-2]]
-        length = float(np.linalg.norm(hip.frame[:3, 3]))
-        if len(leg.motors) == 3 and hip.parent == joints[leg.motors[0]].child not in drawn and length > 1e-3:
-            along = hip.frame[:3, 3] / length
-            side = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.9 else [0.0, 0.0, 1.0])
-            side /= np.linalg.norm(side)
-            frame = np.eye(4)
-            frame[:3] = np.column_stack([side, np.cross(along, side), along, hip.frame[:3, 3] / 2])
-            shapes.append(Shape(hip.parent, "cylinder", (_HIP * length, length / 2), frame))
-    return shapes
+    """Return the shapes that are drawn; see `visual_shapes`."""
+    return visual_shapes(robot.urdf, robot.legs)
 
 
 def extent(robot: RobotDescription) -> float:

@@ -86,7 +86,7 @@ class PageServer:
         self._thread.start()
         bound = ready.get()
         if isinstance(bound, OSError):
-            raise SurefootError(f"port {port} at {address}: {bound.strerror or bound}; give another with --port")
+            raise SurefootError(f"port {port} at {address}: {bound.strerror or bound}; give another with --page-port")
         self.port = bound
         names = ["localhost"] if host is None else machine_addresses(host)
         names = [f"[{name}]" if ":" in name else name for name in names]

@@ -1,12 +1,12 @@
 """The tasks as Gymnasium environments, with the simulation wired in.
 
     import gymnasium
-    import surefoot.cli.envs
+    import surefoot.envs
 
     env = gymnasium.make("surefoot/Gallop-v0")
     envs = gymnasium.make_vec("surefoot/Gallop-v0", num_envs=64)
 
-Without the second import, `gymnasium.make("surefoot.cli.envs:surefoot/Gallop-v0")` does the same.
+Without the second import, `gymnasium.make("surefoot.envs:surefoot/Gallop-v0")` does the same.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from surefoot.cli.helpers.policies import SEARCH_PATHS, find_policy, shipped_policies
+from surefoot.api.policies import SEARCH_PATHS, find_policy, shipped_policies
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import check_digest

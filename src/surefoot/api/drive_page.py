@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from surefoot.cli.helpers.policies import find_policy, load_gait
-from surefoot.cli.helpers.policy_list import list_policies
+from surefoot.api.policies import find_policy, load_gait
+from surefoot.api.policy_list import list_policies
 from surefoot.errors import SurefootError, choices
 from surefoot.robot.commands import COMMANDS, STAND
 from surefoot.world.registry import WORLDS
 
 if TYPE_CHECKING:
     from surefoot.deploy.command_sources import CommandSource
-    from surefoot.evaluate.driven import DrivenRobot
+    from surefoot.evaluation.driven import DrivenRobot
     from surefoot.report.pages.server import PageServer
     from surefoot.report.pages.view import RobotView
     from surefoot.robot import RobotDescription
@@ -94,7 +94,7 @@ class DrivePage:
         adjust: Callable[[TaskConfig, RobotDescription], TaskConfig] = lambda task, _: task,
         recordings: Path = RECORDINGS,
     ) -> None:
-        from surefoot.cli.helpers.drive_recordings import DriveRecordings
+        from surefoot.api.drive_recordings import DriveRecordings
 
         self.worlds = [name for name, entry in WORLDS.items() if find_spec(entry.package) is not None]
         self._first, self._robot_name, self._adjust = policy, robot, adjust
@@ -123,7 +123,7 @@ class DrivePage:
 
     def _load(self, policy: str) -> tuple[DrivenRobot, str]:
         """Return a robot with a policy in the present world, and the policy's own name."""
-        from surefoot.evaluate.driven import DrivenRobot
+        from surefoot.evaluation.driven import DrivenRobot
 
         runtime, description, task, origin = load_gait(find_policy(policy), self._robot_name)
         robot = DrivenRobot(runtime, self._adjust(task, description) if policy == self._first else task, self.world)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.evaluate.rollout import EpisodeRecorder, Policy
+from surefoot.evaluation.rollout import EpisodeRecorder, Policy
 from surefoot.robot.params import PARAMETERS, Parameter
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandGenerator

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from surefoot.cli.helpers.episodes import draw_episode, film, print_summaries
-from surefoot.cli.helpers.output import next_command, show_command
+from surefoot.api.episodes import draw_episode, film
 from surefoot.learn.config import TrainConfig
 from surefoot.progress import ProgressBar
 from surefoot.world.registry import find_world
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import Evaluation, TrainingLoop
 
+EPISODE = "episode.npz"
+"""File of the median episode's trace among the figures of a run."""
 _EPISODES = 20
 _RANDOMIZED_EPISODES = 100
 """Episodes with randomized parameters: falls are rare there, and robots differ."""
@@ -70,14 +72,22 @@ class TrainingProgress(ProgressBar):
             )
 
 
-def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
+def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], None]) -> dict[str, dict[str, Any]]:
     """Export the best policy and evaluate it: on the nominal robot, and with randomization and pushes if the task has.
 
     Tables, figures and a video of the median episode go to the run folder.
+
+    Args:
+        loop: the training that is over.
+        folder: its run folder.
+        report: called with a line before each long step.
+
+    Returns:
+        what `summarize` returns, by kind of evaluation.
     """
-    from surefoot.evaluate.gap import home_task
-    from surefoot.evaluate.rollout import run_episodes
-    from surefoot.evaluate.runs import summarize
+    from surefoot.evaluation.gap import home_task
+    from surefoot.evaluation.rollout import run_episodes
+    from surefoot.evaluation.runs import summarize
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
     from surefoot.studies.comparison import learning_curve
@@ -86,7 +96,7 @@ def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
     loop.export(folder.policy)
     task, policy, world = loop.config.task, PolicyRuntime.load(folder.policy), loop.config.world
     robot, figures = RobotDescription.load(task.robot), folder.path / "figures"
-    print(f"Evaluating over {_EPISODES} episodes ...", flush=True)
+    report(f"Evaluating over {_EPISODES} episodes ...")
     nominal = home_task(task)
     kinds = {"without_pushes": (nominal, _EPISODES)}
     if task.randomize:
@@ -100,7 +110,7 @@ def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
     }
     summaries = {kind: summarize(episodes, robot.urdf.total_mass) for kind, episodes in traces.items()}
     (folder.path / "evaluation.json").write_text(json.dumps(summaries, indent=2) + "\n", encoding="utf-8")
-    print("Drawing figures and video ...", flush=True)
+    report("Drawing figures and video ...")
     figures.mkdir(exist_ok=True)
     rows = folder.rows()
     if any(row["return_mean"] is not None for row in rows):
@@ -109,8 +119,5 @@ def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
     median = episodes[len(episodes) // 2]
     draw_episode(figures, median, robot)
     film(robot, median, figures / "video.mp4")
-    median.save(figures / "episode.npz")
-    print_summaries({kind.replace("_", " "): summary for kind, summary in summaries.items()})
-    print(f"Policy, table, figures and video are in {folder.path}")
-    print(show_command([figures / "episode.npz"]))
-    print(next_command("drive it", "drive", folder.policy), flush=True)
+    median.save(figures / EPISODE)
+    return summaries

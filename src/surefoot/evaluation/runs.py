@@ -14,9 +14,9 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from surefoot.errors import SurefootError, choices
-from surefoot.evaluate.footfalls import Footfalls, analyze_footfalls, circular_phase
-from surefoot.evaluate.statistics import MeanEstimate
-from surefoot.evaluate.tracking import STRIDE, Tracking
+from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls, circular_phase
+from surefoot.evaluation.statistics import MeanEstimate
+from surefoot.evaluation.tracking import STRIDE, Tracking
 from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
@@ -25,16 +25,16 @@ from surefoot.task.trace import EpisodeTrace
 def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd.DataFrame:
     """Measure one run or more in one world.
 
-    The paper's reward r = (p_n - p_{n-1}) . d - w dt |tau . qdot| with d = world x sums to distance less w times the
-    energy.
+    The return is the sum of the task's own reward, as in training. The paper's reward r = (p_n - p_{n-1}) . d -
+    w dt |tau . qdot| with d = world x sums to distance less w times the energy, so a robot's trace has it too.
 
     Args:
         traces: the runs.
         world: name of the world; that of the traces, if not given.
 
     Returns:
-        a row a run with columns world, run, return (the paper's) and distance forward [m], mean speed [m/s] and
-        mechanical power [W], control steps, whether it fell, and whether it kept its balance to the end, which is
+        a row a run with columns world, run, return, distance forward [m], mean speed [m/s] and mechanical power [W],
+        control steps, whether it fell, and whether it kept its balance to the end, which is
         what the paper counts as a success. NaN for what was not measured.
 
     Raises:
@@ -50,7 +50,7 @@ def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd
             {
                 "world": name,
                 "run": number,
-                "return": distance - float(trace.meta["energy_weight"]) * energy,
+                "return": _return(trace, distance, energy),
                 "distance": distance,
                 "speed": distance / trace.duration,
                 "power": energy / trace.duration,
@@ -60,6 +60,16 @@ def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd
             }
         )
     return pd.DataFrame(rows)
+
+
+def _return(trace: EpisodeTrace, distance: float, energy: float) -> float:
+    """Return the sum of the task's reward over a run; NaN where it was not recorded and does not follow."""
+    if (weight := trace.meta["energy_weight"]) is None:
+        return float(trace.reward.sum())
+    if (limit := trace.meta["progress_limit"]) is not None:
+        steps = np.diff(trace.base_position_world[:, 0])
+        distance = float(np.minimum(steps, limit * trace.meta["control_step"]).sum())
+    return distance - float(weight) * energy
 
 
 def common_value(traces: Sequence[EpisodeTrace], name: str) -> str:

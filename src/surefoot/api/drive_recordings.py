@@ -1,6 +1,6 @@
 """Recordings of the drive page: traces in a folder, and pages and videos that another process makes of them.
 
-`python -m surefoot.cli.helpers.drive_recordings OUT ROBOT TRACE...` writes OUT, a page (.html) or a video (.mp4) of the
+`python -m surefoot.api.drive_recordings OUT ROBOT TRACE...` writes OUT, a page (.html) or a video (.mp4) of the
 traces of a robot.
 """
 
@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surefoot.errors import SurefootError, choices
-from surefoot.evaluate.driven import MAX_RECORDING
+from surefoot.evaluation.driven import MAX_RECORDING
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.driven import DrivenRobot, Recording
+    from surefoot.evaluation.driven import DrivenRobot, Recording
     from surefoot.robot import RobotDescription
 
 KINDS = ("html", "mp4")
@@ -144,7 +144,7 @@ class DriveRecordings:
 
 def write_recording(out: Path, robot: RobotDescription, traces: list[Path]) -> None:
     """Write a page (.html) of traces of a robot, laid over each other, or a video (.mp4) of the first."""
-    from surefoot.cli.helpers.episodes import film
+    from surefoot.api.episodes import film
     from surefoot.files import atomic_write
     from surefoot.report.pages.recorded_runs import ShownTrace, recording_page
     from surefoot.task.trace import EpisodeTrace

@@ -119,6 +119,7 @@ class EpisodeRecorder:
                 "foot_position_world": env.world.foot_positions(),
                 "true_motor_angle": truth.motor_angle,
                 "command": self.command,
+                "reward": env.reward,
                 "push_force_world": env.pusher.force.copy() if self._pushed else np.full((env.num_envs, 3), np.nan),
             }
         )
@@ -145,7 +146,7 @@ class EpisodeRecorder:
             "leg_names": list(env.robot.leg_names),
             "motor_names": list(env.robot.motor_names),
             "observation_names": list(env.observer.columns),
-            "energy_weight": task.energy_weight(env.robot),
+            **task.return_meta(env.robot),
             "gait_period": env.gait.reference.period,
             "max_steps": task.max_steps,
             "params_source": task.params_source,

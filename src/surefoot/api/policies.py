@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from surefoot.configuration import to_mapping
 from surefoot.deploy.checks import check_policy
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.progress import ProgressBar
@@ -23,9 +23,9 @@ from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.rollout import Policy
+    from surefoot.evaluation.rollout import Policy
 
-PACKAGE = Path(__file__).resolve().parents[2]
+PACKAGE = Path(__file__).resolve().parents[1]
 SEARCH_PATHS = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
 """Folders of policies that ship: of an installed package, and of the repository."""
 
@@ -42,7 +42,7 @@ def find_policy(policy: str) -> Path:
         return Path(policy)
     if policy in shipped:
         return shipped[policy]
-    names = f"policies that ship: {choices(shipped)}" if shipped else "no policies ship with this surefoot"
+    names = suggest(policy, sorted(shipped)) if shipped else "no policies ship with this surefoot"
     raise SurefootError(f"policy '{policy}' does not exist; {names}, or the path of a policy file")
 
 
@@ -145,7 +145,7 @@ def run_policy(
         name: name of the policy in the traces.
         title: title of the bar; the name, if not given.
     """
-    from surefoot.evaluate.rollout import run_episodes
+    from surefoot.evaluation.rollout import run_episodes
 
     with ProgressBar(title or name) as bar:
         return run_episodes(

@@ -14,7 +14,7 @@ from edited import edited_policy
 
 pytest.importorskip("gymnasium")
 
-from surefoot.cli.helpers.policies import find_policy, load_policies, load_policy, open_policy, shipped_policies
+from surefoot.api.policies import find_policy, load_policies, load_policy, open_policy, shipped_policies
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 

@@ -1,0 +1,184 @@
+"""What a robot looks like: triangles with a colour on its links, from a file or from the URDF's visuals.
+
+The file, `looks.npz`, has for P parts with V vertices and F triangles in all: `counts` (P, 2) of each part's vertices
+and triangles; `color` (P, 3), 0 to 255; `low` and `span` (P, 3) [m] of the box around each part; `vertices` (V, 3) in
+65535ths of that box; `faces` (F, 3), indices within the part; and in `meta` the `links`, a name a part.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError, choices, prefix_errors, quote
+from surefoot.npz import pop_meta, read_npz, write_npz
+from surefoot.robot.sheet import Leg
+from surefoot.robot.urdf import Shape, Urdf
+
+LOOKS = "looks.npz"
+"""Name of the file that `robot new` writes."""
+MAX_BYTES = 1 << 21
+"""Size of the largest file that is read; unpacked, eight times that."""
+MAX_PARTS = 2000
+MAX_TRIANGLES = 200_000
+"""Largest count of triangles that is read."""
+_MAX_EXTENT = 1e3
+"""How far a vertex may be from its link's origin [m]."""
+_STEPS = 65535
+_SEGMENTS = 20
+"""Sides of a circle."""
+_HIP = 0.35
+"""Radius of a hip that is drawn, over its length."""
+_ARRAYS = {"counts": ("u4", 2), "color": ("u1", 3), "low": ("f4", 3), "span": ("f4", 3)}
+_POINT_ARRAYS = {"vertices": ("u2", 3), "faces": ("u2", 3)}
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Triangles of one colour on a link."""
+
+    link: str
+    vertices: NDArray[np.float32]
+    """Places (V, 3) in the link's frame [m]; at most 65536."""
+    faces: NDArray[np.int32]
+    """Indices (F, 3) of vertices, counter-clockwise seen from outside."""
+    color: tuple[float, float, float]
+    """Red, green and blue, 0 to 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """All parts that are drawn of a robot."""
+
+    parts: tuple[Part, ...]
+
+    @classmethod
+    def from_urdf(cls, urdf: Urdf, legs: Sequence[Leg]) -> Appearance:
+        """Return the triangles of the shapes that `visual_shapes` returns."""
+        return cls(tuple(map(_shape_part, visual_shapes(urdf, legs))))
+
+    @classmethod
+    def load(cls, path: Path, links: Collection[str]) -> Appearance:
+        """Read a file of parts on links out of `links`.
+
+        Raises:
+            SurefootError: it can't be read, is too large, or holds numbers or names that are none of such a file.
+        """
+        with prefix_errors(path):
+            arrays = read_npz(path, MAX_BYTES, 8 * MAX_BYTES)
+            names = (pop_meta(arrays) or {}).get("links")
+            if not isinstance(names, list) or not 0 < len(names) <= MAX_PARTS:
+                raise SurefootError(f"meta has no list 'links' of 1 to {MAX_PARTS} names; this is no file of looks")
+            if odd := [name for name in names if not isinstance(name, str) or name not in links]:
+                raise SurefootError(f"has a part on {quote(odd[0])}, no link of the robot; choices: {choices(links)}")
+            return cls(_read_parts(names, arrays))
+
+    def save(self, path: Path) -> None:
+        """Write the file; vertices are rounded to 65535ths of the box around their part."""
+        low = np.array([part.vertices.min(axis=0) for part in self.parts], np.float32)
+        span = np.array([np.ptp(part.vertices, axis=0) for part in self.parts], np.float32)
+        scale = _STEPS / np.maximum(span, 1e-9)
+        vertices = [
+            np.rint(scale[k] * (part.vertices - low[k])).clip(0, _STEPS).astype(np.uint16)
+            for k, part in enumerate(self.parts)
+        ]
+        arrays = {
+            "counts": np.array([(len(part.vertices), len(part.faces)) for part in self.parts], np.uint32),
+            "color": np.array([np.rint(255 * np.array(part.color)) for part in self.parts], np.uint8),
+            "low": low,
+            "span": span,
+            "vertices": np.concatenate(vertices),
+            "faces": np.concatenate([part.faces for part in self.parts]).astype(np.uint16),
+        }
+        write_npz(path, arrays, {"links": [part.link for part in self.parts]})
+
+
+def visual_shapes(urdf: Urdf, legs: Sequence[Leg]) -> list[Shape]:
+    """Return the boxes, cylinders and spheres among the URDF's visuals, one or more.
+
+    Links from abduction to hip that have none of these are drawn as cylinders.
+    """
+    shapes = [shape for link in urdf.links.values() for shape in link.visuals]
+    if not shapes:
+        raise SurefootError(f"{urdf.path}: has nothing to draw; a link's <visual> must be a box, cylinder or sphere")
+    return shapes + _hips(urdf, legs, {shape.link for shape in shapes})
+
+
+def solid(kind: str, size: tuple[float, ...]) -> tuple[Array, list[tuple[int, ...]]]:
+    """Return a solid's points (P, 3) about the centre and its faces (indices, counter-clockwise seen from outside).
+
+    Kinds and sizes are those of a `Shape`.
+    """
+    # Rings above each other, each with a scale and a height: two for a box and a cylinder, a stack for a sphere.
+    angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    if kind == "box":
+        ring = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.array(size[:2])
+        levels = [(1.0, -size[2]), (1.0, size[2])]
+    elif kind == "cylinder":
+        levels = [(size[0], -size[1]), (size[0], size[1])]
+    else:
+        tilt = np.linspace(-0.44, 0.44, _SEGMENTS // 2 - 2) * np.pi
+        levels = [(size[0] * np.cos(t), size[0] * np.sin(t)) for t in tilt]
+    points, count = np.array([(scale * x, scale * y, z) for scale, z in levels for x, y in ring]), len(ring)
+    below, top = range(0, len(points) - count, count), range(len(points) - count, len(points))
+    across = [(i, (i + 1) % count, (i + 1) % count + count, i + count) for i in range(count)]
+    sides = [tuple(start + i for i in face) for start in below for face in across]
+    return points, [*sides, tuple(reversed(range(count))), tuple(top)]
+
+
+def _shape_part(shape: Shape) -> Part:
+    points, faces = solid(shape.kind, shape.size)
+    triangles = [(face[0], *pair) for face in faces for pair in itertools.pairwise(face[1:])]
+    red, green, blue = (value / 255 for value in shape.color)
+    vertices = (points @ shape.rotation.T + shape.position).astype(np.float32)
+    return Part(shape.link, vertices, np.array(triangles, np.int32), (red, green, blue))
+
+
+def _hips(urdf: Urdf, legs: Sequence[Leg], drawn: set[str]) -> list[Shape]:
+    """Return a cylinder along the hip's axis for each link between abduction and hip that is not `drawn`."""
+    shapes = []
+    for leg in legs:
+        hip = urdf.joints[leg.motors[-2]]
+        length = float(np.linalg.norm(hip.frame[:3, 3]))
+        if len(leg.motors) == 3 and hip.parent == urdf.joints[leg.motors[0]].child not in drawn and length > 1e-3:
+            along = hip.frame[:3, 3] / length
+            side = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.9 else [0.0, 0.0, 1.0])
+            side /= np.linalg.norm(side)
+            frame = np.eye(4)
+            frame[:3] = np.column_stack([side, np.cross(along, side), along, hip.frame[:3, 3] / 2])
+            shapes.append(Shape(hip.parent, "cylinder", (_HIP * length, length / 2), frame))
+    return shapes
+
+
+def _read_parts(links: list[str], arrays: dict[str, NDArray[Any]]) -> tuple[Part, ...]:
+    for name, (kind, width) in {**_ARRAYS, **_POINT_ARRAYS}.items():
+        array = arrays.get(name)
+        if array is None or array.dtype != np.dtype(kind) or array.ndim != 2 or array.shape[1] != width:
+            raise SurefootError(f"has no array '{name}' of type {kind} with {width} columns")
+        if name in _ARRAYS and len(array) != len(links):
+            raise SurefootError(f"'{name}' has {len(array)} rows; it must have one for each of {len(links)} parts")
+    counts, low, span = arrays["counts"].astype(np.int64), arrays["low"].astype(float), arrays["span"].astype(float)
+    totals = len(arrays["vertices"]), len(arrays["faces"])
+    if not (counts > 0).all() or tuple(counts.sum(axis=0)) != totals:
+        raise SurefootError("'counts' has a part without vertices or triangles, or does not sum to their counts")
+    if totals[1] > MAX_TRIANGLES:
+        raise SurefootError(f"has {totals[1]} triangles; at most {MAX_TRIANGLES} are drawn")
+    if not (np.abs(low) < _MAX_EXTENT).all() or not ((span >= 0) & (span < _MAX_EXTENT)).all():
+        raise SurefootError(f"'low' or 'span' is not within {_MAX_EXTENT:g} m, or a span is negative")
+    vertices, faces = (np.split(arrays[name], np.cumsum(counts[:-1, k])) for k, name in enumerate(_POINT_ARRAYS))
+    parts = []
+    for k, link in enumerate(links):
+        if faces[k].max() >= counts[k, 0]:
+            raise SurefootError(f"part {k} has a triangle of vertices that it does not have")
+        red, green, blue = (float(value) / 255 for value in arrays["color"][k])
+        places = (low[k] + span[k] * (vertices[k] / _STEPS)).astype(np.float32)
+        parts.append(Part(link, places, faces[k].astype(np.int32), (red, green, blue)))
+    return tuple(parts)
