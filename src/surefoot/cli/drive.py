@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from surefoot.api.options import PAGE_PORT, Host, PagePort, PolicyName, RobotName, World, check_folder
-from surefoot.api.parsing import parse
+from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, RobotName, World, check_folder
+from surefoot.cli.helpers.parsing import parse
 
 
 @dataclass(frozen=True)
