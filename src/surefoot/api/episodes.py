@@ -80,12 +80,12 @@ def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
 def film(robot: RobotDescription, trace: EpisodeTrace, path: Path) -> Path:
     """Write a video (.mp4) of a trace; return its path."""
     from surefoot.report.drawing.renderer import Camera
-    from surefoot.report.drawing.scene import extent, scene, trace_poses
+    from surefoot.report.drawing.scene import extent, trace_poses
     from surefoot.report.drawing.video import render_video
 
-    shapes, poses = scene(robot), trace_poses(robot, trace)
+    parts, poses = robot.appearance(), trace_poses(robot, trace)
     camera = Camera.for_robot(extent(robot))
-    return render_video(shapes, poses, trace.time, path, overlay=_captions(trace), follow=robot.base, camera=camera)
+    return render_video(parts, poses, trace.time, path, overlay=_captions(trace), follow=robot.base, camera=camera)
 
 
 def _captions(trace: EpisodeTrace) -> list[str]:

@@ -62,7 +62,7 @@ class Appearance:
     @classmethod
     def from_urdf(cls, urdf: Urdf, legs: Sequence[Leg]) -> Appearance:
         """Return the triangles of the shapes that `visual_shapes` returns."""
-        return cls(tuple(map(_shape_part, visual_shapes(urdf, legs))))
+        return cls(tuple(map(shape_part, visual_shapes(urdf, legs))))
 
     @classmethod
     def load(cls, path: Path, links: Collection[str]) -> Appearance:
@@ -134,7 +134,8 @@ def solid(kind: str, size: tuple[float, ...]) -> tuple[Array, list[tuple[int, ..
     return points, [*sides, tuple(reversed(range(count))), tuple(top)]
 
 
-def _shape_part(shape: Shape) -> Part:
+def shape_part(shape: Shape) -> Part:
+    """Return the triangles of a shape."""
     points, faces = solid(shape.kind, shape.size)
     triangles = [(face[0], *pair) for face in faces for pair in itertools.pairwise(face[1:])]
     red, green, blue = (value / 255 for value in shape.color)

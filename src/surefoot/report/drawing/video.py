@@ -14,15 +14,16 @@ from PIL import Image, ImageDraw, ImageFont
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.report.drawing.renderer import Camera, Mesh, View, draw
-from surefoot.robot.urdf import Shape
+from surefoot.report.drawing.mesh import Mesh
+from surefoot.report.drawing.renderer import Camera, View, draw
+from surefoot.robot.appearance import Appearance
 from surefoot.world.ground import FLAT
 
 INK, PANEL = (34, 39, 46), (255, 255, 255, 190)
 
 
 def render_video(
-    shapes: Sequence[Shape],
+    appearance: Appearance,
     poses: Mapping[str, Array],
     times: ArrayLike,
     path: str | Path,
@@ -36,7 +37,7 @@ def render_video(
     """Write an MP4 (H.264, yuv420p) of links' motion in real time.
 
     Args:
-        shapes: what to draw.
+        appearance: what to draw.
         poses: by link, frames (T, 4, 4) in the world at `times`.
         times: (T,) s, strictly increasing.
         path: .mp4 to write; it appears whole or not at all.
@@ -51,7 +52,7 @@ def render_video(
     path, times = Path(path), np.asarray(times, float)
     if path.suffix.lower() != ".mp4":
         raise SurefootError(f"video {path}: the name must end in .mp4")
-    mesh, stack = Mesh(shapes, list(poses)), np.stack(list(poses.values()), axis=1)
+    mesh, stack = Mesh(appearance, list(poses)), np.stack(list(poses.values()), axis=1)
     track_times, track = _smooth_track(times, poses[follow][:, :2, 3], camera.smoothing)
     clock = times[0] + np.arange(max(int((times[-1] - times[0]) * fps + 1e-6), 1)) / fps
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""A robot in 3D in a browser, by viser's server: shapes, ground and trail.
+"""A robot in 3D in a browser, by viser's server: parts, ground and trail.
 
 All is in one frame that follows the robot over the ground, so that a browser's camera stays with it.
 """
@@ -9,7 +9,8 @@ import contextlib
 import io
 import time
 from collections import deque
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,11 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.report.drawing.scene import extent, poses, scene
+from surefoot.report.drawing.mesh import link_meshes
+from surefoot.report.drawing.scene import extent, poses
 from surefoot.robot import RobotDescription
-from surefoot.robot.urdf import GREY, Shape
+from surefoot.robot.appearance import Appearance
+from surefoot.robot.urdf import GREY, Color
 from surefoot.rotations import in_heading_frame, matrix_quat, quat_yaw
 from surefoot.world.ground import FLAT
 
@@ -72,16 +75,19 @@ def add_path(scene: viser.SceneApi, name: str, points: Array, color: tuple[int, 
         scene.add_line_segments(name, np.stack([points[:-1], points[1:]], axis=1), color, thickness=0.008)
 
 
-def add_shape(scene: viser.SceneApi, name: str, shape: Shape, opacity: float | None = None) -> None:
-    """Add a solid in the frame of its body."""
-    place: dict[str, Any] = {"position": shape.position, "wxyz": matrix_quat(shape.rotation), "opacity": opacity}
-    if shape.kind == "box":
-        x, y, z = shape.size
-        scene.add_box(name, shape.color, (2 * x, 2 * y, 2 * z), **place)
-    elif shape.kind == "cylinder":
-        scene.add_cylinder(name, shape.size[0], 2 * shape.size[1], shape.color, **place)
-    else:
-        scene.add_icosphere(name, shape.size[0], shape.color, subdivisions=2, **place)
+def add_robot(
+    scene: viser.SceneApi,
+    appearance: Appearance,
+    frames: Mapping[str, str],
+    tint: Color | None = None,
+    opacity: float | None = None,
+) -> None:
+    """Add a robot's parts in the frames of their links, by name; their colors are mixed with a tint, if given."""
+    for number, (link, color, points, faces) in enumerate(link_meshes(appearance)):
+        if tint is not None:
+            red, green, blue = ((own + other) // 2 for own, other in zip(color, tint, strict=True))
+            color = (red, green, blue)
+        scene.add_mesh_simple(f"{frames[link]}/m{number}", points, faces, color=color, side="double", opacity=opacity)
 
 
 @dataclass(frozen=True)
@@ -109,20 +115,17 @@ class RobotView:
         with server.atomic():
             server.scene.reset()
             self._world = add_world(server.scene, size)
-            self._robots = [self._add_robot("/world", robot, False)]
+            self._robots = [self._add_robot("/world", robot)]
             if ghost is not None:
-                self._robots.append(self._add_robot("/world/ghost", ghost, True))
+                self._robots.append(self._add_robot("/world/ghost", ghost, tint=_GHOST_COLOR, opacity=_GHOST_OPACITY))
             server.initial_camera.position = (1.1 * size, -1.5 * size, 0.7 * size)
             server.initial_camera.look_at = (0.0, 0.0, 0.2 * size)
 
-    def _add_robot(self, node: str, robot: RobotDescription, is_ghost: bool) -> _DrawnRobot:
-        stage, links = self._server.scene, {}
-        for k, shape in enumerate(scene(robot)):
-            if shape.link not in links:
-                links[shape.link] = stage.add_frame(f"{node}/{shape.link}", show_axes=False)
-            if is_ghost:
-                shape = replace(shape, color=_GHOST_COLOR)
-            add_shape(stage, f"{node}/{shape.link}/{k}", shape, _GHOST_OPACITY if is_ghost else None)
+    def _add_robot(self, node: str, robot: RobotDescription, **look: Any) -> _DrawnRobot:
+        appearance = robot.appearance()
+        frames = {part.link: f"{node}/{part.link}" for part in appearance.parts}
+        links = {link: self._server.scene.add_frame(name, show_axes=False) for link, name in frames.items()}
+        add_robot(self._server.scene, appearance, frames, **look)
         return _DrawnRobot(robot, links)
 
     def move(self, *states: tuple[ArrayLike, ArrayLike, ArrayLike]) -> None:
