@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
+from processes import SUREFOOT, EmulatorHere, emulators, printed_commands, refused, surefoot
 
 from surefoot.cli.helpers.identify_run import refuse_another_robot
 from surefoot.emulator.limits import Limits, make_handshake
@@ -167,7 +167,7 @@ def test_record_only_needs_the_bare_install(recorded: Recorded):
     for output in (phases[0], "drag x 2", "ends with damped motors when a motor leaves", "N m for 0.4 s"):
         assert output in done.stdout
     assert f"contact experiment recorded: {folder / 'recording.npz'}" in done.stdout
-    assert f"to fit it: surefoot identify contact --recording {folder}" in done.stdout
+    assert printed_commands(done.stdout)["fit it"][1:] == ["identify", "contact", "--recording", str(folder)]
     # A line a phase, where there is no terminal; nothing but plain text.
     lines = [line for line in done.stderr.splitlines() if line.startswith("surefoot: ")]
     assert [line.partition(", ")[0] for line in lines] == [f"surefoot: {name}" for name in phases]

@@ -196,7 +196,7 @@ def _report(command: DeployCommand, deployment: Deployment, results: list[dict[s
             return code
         for result in results:
             _print_result(result)
-        if traces := [result["trace"] for result in results if result["trace"] is not None]:
+        if traces := [Path(result["trace"]) for result in results if result["trace"] is not None]:
             print(show_command(traces), flush=True)
     return code
 

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from surefoot.api.episodes import draw_episode, print_summaries
+from surefoot.api.simulator import with_duration
 from surefoot.cli.helpers.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import RangeOptions, take_ranges
-from surefoot.cli.helpers.simulator import RunOptions, describe_simulator, with_duration
+from surefoot.cli.helpers.simulator import RunOptions, describe_simulator
 from surefoot.configuration import Duration, to_mapping
 from surefoot.errors import SurefootError
 
@@ -139,11 +140,11 @@ def _load_traces(
         name = changed[0] if changed else "randomize"
         option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
         raise SurefootError(f"--trace and {option} are given; recorded runs are measured as they are, nothing is run")
-    from surefoot.evaluation.recorded import find_traces
+    from surefoot.evaluation.recorded import find_traces, load_robot
     from surefoot.robot import RobotDescription
 
     recorded = [one for path in command.trace for one in find_traces(path)]
-    robot = RobotDescription.load(command.robot or str(recorded[0][1].meta["robot"]))
+    robot = load_robot(*recorded[0]) if command.robot is None else RobotDescription.load(command.robot)
     for path, trace in recorded:
         if trace.meta["robot"] != robot.name:
             raise SurefootError(

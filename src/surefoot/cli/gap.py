@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from surefoot.api.simulator import with_duration
 from surefoot.cli.helpers.options import (
     Count,
     Json,
@@ -22,7 +23,7 @@ from surefoot.cli.helpers.options import (
 )
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import RunOptions, Simulator, describe_simulator, with_duration
+from surefoot.cli.helpers.simulator import RunOptions, Simulator, describe_simulator
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, check_name, prefix_errors
 

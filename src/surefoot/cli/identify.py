@@ -14,7 +14,7 @@ from typing import Annotated
 
 from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
 from surefoot.cli.helpers.options import Json, Seed, check_folder, check_suffix
-from surefoot.cli.helpers.output import print_json, table_lines
+from surefoot.cli.helpers.output import next_command, print_json, table_lines
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, suggest
@@ -117,10 +117,10 @@ def _identify_from_traces(argv: list[str]) -> int:
             raise SurefootError(
                 f"--{name.replace('_', '-')} is of logs of a robot with joint actuators; name it: --robot"
             )
-    from surefoot.evaluation.recorded import find_traces
+    from surefoot.evaluation.recorded import find_traces, load_robot
 
     traces = find_traces(command.trace)
-    robot = RobotDescription.load(command.robot or str(traces[0][1].meta["robot"]))
+    robot = load_robot(*traces[0]) if command.robot is None else RobotDescription.load(command.robot)
     check_identifiable(robot)
     prior = read_prior(command.params, robot)
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
@@ -239,5 +239,5 @@ def _print_recording(command: ExperimentCommand, recording: Recording, path: Pat
         what = "recorded" if complete else f"stopped after {recording.duration:.1f} s: {ended}; recorded until then"
         print(f"{name} experiment {what}: {path}", file=sys.stdout if complete else sys.stderr)
         if complete:
-            print(f"to fit it: surefoot identify {name} --recording {path.parent}")
+            print(next_command("fit it", "identify", name, "--recording", path.parent))
     return 0 if complete else STOPPED

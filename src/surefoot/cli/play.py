@@ -8,7 +8,7 @@ from pathlib import Path
 
 from surefoot.cli.helpers.options import PAGE_PORT, PolicyName, check_suffix
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import RunOptions, with_duration
+from surefoot.cli.helpers.simulator import RunOptions
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError
 
@@ -35,6 +35,7 @@ def main(argv: list[str]) -> int:
     check_suffix("video", command.out, ".mp4")
     from surefoot.api.episodes import film
     from surefoot.api.policies import find_policy, load_gait, run_policy
+    from surefoot.api.simulator import with_duration
     from surefoot.cli.helpers.viewer import has_display, replay
     from surefoot.world.registry import find_world
 

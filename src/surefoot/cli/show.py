@@ -11,12 +11,13 @@ import tyro
 
 from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, check_suffix
 from surefoot.cli.helpers.parsing import parse
-from surefoot.errors import SurefootError, quote
+from surefoot.errors import SurefootError
 from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 
 if TYPE_CHECKING:
     from surefoot.report.pages.recorded_runs import ShownTrace
+    from surefoot.task.trace import EpisodeTrace
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class ShowCommand:
     """Trace files (.npz), or folders of them; with --robot also .npz files with arrays time, command, motor_angle and
     imu, which name no robot."""
     robot: str | None = None
-    """Name or folder of the robot of such files, or of traces of a robot that does not ship."""
+    """Name or folder of the robot of such files, or of traces in place of the robot that they carry."""
     layout: Literal["side", "over", "one"] = "side"
     """Robots side by side, laid over each other, or one at a time; the page can change it."""
     out: Path | None = None
@@ -66,7 +67,7 @@ def main(argv: list[str]) -> int:
 def _load_traces(command: ShowCommand) -> list[ShownTrace]:
     """Load traces and robots; a trace is named by its policy, and by world or file where that is not unique."""
     from surefoot.api.policies import distinct_names
-    from surefoot.evaluation.recorded import find_traces
+    from surefoot.evaluation.recorded import find_traces, load_robot
     from surefoot.identify.logs.importing import import_log
     from surefoot.npz import read_npz
     from surefoot.report.pages.recorded_runs import ShownTrace
@@ -78,18 +79,20 @@ def _load_traces(command: ShowCommand) -> list[ShownTrace]:
             traces.append((path, import_log(path, robot)))
         else:
             traces += find_traces(path)
-    robots = {} if robot is None else {robot.name: robot}
-    for path, trace in traces:
+    # Robots of one name may differ, where each trace carries its own.
+    robots: dict[tuple[str, bytes], RobotDescription] = {}
+
+    def robot_of(path: Path, trace: EpisodeTrace) -> RobotDescription:
         name = str(trace.meta["robot"])
-        if name not in robots:
-            if name not in RobotDescription.available():
-                raise SurefootError(
-                    f"trace file {path}: is of robot {quote(name)}, which does not ship; give its folder with --robot"
-                )
-            robots[name] = RobotDescription.load(name)
+        if robot is not None and robot.name == name:
+            return robot
+        if (key := (name, trace.robot_archive)) not in robots:
+            robots[key] = load_robot(path, trace)
+        return robots[key]
+
     titles = [str(trace.meta["policy"])[:80] or path.stem for path, trace in traces]
     if len(set(titles)) < len(titles):
         titles = [f"{title}, {str(trace.meta['world'])[:80]}" for title, (_, trace) in zip(titles, traces, strict=True)]
     titles = distinct_names(titles, [f"{path.parent.name}/{path.stem}" for path, _ in traces])
     pairs = zip(titles, traces, strict=True)
-    return [ShownTrace(title, robots[str(trace.meta["robot"])], trace) for title, (_, trace) in pairs]
+    return [ShownTrace(title, robot_of(path, trace), trace) for title, (path, trace) in pairs]

@@ -16,17 +16,20 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
 from surefoot.errors import SurefootError, choices, suggest
-from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.learn.config import Steps, TrainConfig, load_train_config
 from surefoot.robot import parse_settings
 from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from surefoot.learn.ppo_learner import UpdateFigures
+    from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import Evaluation
 
 _USAGE = """usage: surefoot train TASK [options]                 learn a gait
-       surefoot train --resume RUN [--browser]         resume a run exactly where it stopped, with its own options
+       surefoot train --resume RUN [--steps N]         resume a run exactly where it stopped, with its own options
        surefoot train TASK --help                      every option, with the task's own values
 
 TASK is {tasks}, or the path of a YAML file.
@@ -42,14 +45,16 @@ def main(argv: list[str]) -> int:
         return 0 if argv else 2
     if argv[0] == "--resume":
         resume = parse(ResumeCommand, argv, "surefoot train")
-        return _train(None, resume.resume, resume.page)
+        return _resume(resume)
     if argv[0].startswith("-"):
         raise SurefootError(f"'{argv[0]}' is not a task; {suggest(argv[0], preset_names())}, or a YAML file")
     config, command = _parse(argv)
     from surefoot.api.training import check_config
 
     check_config(config)
-    return _train(config, command.out, command.page)
+    from surefoot.learn.run_folder import RunFolder
+
+    return _train(RunFolder.create(config, command.out), False, command.page)
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,8 @@ class ResumeCommand(PageOptions):
 
     resume: Path
     """Folder of the run."""
+    steps: Steps | None = None
+    """Control steps of the whole run, more than it has done, in place of its own; a finished run goes on, too."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +122,32 @@ def _robot_name(argv: list[str]) -> str | None:
     return None
 
 
-def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int:
-    """Train in a new folder below `path`, or without a configuration resume the run in it; return the exit code."""
+def _resume(command: ResumeCommand) -> int:
+    """Resume a run, with more steps if that is asked for; return the exit code."""
+    from surefoot.learn.folder_lock import folder_lock
+    from surefoot.learn.run_config import set_steps
+    from surefoot.learn.run_folder import RunFolder
+
+    folder, _ = RunFolder.open(command.resume)
+    if command.steps is not None:
+        with folder_lock(folder.path):
+            if command.steps <= (done := folder.load()["steps"]):
+                raise SurefootError(f"steps is {command.steps}, and {folder.path} has done {done}; give more")
+            set_steps(folder.path, command.steps)
+    return _train(folder, True, command.page)
+
+
+def _print_next_commands(console: Console, folder: RunFolder) -> None:
+    """Print where the policy of a stopped run is, and the commands to go on with, as far as they work."""
+    if folder.policy.exists():
+        console.print(f"policy: {folder.policy.absolute()}")
+        console.print(next_command("drive it", "drive", folder.path))
+    if folder.latest.exists():
+        console.print(next_command("resume", "train", "--resume", folder.path))
+
+
+def _train(folder: RunFolder, resume: bool, page_port: int | None) -> int:
+    """Train in a run's folder, from its beginning or on from its last checkpoint; return the exit code."""
     from surefoot.api.episodes import print_summaries
     from surefoot.api.training import EPISODE, TrainingProgress, finish_run
     from surefoot.learn.folder_lock import folder_lock
@@ -124,8 +155,9 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
     from surefoot.learn.training_loop import TrainingLoop
     from surefoot.world.registry import find_world
 
-    console, resume = make_console(), config is None
-    folder, config = RunFolder.open(path) if config is None else (RunFolder.create(config, path), config)
+    console = make_console()
+    # Configurations name copies in the folder: what they were copied from may change or go.
+    folder, config = RunFolder.open(folder.path)
 
     def stop(count: int) -> None:
         if count > 1:
@@ -150,10 +182,17 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
                 if page is not None:
                     page.update()
 
-            loop.run(report, lambda: stops.count > 0)
-        if not loop.finished:
-            console.print(f"Stopped and saved at {loop.learner.steps:,} steps.")
-            console.print(next_command("resume", "train", "--resume", folder.path))
+            try:
+                loop.run(report, lambda: stops.count > 0)
+            except KeyboardInterrupt:
+                console.print("Stopped at once; what was saved last remains.")
+                stopped = True
+            else:
+                stopped = not loop.finished
+                if stopped:
+                    console.print(f"Stopped and saved at {loop.learner.steps:,} steps.")
+        if stopped:
+            _print_next_commands(console, folder)
             return 130
         summaries = finish_run(loop, folder, console.print)
     print_summaries({kind.replace("_", " "): summary for kind, summary in summaries.items()})

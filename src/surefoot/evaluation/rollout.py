@@ -134,6 +134,7 @@ class EpisodeRecorder:
             base_position_world=np.array([row[robot] for row in self.position[: steps + 1]]),
             base_quat_world=np.array([row[robot] for row in self.quat[: steps + 1]]),
             meta=self._meta(robot) | meta,
+            robot_archive=self.env.robot.archive,
             **arrays,
         )
 

@@ -192,7 +192,7 @@ class PpoLearner:
     def export(self, path: str | Path, figures: Mapping[str, Any] | None = None, created: str = "") -> Path:
         """Write the present policy as a policy file; see `make_contract` and `export_policy`."""
         contract = make_contract(self.env, self.config, figures, created)
-        return export_policy(self.policy, self.config.ppo.activation, contract, path)
+        return export_policy(self.policy, self.config.ppo.activation, contract, path, self.env.robot.archive)
 
     def load_networks(self, algorithm: dict[str, Any]) -> None:
         """Load only the networks of another run's state.

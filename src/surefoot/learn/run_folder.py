@@ -20,10 +20,10 @@ import numpy as np
 import torch
 
 from surefoot import __version__
-from surefoot.configuration import from_mapping, read_yaml, write_yaml
-from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
+from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import atomic_write, read_configuration, read_json_lines
 from surefoot.learn.config import TrainConfig
+from surefoot.learn.run_config import read_run_config, write_run_config
 
 FORMAT = 4
 _MAGIC = b"surefoot checkpoint 1\n"
@@ -126,7 +126,7 @@ class RunFolder:
         try:
             folder.checkpoints.mkdir(parents=True, exist_ok=True)
             folder.figures_log.unlink(missing_ok=True)
-            write_yaml(path / "config.yaml", config)
+            write_run_config(config, path)
         except OSError as error:
             raise SurefootError(f"{path}: a run folder can't be made there: {error.strerror}") from error
         about = {
@@ -164,11 +164,7 @@ class RunFolder:
                 f"{path}: is of run format {format_}, by surefoot {about.get('surefoot')}; "
                 f"this is surefoot {__version__}, which reads format {FORMAT}"
             )
-        config_path = path / "config.yaml"
-        data = read_yaml(config_path)
-        with prefix_errors(config_path):
-            config = from_mapping(TrainConfig, data)
-        return cls(path), config
+        return cls(path), read_run_config(path)
 
     def save(self, state: dict[str, Any]) -> None:
         """Save the run's state; keep the one saved before as `previous.ckpt`."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.evaluation.rollout import run_to_end
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.ppo_learner import PpoLearner, UpdateFigures
@@ -124,14 +124,21 @@ class TrainingLoop:
     ) -> None:
         """Train until all steps are done, or until a stop is requested; then save.
 
+        The folder's policy is the best one from the first evaluation on, and after a stop.
+
         Args:
             on_update: called after every update with its figures and the evaluation, if one was due.
             should_stop: called between two updates, where the run can be saved and resumed without a difference.
         """
         try:
             while not self.finished and not should_stop():
-                on_update(*self.step())
+                figures, evaluation = self.step()
+                if evaluation is not None:
+                    self.export(self.folder.policy)
+                on_update(figures, evaluation)
             self.save()
+            if not self.finished:
+                self.export(self.folder.policy, present=True)
         finally:
             self.close()
 
@@ -150,19 +157,35 @@ class TrainingLoop:
             )
         return figures, evaluation
 
-    def export(self, path: str | Path, last: bool = False) -> Path:
-        """Write the best evaluated policy, or the last one, as a policy file with the figures of its training.
+    def export(self, path: str | Path, last: bool = False, present: bool = False) -> Path:
+        """Write the best evaluated policy as a policy file with the figures of its training.
 
-        The best policy's weights take the place of the last ones.
+        Args:
+            path: .onnx to write.
+            last: write the last evaluated policy, which is the present one, in place of the best.
+            present: evaluate the present policy too, without an effect on the training, and write it if it is better.
+
+        Raises:
+            SurefootError: the file can't be written.
         """
+        best, actor = self.best, self.best_actor
         if last:
-            training = self.folder.evaluations()[-1]
+            training, actor = self.folder.evaluations()[-1], {}
         else:
-            training = asdict(self.best) if self.best else {}
-            self.learner.policy.load_state_dict(self.best_actor)
+            if present:
+                now = evaluate_policy(self.learner, self._make_world, self.config.evaluation_episodes)
+                best, actor = (now, {}) if best is None or now.rank > best.rank else (best, actor)
+            training = asdict(best) if best else {}
         figures = {"seconds": round(self.seconds, 1), "seed": self.config.seed, "steps": self.learner.steps}
-        created = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-        return self.learner.export(path, {"training": training, **figures}, created)
+        created, policy = time.strftime("%Y-%m-%dT%H:%M:%S%z"), self.learner.policy
+        trained = {key: value.clone() for key, value in policy.state_dict().items()}
+        try:
+            if actor:
+                policy.load_state_dict(actor)
+            with describe_os_errors(path, "written"):
+                return self.learner.export(path, {"training": training, **figures}, created)
+        finally:
+            policy.load_state_dict(trained)
 
     def close(self) -> None:
         """Close the log."""

@@ -47,7 +47,7 @@ class Contract:
     robot: str
     """Name of the robot."""
     description: str
-    """Robot's description: name of one that ships, or path of a folder."""
+    """Name of the robot's description, if it ships; empty, if the policy file carries it."""
     motor_names: tuple[str, ...]
     """Motors, in the order of motor angles."""
     motor_signs: tuple[float, ...]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from onnx import TensorProto, helper, numpy_helper
 from surefoot.errors import SurefootError, suggest
 from surefoot.files import atomic_write
 from surefoot.policy.contract import METADATA_KEY, Contract
-from surefoot.policy.digest import add_digest, read_parts
+from surefoot.policy.digest import ROBOT_KEY, add_digest, read_parts
 from surefoot.policy.network import INPUT, OPSET, OUTPUT, check_network
 
 IR_VERSION = 8
@@ -50,7 +51,12 @@ class _Graph:
 
 
 def build_model(
-    layers: list[Layer], mean: NDArray[np.float32], scale: NDArray[np.float32], activation: str, contract: Contract
+    layers: list[Layer],
+    mean: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    activation: str,
+    contract: Contract,
+    robot: bytes = b"",
 ) -> onnx.ModelProto:
     """Return the ONNX model of a multilayer perceptron.
 
@@ -62,6 +68,7 @@ def build_model(
         scale: divisor of the observation, (O * history,).
         activation: one of `ACTIVATIONS`.
         contract: written into the metadata; its bounds are constants of the graph.
+        robot: archive of a robot that does not ship, written beside it.
 
     Raises:
         SurefootError: an unknown activation, or layers that do not fit the contract.
@@ -99,12 +106,15 @@ def build_model(
         producer_name="surefoot",
         producer_version=contract.version,
     )
-    helper.set_model_props(model, {METADATA_KEY: contract.to_json()})
+    properties = {METADATA_KEY: contract.to_json()}
+    if robot:
+        properties[ROBOT_KEY] = base64.b64encode(robot).decode()
+    helper.set_model_props(model, properties)
     onnx.checker.check_model(model, full_check=True)
     return model
 
 
-def export_policy(actor: Any, activation: str, contract: Contract, path: str | Path) -> Path:
+def export_policy(actor: Any, activation: str, contract: Contract, path: str | Path, robot: bytes = b"") -> Path:
     """Write an actor as a policy file; the file appears whole or not at all.
 
     Args:
@@ -112,6 +122,7 @@ def export_policy(actor: Any, activation: str, contract: Contract, path: str | P
         activation: of its hidden layers, one of `ACTIVATIONS`.
         contract: the policy's.
         path: .onnx to write.
+        robot: archive of a robot that does not ship (`RobotDescription.archive`), which the file is to carry.
 
     Raises:
         SurefootError: another ending, or an actor that does not fit its contract or is not finite.
@@ -126,7 +137,7 @@ def export_policy(actor: Any, activation: str, contract: Contract, path: str | P
     if hasattr(actor.obs_normalizer, "_mean"):
         normalizer = actor.obs_normalizer
         mean, scale = _array(normalizer._mean)[0], _array(normalizer._std)[0] + np.float32(normalizer.eps)
-    data = build_model(layers, mean, scale, activation, contract).SerializeToString()
+    data = build_model(layers, mean, scale, activation, contract, robot).SerializeToString()
     try:
         check_network(read_parts(data).graph)
     except SurefootError as error:

@@ -14,6 +14,8 @@ from surefoot.native_output import stdout_to_stderr
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import check_digest
 from surefoot.policy.network import INPUT, MAX_BYTES, OUTPUT, check_network
+from surefoot.robot import RobotDescription
+from surefoot.robot.archive import unpack_robot
 
 with stdout_to_stderr():
     # onnxruntime warns of unknown processors and devices while it is loaded, not only when it is used.
@@ -26,8 +28,8 @@ class PolicyRuntime:
     Make it with `load`.
     """
 
-    def __init__(self, session: onnxruntime.InferenceSession, contract: Contract) -> None:
-        self._session, self.contract = session, contract
+    def __init__(self, session: onnxruntime.InferenceSession, contract: Contract, robot: bytes = b"") -> None:
+        self._session, self.contract, self._robot = session, contract, robot
         self._low, self._high = np.array(contract.low), np.array(contract.high)
 
     @classmethod
@@ -59,7 +61,21 @@ class PolicyRuntime:
                 raise SurefootError(f"is damaged or not ONNX: {reason}") from error
             _check_tensor("input", session.get_inputs(), INPUT, contract.width)
             _check_tensor("output", session.get_outputs(), OUTPUT, len(contract.action_names))
-        return cls(session, contract)
+            robot = parts.robot_archive()
+            if not robot and not contract.description:
+                raise SurefootError(f"lacks its robot '{contract.robot}', which does not ship; export it again")
+        return cls(session, contract, robot)
+
+    def load_robot(self, robot: str | None = None) -> RobotDescription:
+        """Return the robot to run on: by name or folder, else the one that the file carries, else its own that ships.
+
+        Raises:
+            SurefootError: no such robot, or an invalid one.
+        """
+        if robot is None and self._robot:
+            with prefix_errors(f"policy '{self.contract.name}'"):
+                return RobotDescription.load(unpack_robot(self._robot))
+        return RobotDescription.load(robot or self.contract.description)
 
     def feedback(self, observation: ArrayLike) -> Array:
         """Return the feedback (N, A) within the contract's bounds for observations (N, O * history).

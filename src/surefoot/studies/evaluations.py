@@ -255,7 +255,7 @@ def evaluate(policy: Path, name: str, threads: int = 0) -> Result:
 
     def compute() -> Result:
         runtime, kind = PolicyRuntime.load(policy), EVALUATIONS[name]
-        task = task_from_contract(runtime.contract)
+        task = task_from_contract(runtime.contract, runtime.load_robot())
         result, stored = kind.run(EvaluationRun(runtime, task, kind.settings, threads))
         # Traces before the result, so that a result never lacks them.
         for world, traces in stored.items():

@@ -104,10 +104,9 @@ class Worker:
         training.check()
         state = training.state
         if state == "new":
-            folder = RunFolder.create_at(training.config, training.path)
-        else:
-            folder, config = RunFolder.open(training.path)
-            training = replace(training, config=config)
+            RunFolder.create_at(training.config, training.path)
+        folder, config = RunFolder.open(training.path)
+        training = replace(training, config=config)
         if state == "finished":
             return self._last_report(folder)
         make_world = find_world(training.config.world)

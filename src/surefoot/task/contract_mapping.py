@@ -55,7 +55,7 @@ def make_contract(
     return Contract(
         name=config.name,
         robot=robot.name,
-        description=task.robot,
+        description=robot.location if robot.ships else "",
         motor_names=robot.motor_names,
         motor_signs=tuple(float(sign) for sign in robot.motor_sign),
         leg_names=robot.leg_names,
@@ -69,12 +69,21 @@ def make_contract(
         rest=task.rest or gait.rest,
         **assumed,
         task=_task_mapping(task),
-        config_hash=config_hash(to_mapping(config)),
+        config_hash=config_hash(_without_path(to_mapping(config), robot)),
         figures=dict(figures or {}),
         commands=task.commands.limits(robot),
         version=__version__,
         created=created,
     )
+
+
+def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, Any]:
+    """Return a configuration, of a run or a task, with a robot that does not ship by name: its folder may move."""
+    if robot.ships:
+        return config
+    if isinstance(config.get("task"), dict):
+        return {**config, "task": _without_path(config["task"], robot)}
+    return {**config, "robot": robot.name}
 
 
 def _task_mapping(task: TaskConfig) -> dict[str, Any]:
@@ -90,7 +99,7 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
 
     Args:
         contract: the policy's.
-        robot: the robot's description; the contract's own, if None.
+        robot: the robot's description; the one of the contract's name that ships, if None.
 
     Raises:
         SurefootError: a key that contracts do not have, or values that do not fit the robot.
@@ -106,7 +115,7 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
     kind, feedback = _feedback(contract, robot)
     return replace(
         task,
-        robot=contract.description,
+        robot=robot.location,
         observations=tuple(part.name for part in contract.observation),
         history=contract.history,
         reference=from_mapping(ReferenceConfig, contract.reference or {}, "reference"),

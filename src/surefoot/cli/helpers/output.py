@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from itertools import islice
@@ -36,11 +37,23 @@ def _plain(value: object) -> object:
 
 
 def next_command(purpose: str, *words: object) -> str:
-    """Return a line that names the command for a purpose, such as `to resume: surefoot train --resume RUN`."""
-    return f"to {purpose}: {shlex.join(['surefoot', *map(str, words)])}"
+    """Return a line that names the command for a purpose, such as `to resume: surefoot train --resume RUN`.
+
+    It works when it is pasted in another folder: of `words`, paths are written whole.
+    """
+    texts = [str(word.absolute() if isinstance(word, Path) else word) for word in words]
+    return f"to {purpose}: {shlex.join([*_program(), *texts])}"
 
 
-def show_command(traces: Iterable[Path | str]) -> str:
+def _program() -> list[str]:
+    """Return the words that run this surefoot from any folder; its name alone, if the shell finds this one by it."""
+    script, on_path = Path(sys.executable).with_name("surefoot"), shutil.which("surefoot")
+    if on_path is not None and script.exists() and Path(on_path).samefile(script):
+        return ["surefoot"]
+    return [str(script)] if script.exists() else [sys.executable, "-m", "surefoot"]
+
+
+def show_command(traces: Iterable[Path]) -> str:
     """Return a line that names the command which shows traces in the browser, the first four of them."""
     return next_command("look at", "show", *islice(traces, 4))
 
