@@ -110,7 +110,13 @@ def test_server_refuses_another_sites_name_and_other_files(running: Running):
 BAD = [
     *('{"command": [NaN, 0, 0]}', '{"command": [1e999, 0, 0]}', '{"command": "fast"}', '{"command": [null, 0, 0]}'),
     *('{"set": ["base_mass_ratio", 99]}', '{"set": ["control_step", 0.01]}', '{"set": [[], 1]}', '{"push": [1e9, 0]}'),
-    *('{"push": [10, 0]}', '{"push": [10, 0, 5]}', '{"push": [10, "0", 1]}', '{"export": "html"}', '{"export": "../x"}'),
+    *(
+        '{"push": [10, 0]}',
+        '{"push": [10, 0, 5]}',
+        '{"push": [10, "0", 1]}',
+        '{"export": "html"}',
+        '{"export": "../x"}',
+    ),
     *('{"ghost": "../../etc/passwd"}', '{"ghost": 1}', '{"ghost": ["x"]}', '{"record": {}, "export": []}'),
     *('{"policy": "../../etc/passwd"}', '{"policy": []}', '{"speed": 1e9}', '{"speed": {}}', '{"command": 3}'),
     *("{", "[" * 999),

@@ -183,7 +183,9 @@ def test_a_recording_is_a_trace_with_its_pushes_and_ends_with_a_restart(robot: D
     assert (trace.command[:, 0] == 0.5).all()
     pushed = np.linalg.norm(trace.push_force_world, axis=1)
     assert force == pytest.approx(60.0)
-    assert np.flatnonzero(pushed > 0.0).tolist() == list(range(round(0.2 / robot.step_time), round(0.3 / robot.step_time)))
+    assert np.flatnonzero(pushed > 0.0).tolist() == list(
+        range(round(0.2 / robot.step_time), round(0.3 / robot.step_time))
+    )
     assert pushed.max() == pytest.approx(force)
 
 

@@ -108,7 +108,7 @@ class DrivePage:
         self._settings: dict[str, float] = {}
         """What was set by sliders; it holds for every robot that is loaded."""
         self.policy, self.world = policy, world
-        self.robot, self._name = self._load(policy)
+        self.robot, self._name = self._load(policy, world)
         self._robot_name = self.robot.env.task.robot
         self.ghost: DrivenRobot | None = None
         """A robot beside the first one, which has the same commands, pushes and parameters."""
@@ -121,12 +121,12 @@ class DrivePage:
         self.policies, self._listed = list_policies(self._first, self.robot.robot.name), time.monotonic()
         return self.policies != before
 
-    def _load(self, policy: str) -> tuple[DrivenRobot, str]:
-        """Return a robot with a policy in the present world, and the policy's own name."""
+    def _load(self, policy: str, world: str) -> tuple[DrivenRobot, str]:
+        """Return a robot with a policy in a world, and the policy's own name."""
         from surefoot.evaluation.driven import DrivenRobot
 
         runtime, description, task, origin = load_gait(find_policy(policy), self._robot_name)
-        robot = DrivenRobot(runtime, self._adjust(task, description) if policy == self._first else task, self.world)
+        robot = DrivenRobot(runtime, self._adjust(task, description) if policy == self._first else task, world)
         for name, value in self._settings.items():
             with contextlib.suppress(SurefootError):  # this world or robot does not have it
                 robot.set(name, value)
@@ -314,25 +314,20 @@ class DrivePage:
         if value not in names and (what, value) != ("ghost", ""):
             raise SurefootError(f"{what} must be one of {choices(names)}")
         self._record(False)
-        before = self.policy, self.world, self.robot, self._name
+        command = self.robot.commanded
+        chosen = {"policy": self.policy, "world": self.world, "ghost": self.ghost_policy, what: str(value)}
         try:
-            if what == "ghost":
-                self.ghost, self.ghost_policy = None, ""
-                if value:
-                    self.ghost, self._ghost_name = self._load(value)
-                    self.ghost_policy = value
-            else:
-                setattr(self, what, value)
-                self.robot, self._name = self._load(self.policy)
-                if self.ghost is not None and what == "world":
-                    self.ghost, self._ghost_name = self._load(self.ghost_policy)
-        except SurefootError:
-            self.policy, self.world, self.robot, self._name = before
-            raise
+            robot, ghost = (self.robot, self._name), (self.ghost, self._ghost_name)
+            if what != "ghost":
+                robot = self._load(chosen["policy"], chosen["world"])
+            if what != "policy":
+                ghost = self._load(chosen["ghost"], chosen["world"]) if chosen["ghost"] else (None, "")
+            (self.robot, self._name), (self.ghost, self._ghost_name) = robot, ghost
+            self.policy, self.world, self.ghost_policy = chosen["policy"], chosen["world"], chosen["ghost"]
         finally:
             if self.ghost is not None:
                 self._restart()
-            self._set_command(before[2].commanded)
+            self._set_command(command)
             self._show_robot()
 
     def _command(self, command: Any) -> None:

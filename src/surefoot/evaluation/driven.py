@@ -190,7 +190,8 @@ class DrivenRobot:
         for name, declared in PARAMETERS.items():
             if not self._has(name, declared):
                 continue
-            unit = "x nominal" if declared.nominal == 1.0 else declared.unit_for(self.robot).removeprefix("1")
+            unit = "x nominal" if declared.nominal == 1.0 else declared.unit_for(self.robot)
+            unit = "" if unit == "1" else unit
             values, nominal = (getattr(one, name)[0] for one in (self.env.world.params, self.env.nominal))
             parts = {"": (nominal.mean(), values.mean())}
             if declared.per not in ("", "motors"):
