@@ -169,23 +169,21 @@ def test_a_policy_without_commands_takes_none():
 def test_a_recording_is_a_trace_with_its_pushes_and_ends_with_a_restart(robot: DrivenRobot):
     robot.command([0.5, 0.0, 0.0])
     run(robot, 0.5)
-    recording, begin = robot.record(), robot.rows[-1].position
-    run(robot, 0.2)
-    robot.push([0.0, 60.0, 0.0], 0.1)
+    recording, begin, step = robot.record(), robot.rows[-1].position, robot.step_time
+    run(robot, 10 * step)
+    robot.push([0.0, 60.0, 0.0], 4 * step)
     force = np.linalg.norm(robot.push_force_world)
-    run(robot, 0.3)
+    run(robot, 20 * step)
     robot.restart()
     run(robot, 0.2)
     trace = recording.trace("go2-steer", "mujoco")
-    assert (trace.num_steps, trace.duration) == (round(0.5 / robot.step_time), pytest.approx(0.5))
+    assert (trace.num_steps, trace.duration) == (30, pytest.approx(30 * step))
     assert trace.base_position_world[0] == pytest.approx(begin)
     assert trace.meta["ended"] == "stopped"
     assert (trace.command[:, 0] == 0.5).all()
     pushed = np.linalg.norm(trace.push_force_world, axis=1)
     assert force == pytest.approx(60.0)
-    assert np.flatnonzero(pushed > 0.0).tolist() == list(
-        range(round(0.2 / robot.step_time), round(0.3 / robot.step_time))
-    )
+    assert np.flatnonzero(pushed > 0.0).tolist() == [10, 11, 12, 13]
     assert pushed.max() == pytest.approx(force)
 
 
@@ -198,7 +196,7 @@ def test_a_recording_ends_with_a_fall_and_at_its_greatest_length(robot: DrivenRo
     assert recording.ended == "fall"
     assert recording.duration < 1.2
     robot.restart()
-    monkeypatch.setattr("surefoot.evaluation.driven.MAX_RECORDING", 0.2)
+    monkeypatch.setattr("surefoot.evaluation.driven.MAX_RECORDING", 10 * robot.step_time)
     recording = robot.record()
     run(robot, 0.4)
-    assert (recording.ended, recording.duration) == ("time", pytest.approx(0.2))
+    assert (recording.ended, recording.duration) == ("time", pytest.approx(10 * robot.step_time))

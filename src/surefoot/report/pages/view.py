@@ -35,6 +35,8 @@ _GHOST_COLOR, _GHOST_OPACITY = (208, 102, 43), 0.4
 WEIGHT_ARROW = 0.8
 """Length of an arrow as large as the robot's weight, over the robot's extent."""
 PUSH_COLOR = (179, 38, 30)
+_PUSH_SCALE = 1.5
+"""Length of a push's arrow over that of another force: pushes are small beside the weight."""
 _ARROW_TIME = 0.3
 """How long the arrow of a push is seen at least [s]: many pushes are over within three pictures."""
 _HIDE_PANELS = "<style>.mantine-Paper-root, .mantine-Notifications-root { display: none !important; }</style>"
@@ -164,7 +166,7 @@ class RobotView:
             return
         if self._arrow is None or not np.array_equal(force_world, self._push):
             robot, self._push = self._robots[0].robot, force_world.copy()
-            along, length = force_world / size, WEIGHT_ARROW * self._size * size / robot.weight
+            along, length = force_world / size, _PUSH_SCALE * WEIGHT_ARROW * self._size * size / robot.weight
             # Where the arrow meets the box around the body, which reaches as far as the legs' mounts.
             half = np.array([robot.body_length / 2, np.abs(robot.leg_mounts[:, 1]).max()])
             heading = in_heading_frame(along[None], np.array([self._yaw]))[0, :2]
