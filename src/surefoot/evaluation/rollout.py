@@ -117,6 +117,7 @@ class EpisodeRecorder:
                 "energy": truth.energy,
                 "foot_contact": truth.foot_contact,
                 "foot_position_world": env.world.foot_positions(),
+                "motor_saturation": truth.motor_saturation,
                 "true_motor_angle": truth.motor_angle,
                 "command": self.command,
                 "reward": env.reward,

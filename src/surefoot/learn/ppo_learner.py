@@ -17,6 +17,7 @@ from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
+from torch import nn
 
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
@@ -192,7 +193,8 @@ class PpoLearner:
     def export(self, path: str | Path, figures: Mapping[str, Any] | None = None, created: str = "") -> Path:
         """Write the present policy as a policy file; see `make_contract` and `export_policy`."""
         contract = make_contract(self.env, self.config, figures, created)
-        return export_policy(self.policy, self.config.ppo.activation, contract, path, self.env.robot.archive)
+        network = nn.Sequential(self.policy.obs_normalizer, self.policy.mlp)
+        return export_policy(network, contract, path, robot=self.env.robot.archive)
 
     def load_networks(self, algorithm: dict[str, Any]) -> None:
         """Load only the networks of another run's state.

@@ -11,6 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
+from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import Randomizer
 from surefoot.rotations import in_heading_frame
@@ -328,3 +329,22 @@ class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]
         if "figures" in info:
             single["figures"] = {name: float(values[0]) for name, values in info["figures"].items()}
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), single
+
+
+def find_batch(env: Any) -> LocomotionEnv:
+    """Return the batch of robots inside an environment: of Gymnasium or Stable-Baselines3, wrapped or not.
+
+    Raises:
+        SurefootError: an environment of another package, or one in another process.
+    """
+    inner = env
+    while inner is not None and not isinstance(inner, LocomotionEnv):
+        if isinstance(inner, LocomotionSingleEnv):
+            inner = inner.batch
+        elif isinstance(several := getattr(inner, "envs", None), list | tuple):
+            inner = several[0]
+        else:
+            inner = next((part for name in ("venv", "env") if (part := getattr(inner, name, None)) is not None), None)
+    if inner is None:
+        raise SurefootError(f"env is a {type(env).__name__}; it must be an environment of surefoot, in this process")
+    return inner
