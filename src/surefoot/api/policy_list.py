@@ -39,8 +39,12 @@ def list_policies(policy: str, robot: str) -> list[PolicyEntry]:
 
     Own runs are those below `RUNS` and beside the policy that is given.
     """
-    shipped = [name for name, path in sorted(shipped_policies().items()) if _robot_of(path) == robot]
     file = find_policy(policy)
+    shipped = [
+        name
+        for name, path in sorted(shipped_policies().items())
+        if name == policy or (_robot_of(path) == robot and path.resolve() != file.resolve())
+    ]
     first = [] if policy in shipped else [PolicyEntry(policy, run_label(file), "given")]
     runs = [PolicyEntry(str(path), run_label(path), "own runs, newest first") for path in _run_policies(file, robot)]
     return [*first, *runs, *(PolicyEntry(name, name, "shipped with surefoot") for name in shipped)]
