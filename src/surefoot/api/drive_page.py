@@ -67,7 +67,6 @@ def serve(drive: DrivePage, host: str | None, port: int, commands: str | None = 
         stack.callback(view.stop)
         page = PageServer(host, port, view.port)
         stack.callback(page.stop)
-        stack.callback(drive.recordings.close)
         page.print_addresses()
         drive.run(page, view, threading.Event())
 
@@ -139,6 +138,12 @@ class DrivePage:
     def run(self, page: PageServer, view: RobotView, stop: threading.Event) -> None:
         """Run until `stop` is set. While no tab is open, time stands still."""
         self._page, self._view = page, view
+        try:
+            self._run(page, stop)
+        finally:
+            self.recordings.close()
+
+    def _run(self, page: PageServer, stop: threading.Event) -> None:
         self._show_robot()
         begin, steps, speed, next_frame, next_report = time.perf_counter(), 0, self.speed, 0.0, 0.0
         while not stop.is_set():
