@@ -5,7 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, RobotName, World, check_folder
+from surefoot.cli.helpers.options import (
+    PAGE_PORT,
+    Host,
+    PagePort,
+    PluginNames,
+    PolicyName,
+    RobotName,
+    World,
+    check_folder,
+)
 from surefoot.cli.helpers.parsing import parse
 
 
@@ -23,6 +32,7 @@ class DriveCommand:
     host: Host = None
     out: Path = Path("recordings")
     """Folder of what the page records: traces (.npz), pages (.html) and videos (.mp4); it is made when needed."""
+    plugin: PluginNames = ()
 
 
 def main(argv: list[str]) -> int:

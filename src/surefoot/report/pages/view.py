@@ -39,13 +39,16 @@ _PUSH_SCALE = 1.5
 """Length of a push's arrow over that of another force: pushes are small beside the weight."""
 _ARROW_TIME = 0.3
 """How long the arrow of a push is seen at least [s]: many pushes are over within three pictures."""
-_HIDE_PANELS = "<style>.mantine-Paper-root, .mantine-Notifications-root { display: none !important; }</style>"
-"""Hides viser's own panel and notes, which would cover a small picture."""
+_STYLE = """<style>
+.mantine-Paper-root, .mantine-Notifications-root { display: none !important; }
+canvas[data-engine] { background: linear-gradient(#96b8d8, #e8eef3 45%); }
+</style>"""
+"""Hides viser's own panel and notes, which would cover a small picture; a sky as in videos."""
 
 
 def bare_viewer() -> str:
     """Return viser's page with the scene alone."""
-    return (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8") + _HIDE_PANELS
+    return (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8") + _STYLE
 
 
 def quiet_server() -> viser.ViserServer:
@@ -65,9 +68,14 @@ def add_world(scene: viser.SceneApi, size: float) -> viser.FrameHandle:
         cell_size=0.25,
         section_size=1.0,
         fade_distance=15.0 * size,
+        cell_color=(190, 197, 202),
+        section_color=(150, 158, 166),
         plane_color=(208, 213, 216),
         plane_opacity=1.0,
+        shadow_opacity=0.4,
     )
+    # Dark robots on a bright ground: light from all sides shows their shape.
+    scene.add_light_hemisphere("/light", sky_color=(255, 255, 255), ground_color=(190, 195, 200), intensity=1.6)
     return world
 
 
@@ -120,7 +128,7 @@ class RobotView:
             self._robots = [self._add_robot("/world", robot)]
             if ghost is not None:
                 self._robots.append(self._add_robot("/world/ghost", ghost, tint=_GHOST_COLOR, opacity=_GHOST_OPACITY))
-            server.initial_camera.position = (1.1 * size, -1.5 * size, 0.7 * size)
+            server.initial_camera.position = (0.85 * size, -1.15 * size, 0.5 * size)
             server.initial_camera.look_at = (0.0, 0.0, 0.2 * size)
 
     def _add_robot(self, node: str, robot: RobotDescription, **look: Any) -> _DrawnRobot:
