@@ -1,0 +1,194 @@
+"""Reader of the meshes that a robot's file names, and their decimation."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import fast_simplification
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError, describe_os_errors
+from surefoot.files import check_readable
+
+SUFFIXES = (".stl", ".obj", ".dae")
+"""Kinds of mesh that are read."""
+MAX_MESH_BYTES = 100_000_000
+"""Size of the largest mesh, or file that a mesh names, that is read."""
+_MAX_COORDINATE = 1e6
+_MIN_TRIANGLES = 24
+"""What decimation leaves of the smallest parts."""
+_CELLS = 1 << 20
+"""Cells along a mesh in which vertices count as one."""
+Color = tuple[float, float, float]
+"""Red, green and blue, 0 to 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles of one colour."""
+
+    vertices: Array
+    """Places (V, 3) [m]."""
+    faces: NDArray[np.int64]
+    """Indices (F, 3) of vertices, counter-clockwise seen from outside."""
+    color: Color | None = None
+    """None: the mesh does not say."""
+
+    @property
+    def area(self) -> float:
+        """Area [m2]."""
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+    def place(self, frame: Array) -> Surface:
+        """Return the surface in a frame (4, 4), which may scale and mirror; outside stays outside."""
+        faces = self.faces if np.linalg.det(frame[:3, :3]) > 0 else self.faces[:, ::-1]
+        return Surface(self.vertices @ frame[:3, :3].T + frame[:3, 3], faces, self.color)
+
+
+class _Folder(trimesh.resolvers.Resolver):  # type: ignore[misc]
+    """What a mesh names, such as materials and textures: regular files of limited size, from its folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def get(self, name: str) -> bytes:
+        path = self.folder / str(name).strip().replace("\\", "/")
+        check_readable(path, MAX_MESH_BYTES)
+        return path.read_bytes()
+
+    def namespaced(self, namespace: str) -> _Folder:
+        return _Folder(self.folder / namespace)
+
+    def write(self, name: str, data: bytes) -> None:
+        raise NotImplementedError
+
+    def keys(self) -> list[str]:
+        return []
+
+
+def read_mesh(path: Path) -> list[Surface]:
+    """Read the surfaces of an STL, OBJ or COLLADA file, one a colour.
+
+    Units and transforms of nodes in a COLLADA file are applied. Its `up_axis` is not: viewers of URDFs ignore it, and
+    files are made so.
+
+    Raises:
+        SurefootError: it can't be read, is too large, of another kind, or damaged.
+    """
+    kind = path.suffix.lower()
+    if kind not in SUFFIXES:
+        raise SurefootError(f"{path.name} is no {', '.join(SUFFIXES)} file")
+    with describe_os_errors(path.name):
+        check_readable(path, MAX_MESH_BYTES)
+        content = path.read_bytes()
+    if kind == ".dae" and b"<!ENTITY" in content:
+        raise SurefootError(f"{path.name} declares XML entities")
+    try:
+        scene = trimesh.load_scene(
+            io.BytesIO(content), file_type=kind[1:], resolver=_Folder(path.parent), process=False
+        )
+        surfaces = _read_surfaces(scene)
+    except Exception as error:  # What parsers raise on a damaged file is any kind of error.
+        raise SurefootError(
+            f"{path.name} can't be read as {kind[1:].upper()}: {error or type(error).__name__}"
+        ) from error
+    if not surfaces:
+        raise SurefootError(f"{path.name} has no triangles")
+    return surfaces
+
+
+def _read_surfaces(scene: Any) -> list[Surface]:
+    """Return the surfaces of a scene, merged by colour."""
+    by_color: dict[Color | None, list[Surface]] = {}
+    for node in scene.graph.nodes_geometry:
+        frame, name = scene.graph[node]
+        geometry = scene.geometry[name]
+        if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
+            continue
+        vertices, faces = np.asarray(geometry.vertices, float), np.asarray(geometry.faces, np.int64)
+        if not (np.abs(vertices) < _MAX_COORDINATE).all() or faces.min() < 0 or faces.max() >= len(vertices):
+            raise ValueError("it has coordinates that are no numbers, or triangles of vertices that it does not have")
+        unit = str(geometry.metadata.get("units", "")).removesuffix("* meters").strip()
+        frame = np.diag([*[float(unit)] * 3, 1.0]) @ frame if unit and unit != "meters" else np.array(frame)
+        surface = Surface(vertices, faces).place(frame)
+        by_color.setdefault(_mean_color(geometry.visual), []).append(surface)
+    return [_merge(parts, color) for color, parts in by_color.items()]
+
+
+def _mean_color(visual: Any) -> Color | None:
+    """Return the mean colour of a mesh's material, texture or vertices; None without any."""
+    if visual.kind is None:
+        return None
+    if visual.kind == "texture":
+        material = visual.material
+        image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+        if image is None:
+            rgba = np.asarray(material.main_color, float)
+        elif visual.uv is None:
+            rgba = np.asarray(image.convert("RGB"), float).reshape(-1, 3).mean(axis=0)
+        else:
+            rgba = trimesh.visual.color.uv_to_color(visual.uv, image).mean(axis=0)
+    else:
+        rgba = np.asarray(getattr(visual, f"{visual.kind}_colors"), float).mean(axis=0)
+    red, green, blue = (round(float(value)) / 255 for value in np.clip(rgba[:3], 0, 255))
+    return red, green, blue
+
+
+def _merge(surfaces: Sequence[Surface], color: Color | None) -> Surface:
+    """Return surfaces as one of this colour."""
+    starts = np.cumsum([0] + [len(surface.vertices) for surface in surfaces])
+    return Surface(
+        np.concatenate([surface.vertices for surface in surfaces]),
+        np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts, strict=False)]),
+        color,
+    )
+
+
+def decimate(surfaces: Sequence[Surface], scales: Sequence[float], uses: Sequence[int], total: int) -> list[Surface]:
+    """Return surfaces of about `total` triangles, where each counts as often as it is used.
+
+    A surface, scaled, keeps triangles in proportion to the square root of its area, if it has that many.
+    """
+    surfaces = [_weld(surface, _CELLS) for surface in surfaces]
+    available = np.array([len(surface.faces) for surface in surfaces])
+    sizes = np.sqrt([surface.area for surface in surfaces]) * scales
+
+    def counts(density: float) -> Array:
+        return np.minimum(np.maximum(density * sizes, _MIN_TRIANGLES), available)
+
+    low, high = 0.0, 2.0 * total / max(float(sizes.min(initial=1.0)), 1e-9)
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if counts(middle) @ uses <= total else (low, middle)
+    return [_reduce(surface, int(count)) for surface, count in zip(surfaces, counts(low), strict=True)]
+
+
+def _reduce(surface: Surface, count: int) -> Surface:
+    """Return a surface of about `count` triangles, at most twice that."""
+    if len(surface.faces) > count:
+        vertices, faces = fast_simplification.simplify(surface.vertices, surface.faces, target_count=count, agg=5)
+        surface = _weld(Surface(np.asarray(vertices, float), np.asarray(faces, np.int64), surface.color), _CELLS)
+    # Triangles that share no edges can't be decimated, but welded.
+    cells = 256
+    while len(surface.faces) > 2 * count and cells:
+        surface, cells = _weld(surface, cells), cells // 2
+    return surface
+
+
+def _weld(surface: Surface, cells: int) -> Surface:
+    """Merge vertices within cells of a fraction of the surface's size; drop triangles without area and vertices."""
+    low, size = surface.vertices.min(axis=0), float(np.ptp(surface.vertices, axis=0).max())
+    x, y, z = np.rint((surface.vertices - low) * (cells / max(size, 1e-12))).astype(np.int64).T
+    _, first, index = np.unique((x << 42) | (y << 21) | z, return_index=True, return_inverse=True)
+    faces = index.reshape(-1)[surface.faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    used, faces = np.unique(faces, return_inverse=True)
+    return Surface(surface.vertices[first[used]], faces.reshape(-1, 3), surface.color)
