@@ -285,11 +285,12 @@ def _child(words: Sequence[str], place: Path, output: int) -> None:
         sys.stderr = io.TextIOWrapper(
             io.FileIO(2, "w", closefd=False), encoding="utf-8", errors="backslashreplace", write_through=True
         )
-        from surefoot.cli.helpers import training
+        from surefoot.api import episodes, training
         from surefoot.cli.main import main
 
         # Figures and a video of each training would take most of the time.
-        training.finish_run = lambda *_: None
+        training.finish_run = lambda *_: {}
+        episodes.print_summaries = lambda summaries: None
         try:
             code = main(list(words))
         except SystemExit as stop:

@@ -22,10 +22,10 @@ import tyro
 
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.cli.helpers.simulator import RunOptions
-from surefoot.evaluate.footfalls import analyze_footfalls
-from surefoot.evaluate.rollout import Policy, run_episodes
-from surefoot.evaluate.runs import measure_runs
-from surefoot.evaluate.statistics import t_interval
+from surefoot.evaluation.footfalls import analyze_footfalls
+from surefoot.evaluation.rollout import Policy, run_episodes
+from surefoot.evaluation.runs import measure_runs
+from surefoot.evaluation.statistics import t_interval
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import COLORS, MARKERS, new_figure
 from surefoot.robot import GRAVITY, RobotDescription

@@ -22,8 +22,8 @@ from rounds import measure, ratio_quartiles
 from throughput import Bench
 
 from surefoot.api.policies import find_policy
-from surefoot.evaluate.gap import home_task
-from surefoot.evaluate.rollout import run_episodes
+from surefoot.evaluation.gap import home_task
+from surefoot.evaluation.rollout import run_episodes
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig

@@ -20,7 +20,7 @@ import numpy as np
 import tyro
 
 from surefoot.arrays import Array
-from surefoot.evaluate.statistics import Interval, welch_interval
+from surefoot.evaluation.statistics import Interval, welch_interval
 from surefoot.report.figures.style import COLORS, new_figure
 from surefoot.robot.commands import COMMANDS
 from surefoot.tables import print_table

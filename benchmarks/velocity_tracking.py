@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.evaluate.rollout import run_episodes
-from surefoot.evaluate.tracking import STRIDE, Tracking
+from surefoot.evaluation.rollout import run_episodes
+from surefoot.evaluation.tracking import STRIDE, Tracking
 from surefoot.learn.config import load_train_config
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.robot.commands import COMMANDS

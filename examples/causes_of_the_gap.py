@@ -21,9 +21,9 @@ import numpy as np
 import tyro
 
 from surefoot.api.policies import find_policy, load_policy
-from surefoot.evaluate.gap import away_task
-from surefoot.evaluate.rollout import run_episodes
-from surefoot.evaluate.runs import measure_runs
+from surefoot.evaluation.gap import away_task
+from surefoot.evaluation.rollout import run_episodes
+from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import SimulationFactory, WorldConfig
 from surefoot.world.registry import find_world

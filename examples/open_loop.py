@@ -12,9 +12,9 @@ from typing import Annotated
 
 import tyro
 
-from surefoot.evaluate.gap import away_task
-from surefoot.evaluate.rollout import run_episodes
-from surefoot.evaluate.runs import measure_runs
+from surefoot.evaluation.gap import away_task
+from surefoot.evaluation.rollout import run_episodes
+from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import RobotDescription
 from surefoot.studies.handcrafted import OpenLoop
 from surefoot.task.config import load_task

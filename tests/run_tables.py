@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from surefoot.evaluate.gap import PolicyGap
-from surefoot.evaluate.sensitivity import NOMINAL, Sensitivity, row_unit
+from surefoot.evaluation.gap import PolicyGap
+from surefoot.evaluation.sensitivity import NOMINAL, Sensitivity, row_unit
 
 
 def runs_table(world: str, *returns: float, falls: int = 0) -> pd.DataFrame:

@@ -15,9 +15,9 @@ ALLOWED: dict[str, set[str]] = {
     "actuator": {"robot"},
     "world": {"actuator", "robot"},
     "task": {"robot", "policy", "world.interface", "world.ground"},
-    "learn": {"task", "policy", "evaluate", "robot", "world.interface"},
+    "learn": {"task", "policy", "evaluation", "robot", "world.interface"},
     "policy": {"robot"},
-    "evaluate": {"task", "policy", "world", "robot"},
+    "evaluation": {"task", "policy", "world", "robot"},
     "identify": {"world", "deploy", "robot", "actuator", "task.trace"},
     "deploy": {
         *("robot", "policy", "world.interface"),
@@ -25,8 +25,8 @@ ALLOWED: dict[str, set[str]] = {
         *("task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot"},
-    "report": {"evaluate", "task", "robot", "world.ground", "identify.result", "identify.logs.errors"},
-    "studies": {"report", "learn", "evaluate", "task", "policy", "world", "robot"},
+    "report": {"evaluation", "task", "robot", "world.ground", "identify.result", "identify.logs.errors"},
+    "studies": {"report", "learn", "evaluation", "task", "policy", "world", "robot"},
 }
 """What each package may import besides itself and the modules at the top: packages, or modules of one
 ("world.interface"). `cli` may import anything; only `surefoot.__main__` imports it."""

@@ -17,7 +17,7 @@ for module in ("mujoco", "torch", "imageio_ffmpeg"):
 from fault_bench import QUICK  # noqa: E402
 from processes import EmulatorHere, emulators, refused, surefoot  # noqa: E402
 
-from surefoot.evaluate.sensitivity import make_test_worlds  # noqa: E402
+from surefoot.evaluation.sensitivity import make_test_worlds  # noqa: E402
 from surefoot.learn.config import load_train_config  # noqa: E402
 from surefoot.learn.ppo_learner import PpoLearner  # noqa: E402
 from surefoot.robot import PhysicalParams, RobotDescription  # noqa: E402

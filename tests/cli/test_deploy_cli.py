@@ -20,7 +20,7 @@ from edited import edited_policy
 from fault_bench import QUICK
 from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
 
-from surefoot.evaluate.recorded import find_traces
+from surefoot.evaluation.recorded import find_traces
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.rotations import quat_yaw
 from surefoot.task.partial_trace import recover

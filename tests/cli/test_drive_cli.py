@@ -30,7 +30,7 @@ from surefoot.api.drive_page import DrivePage, serve
 from surefoot.cli import play
 from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
-from surefoot.evaluate.driven import DrivenStep
+from surefoot.evaluation.driven import DrivenStep
 from surefoot.report.pages.server import PageServer
 from surefoot.report.pages.view import RobotView
 

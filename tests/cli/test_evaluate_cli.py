@@ -198,7 +198,7 @@ def test_an_interrupt_ends_with_130():
 
 
 def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from surefoot.cli.helpers import policies
+    from surefoot.api import policies
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(policies, "SEARCH_PATHS", (policy.parent,))
@@ -248,7 +248,7 @@ def test_a_robot_without_a_measured_position_has_a_power(recorded: tuple[Path, d
 
 
 def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from surefoot.evaluate import tracking
+    from surefoot.evaluation import tracking
     from surefoot.task.trace import EpisodeTrace
 
     monkeypatch.setattr(tracking, "GRID", 2)

@@ -59,7 +59,7 @@ def record(
     start: float = 0.0,
     **meta: Any,
 ) -> EpisodeTrace:
-    """A robot that is asked for motor angles, recorded as `evaluate.rollout` does."""
+    """A robot that is asked for motor angles, recorded as `evaluation.rollout` does."""
     world = SimWorld(ROBOT, 1, params, config=WorldConfig(rack=rack, thermal_protection=False))
     step = float(params.control_step[0])
     rows: dict[str, list[np.ndarray]] = {}

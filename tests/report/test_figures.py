@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 from run_tables import policy_gap, runs_table, sensitivity_table
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.gap import PolicyGap
-from surefoot.evaluate.sensitivity import Sensitivity
+from surefoot.evaluation.gap import PolicyGap
+from surefoot.evaluation.sensitivity import Sensitivity
 from surefoot.report.figures.parameters import aggregate_figure, parameter_figure, parameters_figure
 from surefoot.report.figures.runs import _mean_power, episode_plot, footfall_diagram, side_by_side
 from surefoot.report.figures.tracking import tracking_figure

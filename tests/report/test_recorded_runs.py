@@ -13,7 +13,7 @@ pytest.importorskip("viser")
 from recordings import data_of, standing_height, swinging
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.foot_forces import foot_forces
+from surefoot.evaluation.foot_forces import foot_forces
 from surefoot.report.pages.recorded_runs import MAX_TRACES, ShownTrace, recording_page
 from surefoot.robot import RobotDescription
 from surefoot.rotations import quat_matrix, rpy_quat

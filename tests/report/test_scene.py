@@ -93,7 +93,7 @@ def test_a_loop_that_can_not_close_is_refused():
 def trace() -> EpisodeTrace:
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium")
-    from surefoot.evaluate.rollout import run_episodes
+    from surefoot.evaluation.rollout import run_episodes
     from surefoot.task.config import load_task
     from surefoot.world.sim_world import SimWorld
 

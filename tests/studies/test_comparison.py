@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from surefoot.evaluate.gap import gap_difference
+from surefoot.evaluation.gap import gap_difference
 from surefoot.studies.comparison import Comparison, study_tables, write_tables
 
 MakeComparison = Callable[..., Comparison]

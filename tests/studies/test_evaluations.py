@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("gymnasium")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.runs import measure_runs
+from surefoot.evaluation.runs import measure_runs
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies import evaluations
 from surefoot.studies.evaluations import (

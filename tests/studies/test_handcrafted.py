@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.rollout import run_episodes
+from surefoot.evaluation.rollout import run_episodes
 from surefoot.learn.config import load_train_config
 from surefoot.studies.handcrafted import HandcraftedGait, OpenLoop
 from surefoot.studies.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController

@@ -15,7 +15,7 @@ from chromium import CHROMIUM, in_browser
 pytest.importorskip("matplotlib")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.statistics import Interval, MeanEstimate
+from surefoot.evaluation.statistics import Interval, MeanEstimate
 from surefoot.studies.paper import (
     NumberSource,
     ValueCounts,

@@ -16,7 +16,7 @@ from run_tables import sensitivity_table
 
 pytest.importorskip("matplotlib")
 
-from surefoot.evaluate.sensitivity import make_test_worlds
+from surefoot.evaluation.sensitivity import make_test_worlds
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges
 from surefoot.studies.comparison import Comparison, bin_curve, late_gain, learning_curve, policy_row, study_tables

@@ -21,7 +21,7 @@ from surefoot.world.registry import WORLDS, find_world
 
 if TYPE_CHECKING:
     from surefoot.deploy.command_sources import CommandSource
-    from surefoot.evaluate.driven import DrivenRobot
+    from surefoot.evaluation.driven import DrivenRobot
     from surefoot.report.pages.server import PageServer
     from surefoot.report.pages.view import RobotView
     from surefoot.robot import RobotDescription
@@ -98,7 +98,7 @@ class DrivePage:
         self.robot = self._load(policy, world)
 
     def _load(self, policy: str, world: str) -> DrivenRobot:
-        from surefoot.evaluate.driven import DrivenRobot
+        from surefoot.evaluation.driven import DrivenRobot
 
         make_world, is_first = find_world(world), policy == self.policies[0]
         runtime, description, task, _ = load_gait(find_policy(policy), self._robot_name if is_first else None)

@@ -23,7 +23,7 @@ from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.rollout import Policy
+    from surefoot.evaluation.rollout import Policy
 
 PACKAGE = Path(__file__).resolve().parents[1]
 SEARCH_PATHS = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
@@ -145,7 +145,7 @@ def run_policy(
         name: name of the policy in the traces.
         title: title of the bar; the name, if not given.
     """
-    from surefoot.evaluate.rollout import run_episodes
+    from surefoot.evaluation.rollout import run_episodes
 
     with ProgressBar(title or name) as bar:
         return run_episodes(

@@ -85,9 +85,9 @@ def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], No
     Returns:
         what `summarize` returns, by kind of evaluation.
     """
-    from surefoot.evaluate.gap import home_task
-    from surefoot.evaluate.rollout import run_episodes
-    from surefoot.evaluate.runs import summarize
+    from surefoot.evaluation.gap import home_task
+    from surefoot.evaluation.rollout import run_episodes
+    from surefoot.evaluation.runs import summarize
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
     from surefoot.studies.comparison import learning_curve

@@ -58,7 +58,7 @@ def main(argv: list[str]) -> int:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
     else:
         traces, robot, about = _simulate(command, ranges)
-    from surefoot.evaluate.runs import summarize
+    from surefoot.evaluation.runs import summarize
 
     summary = summarize(traces, robot.urdf.total_mass)
     summary["faults"] = sum(trace.meta["ended"] == "fault" for trace in traces)
@@ -99,7 +99,7 @@ def _simulate(
     task = command.apply(task, robot, ranges, command.thermal_protection)
     episodes = command.episodes
     if command.command_grid:
-        from surefoot.evaluate.tracking import command_grid
+        from surefoot.evaluation.tracking import command_grid
 
         if command.commands is not None:
             raise SurefootError("--command-grid and --commands are given; give one of them")
@@ -135,7 +135,7 @@ def _load_traces(
         name = changed[0] if changed else "randomize"
         option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
         raise SurefootError(f"--trace and {option} are given; recorded runs are measured as they are, nothing is run")
-    from surefoot.evaluate.recorded import find_traces
+    from surefoot.evaluation.recorded import find_traces
     from surefoot.robot import RobotDescription
 
     recorded = [one for path in command.trace for one in find_traces(path)]

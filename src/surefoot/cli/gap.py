@@ -28,7 +28,7 @@ from surefoot.errors import SurefootError, check_name, prefix_errors
 
 if TYPE_CHECKING:
     from surefoot.api.policies import Candidate
-    from surefoot.evaluate.recorded import RecordedTraces
+    from surefoot.evaluation.recorded import RecordedTraces
     from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
 
@@ -140,9 +140,9 @@ def main(argv: list[str]) -> int:
 
     home, away = parse_side("--from", command.home), [parse_side("--to", words) for words in command.away]
     _check_sides(command, home, away)
-    from surefoot.evaluate.recorded import assign_to_policies, find_traces, save_runs
-    from surefoot.evaluate.runs import common_value
-    from surefoot.evaluate.sensitivity import episode_duration
+    from surefoot.evaluation.recorded import assign_to_policies, find_traces, save_runs
+    from surefoot.evaluation.runs import common_value
+    from surefoot.evaluation.sensitivity import episode_duration
     from surefoot.world.process_world import worker_pool
 
     sides, worlds = (home, *away), []
@@ -191,8 +191,8 @@ def main(argv: list[str]) -> int:
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
     """Return the task of a policy at home, and in the other worlds, of the same duration."""
-    from surefoot.evaluate.gap import away_task, home_task
-    from surefoot.evaluate.sensitivity import episode_duration
+    from surefoot.evaluation.gap import away_task, home_task
+    from surefoot.evaluation.sensitivity import episode_duration
 
     def adjusted(side: TaskConfig, settings: Repeated, actuator: Literal["dc", "constraint"] | None) -> TaskConfig:
         simulator, words = Simulator(actuator, params=command.params), (*command.settings, *settings)
@@ -213,8 +213,8 @@ def _report(
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
-    from surefoot.evaluate.gap import PolicyGap, gap_text
-    from surefoot.evaluate.runs import measure_runs
+    from surefoot.evaluation.gap import PolicyGap, gap_text
+    from surefoot.evaluation.runs import measure_runs
     from surefoot.report.figures.runs import side_by_side
     from surefoot.studies.study_figures import gap_figure
     from surefoot.tables import plain_rows, print_files, print_table, write_csv

@@ -119,7 +119,7 @@ def _identify_from_traces(argv: list[str]) -> int:
             raise SurefootError(
                 f"--{name.replace('_', '-')} is of logs of a robot with joint actuators; name it: --robot"
             )
-    from surefoot.evaluate.recorded import find_traces
+    from surefoot.evaluation.recorded import find_traces
 
     traces = find_traces(command.from_trace)
     robot = RobotDescription.load(command.robot or str(traces[0][1].meta["robot"]))

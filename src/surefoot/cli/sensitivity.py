@@ -23,7 +23,7 @@ from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions, describe
 from surefoot.configuration import Duration, Within, to_mapping
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.sensitivity import Sensitivity
+    from surefoot.evaluation.sensitivity import Sensitivity
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def main(argv: list[str]) -> int:
     for task in tasks:
         task.nominal(robot)  # refuses parameters that the robot does not allow
     make_figures_folder(command.out)
-    from surefoot.evaluate.sensitivity import episode_duration, run_sensitivity, trained_ranges
+    from surefoot.evaluation.sensitivity import episode_duration, run_sensitivity, trained_ranges
     from surefoot.report.figures.parameters import aggregate_figure, parameter_figure
     from surefoot.tables import write_csv
 
@@ -131,7 +131,7 @@ def main(argv: list[str]) -> int:
 
 def _summary(result: Sensitivity) -> dict[str, Any]:
     """Return the aggregates of one policy's test worlds, as JSON holds them."""
-    from surefoot.evaluate.sensitivity import find_breaks
+    from surefoot.evaluation.sensitivity import find_breaks
 
     return {
         "policy": result.policy,
@@ -147,7 +147,7 @@ def _summary(result: Sensitivity) -> dict[str, Any]:
 
 def _print_tables(results: list[Sensitivity], files: list[Path]) -> None:
     """Print a table of the policies, and one of each row's range, worst world, and nearest values that break a gait."""
-    from surefoot.evaluate.sensitivity import find_breaks, row_unit
+    from surefoot.evaluation.sensitivity import find_breaks, row_unit
     from surefoot.tables import print_files, print_table
 
     policies, rows = [], []

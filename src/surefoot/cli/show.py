@@ -66,7 +66,7 @@ def main(argv: list[str]) -> int:
 def _load_traces(command: ShowCommand) -> list[ShownTrace]:
     """Load traces and robots; a trace is named by its policy, and by world or file where that is not unique."""
     from surefoot.api.policies import distinct_names
-    from surefoot.evaluate.recorded import find_traces
+    from surefoot.evaluation.recorded import find_traces
     from surefoot.identify.logs.importing import import_log
     from surefoot.npz import read_npz
     from surefoot.report.pages.recorded_runs import ShownTrace

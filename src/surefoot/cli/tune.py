@@ -39,7 +39,7 @@ def main(argv: list[str]) -> int:
     start = {} if command.start is None else HandcraftedGait.load(command.start).about.get("parameters")
     if not isinstance(start, dict):
         raise SurefootError(f"{command.start}: handcrafted.about.parameters is missing; the gait was not tuned")
-    from surefoot.evaluate.runs import summarize
+    from surefoot.evaluation.runs import summarize
     from surefoot.world.sim_world import SimWorld
 
     tuner = Tuner(config, SimWorld, start)

@@ -12,7 +12,7 @@ from typing import Any
 from torch.utils.tensorboard import SummaryWriter
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.rollout import run_to_end
+from surefoot.evaluation.rollout import run_to_end
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.ppo_learner import PpoLearner, UpdateFigures
 from surefoot.learn.run_folder import RunFolder, write_checkpoint

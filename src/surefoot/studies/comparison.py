@@ -14,10 +14,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.evaluate.gap import PolicyGap, gap_difference
-from surefoot.evaluate.runs import summarize_runs
-from surefoot.evaluate.sensitivity import Sensitivity
-from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, t_interval, welch_interval
+from surefoot.evaluation.gap import PolicyGap, gap_difference
+from surefoot.evaluation.runs import summarize_runs
+from surefoot.evaluation.sensitivity import Sensitivity
+from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, t_interval, welch_interval
 from surefoot.files import atomic_write
 from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, evaluation_names, gap_from_result
 from surefoot.studies.study_config import StudyConfig

@@ -16,12 +16,12 @@ import pandas as pd
 from surefoot import __version__
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError, choices
-from surefoot.evaluate.footfalls import analyze_footfalls
-from surefoot.evaluate.gap import PolicyGap, away_task, home_task
-from surefoot.evaluate.recorded import save_runs
-from surefoot.evaluate.rollout import run_episodes
-from surefoot.evaluate.runs import measure_runs
-from surefoot.evaluate.sensitivity import Sensitivity, run_sensitivity
+from surefoot.evaluation.footfalls import analyze_footfalls
+from surefoot.evaluation.gap import PolicyGap, away_task, home_task
+from surefoot.evaluation.recorded import save_runs
+from surefoot.evaluation.rollout import run_episodes
+from surefoot.evaluation.runs import measure_runs
+from surefoot.evaluation.sensitivity import Sensitivity, run_sensitivity
 from surefoot.files import atomic_write
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot.randomization import load_ranges

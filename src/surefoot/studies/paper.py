@@ -14,7 +14,7 @@ from typing import Any
 
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
-from surefoot.evaluate.statistics import Interval, MeanEstimate
+from surefoot.evaluation.statistics import Interval, MeanEstimate
 from surefoot.files import atomic_write, check_readable
 from surefoot.report.pages.html import page, picture, row
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from surefoot.evaluate.runs import summarize_runs
-from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
+from surefoot.evaluation.runs import summarize_runs
+from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
 from surefoot.files import atomic_write
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import BLUE, GREEN, ORANGE, QUIET, heading, new_figure, place_labels

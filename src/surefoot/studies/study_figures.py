@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from surefoot.evaluate.gap import PolicyGap
-from surefoot.evaluate.statistics import Interval, MeanEstimate
+from surefoot.evaluation.gap import PolicyGap
+from surefoot.evaluation.statistics import Interval, MeanEstimate
 from surefoot.report.figures.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered
 from surefoot.studies.comparison import Comparison, bin_curve
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import pandas as pd
 
-from surefoot.evaluate.gap import gap_text
-from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
+from surefoot.evaluation.gap import gap_text
+from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
 from surefoot.files import atomic_write
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
 from surefoot.report.figures.runs import footfall_diagram

@@ -18,8 +18,8 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.configuration import Seed, Threads, Within, is_number, to_mapping
 from surefoot.errors import SurefootError, choices, quote
-from surefoot.evaluate.footfalls import FEET
-from surefoot.evaluate.rollout import run_to_end
+from surefoot.evaluation.footfalls import FEET
+from surefoot.evaluation.rollout import run_to_end
 from surefoot.robot import DEFAULT_ROBOT, GRAVITY, RobotDescription
 from surefoot.seeding import generator
 from surefoot.studies.handcrafted import HandcraftedGait, OpenLoop

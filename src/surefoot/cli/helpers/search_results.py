@@ -90,9 +90,9 @@ def _fresh_runs(search: Search, path: Path) -> pd.DataFrame:
     """Run a policy in fresh episodes at home, and in Bullet on the robot of the data sheet; results are cached."""
     import pandas as pd
 
-    from surefoot.evaluate.gap import away_task
-    from surefoot.evaluate.rollout import run_episodes
-    from surefoot.evaluate.runs import measure_runs
+    from surefoot.evaluation.gap import away_task
+    from surefoot.evaluation.rollout import run_episodes
+    from surefoot.evaluation.runs import measure_runs
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.studies.evaluations import Result, cached_result
     from surefoot.task.contract_mapping import task_from_contract

@@ -35,7 +35,7 @@ def check_evaluations(study: StudyConfig, worlds: bool) -> None:
 
 def evaluate_runs(study: StudyConfig, runs: list[Training], threads: int, console: Console) -> None:
     """Run every evaluation of every finished run that is not cached."""
-    from surefoot.evaluate.statistics import decimal
+    from surefoot.evaluation.statistics import decimal
     from surefoot.studies.evaluations import EVALUATIONS, evaluate, evaluation_names, stored_result
     from surefoot.world.process_world import worker_pool
 

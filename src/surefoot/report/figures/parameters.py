@@ -10,7 +10,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.evaluate.sensitivity import Sensitivity, row_unit
+from surefoot.evaluation.sensitivity import Sensitivity, row_unit
 from surefoot.report.figures.style import (
     INK,
     MARKERS,

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.evaluate.footfalls import Footfalls, analyze_footfalls
-from surefoot.evaluate.runs import measure_runs
+from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls
+from surefoot.evaluation.runs import measure_runs
 from surefoot.report.figures.style import (
     BLUE,
     GREEN,

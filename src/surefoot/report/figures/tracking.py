@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.evaluate.tracking import STRIDE, Tracking
+from surefoot.evaluation.tracking import STRIDE, Tracking
 from surefoot.report.figures.style import new_figure
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.trace import EpisodeTrace

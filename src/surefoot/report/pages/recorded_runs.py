@@ -21,8 +21,8 @@ import viser
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, prefix_errors
-from surefoot.evaluate.foot_forces import foot_forces
-from surefoot.evaluate.tracking import motion
+from surefoot.evaluation.foot_forces import foot_forces
+from surefoot.evaluation.tracking import motion
 from surefoot.report.drawing.scene import extent, poses, scene
 from surefoot.report.pages.html import document
 from surefoot.report.pages.view import add_path, add_shape, add_world, bare_viewer, quiet_server

@@ -14,9 +14,9 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from surefoot.errors import SurefootError, choices
-from surefoot.evaluate.footfalls import Footfalls, analyze_footfalls, circular_phase
-from surefoot.evaluate.statistics import MeanEstimate
-from surefoot.evaluate.tracking import STRIDE, Tracking
+from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls, circular_phase
+from surefoot.evaluation.statistics import MeanEstimate
+from surefoot.evaluation.tracking import STRIDE, Tracking
 from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace

@@ -11,7 +11,7 @@ pytest.importorskip("mujoco")
 
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.errors import SurefootError
-from surefoot.evaluate.driven import FIXED, DrivenRobot
+from surefoot.evaluation.driven import FIXED, DrivenRobot
 from surefoot.robot.params import PARAMETERS
 from surefoot.world.registry import find_world
 

@@ -10,7 +10,7 @@ import pytest
 from scripted import COMMAND_LIMITS as LIMITS
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.tracking import GRID, Tracking, command_grid, motion, settled_steps
+from surefoot.evaluation.tracking import GRID, Tracking, command_grid, motion, settled_steps
 from surefoot.task.trace import EpisodeTrace
 
 STEP = 0.02

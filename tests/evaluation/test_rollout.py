@@ -14,8 +14,8 @@ from references import read_reference
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium")
 
-from surefoot.evaluate.rollout import run_episodes
-from surefoot.evaluate.runs import measure_runs
+from surefoot.evaluation.rollout import run_episodes
+from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv

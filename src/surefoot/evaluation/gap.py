@@ -19,8 +19,8 @@ import numpy as np
 import pandas as pd
 
 from surefoot.arrays import Array
-from surefoot.evaluate.runs import summarize_runs
-from surefoot.evaluate.statistics import Interval, MeanEstimate, crossed_interval
+from surefoot.evaluation.runs import summarize_runs
+from surefoot.evaluation.statistics import Interval, MeanEstimate, crossed_interval
 from surefoot.task.config import TaskConfig
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.evaluate.rollout import Policy
+from surefoot.evaluation.rollout import Policy
 from surefoot.robot.params import PARAMETERS
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandGenerator

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surefoot.evaluate.footfalls import FEET, Footfalls, analyze_footfalls, stance_intervals
+from surefoot.evaluation.footfalls import FEET, Footfalls, analyze_footfalls, stance_intervals
 
 STEP = 0.006
 PHASES = {  # by FEET: front_left, back_left, front_right, back_right

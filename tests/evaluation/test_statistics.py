@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("scipy")
 from scipy import stats
 
-from surefoot.evaluate.statistics import Interval, MeanEstimate, crossed_interval, t_interval, welch_interval
+from surefoot.evaluation.statistics import Interval, MeanEstimate, crossed_interval, t_interval, welch_interval
 
 
 def test_t_interval_of_three_numbers_by_hand() -> None:

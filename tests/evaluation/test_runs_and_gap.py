@@ -13,10 +13,10 @@ import pytest
 from run_tables import policy_gap
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.footfalls import FEET
-from surefoot.evaluate.gap import PolicyGap, away_task, gap_text, home_task
-from surefoot.evaluate.runs import measure_runs, summarize
-from surefoot.evaluate.statistics import MeanEstimate
+from surefoot.evaluation.footfalls import FEET
+from surefoot.evaluation.gap import PolicyGap, away_task, gap_text, home_task
+from surefoot.evaluation.runs import measure_runs, summarize
+from surefoot.evaluation.statistics import MeanEstimate
 from surefoot.task.config import TaskConfig
 from surefoot.task.trace import EpisodeTrace
 

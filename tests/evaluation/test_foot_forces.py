@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.evaluate.foot_forces import foot_forces
+from surefoot.evaluation.foot_forces import foot_forces
 from surefoot.robot import RobotDescription
 
 ROBOTS = RobotDescription.available()

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.evaluate.rollout import Policy, Progress, run_to_end
+from surefoot.evaluation.rollout import Policy, Progress, run_to_end
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.randomization import ParamRange, Ranges, mean_interval, resolve_range

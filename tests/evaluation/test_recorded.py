@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.recorded import assign_to_policies, find_traces, save_runs
+from surefoot.evaluation.recorded import assign_to_policies, find_traces, save_runs
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]

@@ -20,9 +20,9 @@ pytest.importorskip("gymnasium")
 
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.rollout import run_episodes
-from surefoot.evaluate.runs import measure_runs
-from surefoot.evaluate.sensitivity import Sensitivity, find_breaks, make_test_worlds, row_unit, run_sensitivity
+from surefoot.evaluation.rollout import run_episodes
+from surefoot.evaluation.runs import measure_runs
+from surefoot.evaluation.sensitivity import Sensitivity, find_breaks, make_test_worlds, row_unit, run_sensitivity
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges, RelativeRange, load_ranges
 from surefoot.task.config import TaskConfig, load_task
