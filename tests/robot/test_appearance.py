@@ -116,8 +116,8 @@ HOSTILE = {
     "a link that is a list": (lambda arrays, meta: meta.update(links=["base", [1]]), r"has a part on \[1\]"),
     "too few rows": (lambda arrays, meta: meta.update(links=["base"]), "must have one for each of 1 parts"),
     "a missing array": (lambda arrays, meta: arrays.pop("faces"), "has no array 'faces'"),
-    "floats": (replacer("faces", np.zeros((5, 3))), "has no array 'faces' of type u2 with 3 columns"),
-    "one dimension": (replacer("faces", np.zeros(15, np.uint16)), "has no array 'faces' of type u2"),
+    "floats": (replacer("faces", np.zeros((5, 3))), "has no array 'faces' of type u4 with 3 columns"),
+    "one dimension": (replacer("faces", np.zeros(15, np.uint32)), "has no array 'faces' of type u4"),
     "a wide array": (replacer("color", np.zeros((2, 4), np.uint8)), "has no array 'color'"),
     "counts over what is there": (setter("counts", (1, 0), 4), "does not sum to"),
     "counts that overflow": (setter("counts", slice(None), 0xFFFFFFFF), "does not sum to"),
@@ -128,7 +128,7 @@ HOSTILE = {
     "a negative span": (setter("span", (0, 0), -1), "a span is negative"),
     "too many triangles": (
         lambda arrays, meta: arrays.update(
-            faces=np.zeros((200_002, 3), np.uint16), counts=np.array([(4, 200_001), (3, 1)], np.uint32)
+            faces=np.zeros((200_002, 3), np.uint32), counts=np.array([(4, 200_001), (3, 1)], np.uint32)
         ),
         "has 200002 triangles; at most 200000",
     ),

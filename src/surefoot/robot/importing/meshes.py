@@ -36,7 +36,7 @@ class Surface:
 
     vertices: Array
     """Places (V, 3) [m]."""
-    faces: NDArray[np.int64]
+    faces: NDArray[np.integer[Any]]
     """Indices (F, 3) of vertices, counter-clockwise seen from outside."""
     color: Color | None = None
     """None: the mesh does not say."""
@@ -53,7 +53,7 @@ class Surface:
         return Surface(self.vertices @ frame[:3, :3].T + frame[:3, 3], faces, self.color)
 
 
-class _Folder(trimesh.resolvers.Resolver):  # type: ignore[misc]
+class _Folder(trimesh.resolvers.Resolver):
     """What a mesh names, such as materials and textures: regular files of limited size, from its folder."""
 
     def __init__(self, folder: Path) -> None:
@@ -97,9 +97,8 @@ def read_mesh(path: Path) -> list[Surface]:
         )
         surfaces = _read_surfaces(scene)
     except Exception as error:  # What parsers raise on a damaged file is any kind of error.
-        raise SurefootError(
-            f"{path.name} can't be read as {kind[1:].upper()}: {error or type(error).__name__}"
-        ) from error
+        message = " ".join(str(error).split()) or type(error).__name__
+        raise SurefootError(f"{path.name} can't be read as {kind[1:].upper()}: {message}") from error
     if not surfaces:
         raise SurefootError(f"{path.name} has no triangles")
     return surfaces
@@ -120,7 +119,7 @@ def _read_surfaces(scene: Any) -> list[Surface]:
         frame = np.diag([*[float(unit)] * 3, 1.0]) @ frame if unit and unit != "meters" else np.array(frame)
         surface = Surface(vertices, faces).place(frame)
         by_color.setdefault(_mean_color(geometry.visual), []).append(surface)
-    return [_merge(parts, color) for color, parts in by_color.items()]
+    return [merge_surfaces(parts, color) for color, parts in by_color.items()]
 
 
 def _mean_color(visual: Any) -> Color | None:
@@ -142,7 +141,7 @@ def _mean_color(visual: Any) -> Color | None:
     return red, green, blue
 
 
-def _merge(surfaces: Sequence[Surface], color: Color | None) -> Surface:
+def merge_surfaces(surfaces: Sequence[Surface], color: Color | None = None) -> Surface:
     """Return surfaces as one of this colour."""
     starts = np.cumsum([0] + [len(surface.vertices) for surface in surfaces])
     return Surface(

@@ -113,7 +113,7 @@ def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:
     decor = (model.geom_contype == 0) & (model.geom_conaffinity == 0)
     decorated = np.isin(model.geom_bodyid, model.geom_bodyid[decor])
     shown = np.where(decorated, decor, model.geom_group < _SHOWN_GROUPS)
-    surfaces: dict[tuple[int, ...], Surface] = {}
+    surfaces: dict[int, Surface] = {}
     visuals = []
     for geom in np.flatnonzero(shown):
         kind, size, mesh = int(model.geom_type[geom]), model.geom_size[geom], int(model.geom_dataid[geom])
