@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import io
+import itertools
+import math
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import collada
 import fast_simplification
 import numpy as np
 import trimesh
@@ -24,6 +28,12 @@ MAX_MESH_BYTES = 100_000_000
 _MAX_COORDINATE = 1e6
 _MIN_TRIANGLES = 24
 """What decimation leaves of the smallest parts."""
+_TOLERANCE = 0.004
+"""How far decimation may move a surface, in sizes of the largest one."""
+_FEW_TRIANGLES = 500
+"""Triangles that are not worth a search for hidden ones."""
+_SAMPLES, _PIXELS = 40_000, 64
+"""Points on a surface, and pixels along it, by which hidden triangles are recognized."""
 _CELLS = 1 << 20
 """Cells along a mesh in which vertices count as one."""
 Color = tuple[float, float, float]
@@ -92,10 +102,9 @@ def read_mesh(path: Path) -> list[Surface]:
     if kind == ".dae" and b"<!ENTITY" in content:
         raise SurefootError(f"{path.name} declares XML entities")
     try:
-        scene = trimesh.load_scene(
-            io.BytesIO(content), file_type=kind[1:], resolver=_Folder(path.parent), process=False
-        )
-        surfaces = _read_surfaces(scene)
+        surfaces = _read_surfaces(content, kind, path.parent)
+        if not surfaces and kind == ".dae":
+            surfaces = _read_surfaces(_drop_broken_materials(content), kind, path.parent)
     except Exception as error:  # What parsers raise on a damaged file is any kind of error.
         message = " ".join(str(error).split()) or type(error).__name__
         raise SurefootError(f"{path.name} can't be read as {kind[1:].upper()}: {message}") from error
@@ -104,8 +113,21 @@ def read_mesh(path: Path) -> list[Surface]:
     return surfaces
 
 
-def _read_surfaces(scene: Any) -> list[Surface]:
-    """Return the surfaces of a scene, merged by colour."""
+def _drop_broken_materials(content: bytes) -> bytes:
+    """Return a COLLADA file without what can't be read of its materials: pycollada drops the geometry with it."""
+    document = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
+    targets = {f"#{material.id}" for material in document.materials}
+    root = ElementTree.fromstring(content)
+    for parent in root.iter():
+        for item in parent.findall("{*}instance_material"):
+            if item.get("target") not in targets:
+                parent.remove(item)
+    return ElementTree.tostring(root)
+
+
+def _read_surfaces(content: bytes, kind: str, folder: Path) -> list[Surface]:
+    """Return the surfaces of a file's content, merged by colour."""
+    scene = trimesh.load_scene(io.BytesIO(content), file_type=kind[1:], resolver=_Folder(folder), process=False)
     by_color: dict[Color | None, list[Surface]] = {}
     for node in scene.graph.nodes_geometry:
         frame, name = scene.graph[node]
@@ -154,11 +176,14 @@ def merge_surfaces(surfaces: Sequence[Surface], color: Color | None = None) -> S
 def decimate(surfaces: Sequence[Surface], scales: Sequence[float], uses: Sequence[int], total: int) -> list[Surface]:
     """Return surfaces of about `total` triangles, where each counts as often as it is used.
 
-    A surface, scaled, keeps triangles in proportion to the square root of its area, if it has that many.
+    A surface, scaled, keeps triangles in proportion to the square root of its area, if it has that many; more where it
+    would change by more than a share of the size of the largest one.
     """
     surfaces = [_weld(surface, _CELLS) for surface in surfaces]
     available = np.array([len(surface.faces) for surface in surfaces])
     sizes = np.sqrt([surface.area for surface in surfaces]) * scales
+    extents = [float(np.ptp(surface.vertices, axis=0).max()) for surface in surfaces]
+    tolerance = _TOLERANCE * float(np.max(np.multiply(extents, scales), initial=0.0))
 
     def counts(density: float) -> Array:
         return np.minimum(np.maximum(density * sizes, _MIN_TRIANGLES), available)
@@ -167,19 +192,60 @@ def decimate(surfaces: Sequence[Surface], scales: Sequence[float], uses: Sequenc
     for _ in range(60):
         middle = (low + high) / 2
         low, high = (middle, high) if counts(middle) @ uses <= total else (low, middle)
-    return [_reduce(surface, int(count)) for surface, count in zip(surfaces, counts(low), strict=True)]
+    return [
+        _reduce(surface, int(count), tolerance / scale)
+        for surface, count, scale in zip(surfaces, counts(low), scales, strict=True)
+    ]
 
 
-def _reduce(surface: Surface, count: int) -> Surface:
-    """Return a surface of about `count` triangles, at most twice that."""
-    if len(surface.faces) > count:
-        vertices, faces = fast_simplification.simplify(surface.vertices, surface.faces, target_count=count, agg=5)
-        surface = _weld(Surface(np.asarray(vertices, float), np.asarray(faces, np.int64), surface.color), _CELLS)
-    # Triangles that share no edges can't be decimated, but welded.
+def _reduce(surface: Surface, count: int, tolerance: float) -> Surface:
+    """Return a surface of `count` triangles, or more where that would move it by more than a tolerance [m]."""
+    if len(surface.faces) <= count:
+        return surface
+    # Slivers as CAD writes them can't be collapsed, but welded.
+    welded = _weld(surface, 512)
+    reduced = _simplify(welded, count, tolerance)
+    if len(reduced.faces) > max(1.5 * count, count + _FEW_TRIANGLES):
+        reduced = _simplify(_drop_hidden(welded), count, tolerance)
     cells = 256
-    while len(surface.faces) > 2 * count and cells:
-        surface, cells = _weld(surface, cells), cells // 2
-    return surface
+    while len(reduced.faces) > 8 * count and cells:
+        reduced, cells = _weld(reduced, cells), cells // 2
+    return reduced
+
+
+def _simplify(surface: Surface, count: int, tolerance: float) -> Surface:
+    """Collapse edges down to `count` triangles, as long as the surface moves by less than a tolerance [m]."""
+    # The library raises its threshold of squared distances up to 1e-9 (100 + 3)^agg, after 100 rounds.
+    scale = math.sqrt(1e-9 * 103**3) / max(tolerance, 1e-9)
+    vertices, faces = fast_simplification.simplify(
+        scale * surface.vertices, surface.faces, target_count=min(count, len(surface.faces)), agg=3
+    )
+    return _weld(Surface(np.asarray(vertices, float) / scale, np.asarray(faces, np.int64), surface.color), _CELLS)
+
+
+def _drop_hidden(surface: Surface) -> Surface:
+    """Return the triangles that are seen from one of 14 directions around the surface."""
+    a, b, c = np.moveaxis(surface.vertices[surface.faces], 1, 0)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    owner = np.repeat(np.arange(len(areas)), np.ceil(_SAMPLES * areas / areas.sum()).astype(np.int64).clip(1))
+    share = np.random.default_rng(0).random((len(owner), 2))
+    share = np.where(share.sum(axis=1, keepdims=True) > 1, 1 - share, share)
+    points = a[owner] + share[:, :1] * (b - a)[owner] + share[:, 1:] * (c - a)[owner]
+    cell = float(np.ptp(surface.vertices, axis=0).max()) / _PIXELS
+    seen = np.zeros(len(areas), bool)
+    for direction in itertools.product((-1.0, 0.0, 1.0), repeat=3):
+        if np.count_nonzero(direction) in (0, 2):
+            continue
+        axis = np.array(direction) / np.linalg.norm(direction)
+        right = np.cross(axis, [0.3, 0.5, 0.8])
+        right /= np.linalg.norm(right)
+        pixel = np.floor(points @ np.column_stack([right, np.cross(axis, right)]) / cell).astype(np.int64)
+        column, row = (pixel - pixel.min(axis=0)).T
+        index, height = column * (int(row.max()) + 1) + row, points @ axis
+        top = np.full(int(index.max()) + 1, -np.inf)
+        np.maximum.at(top, index, height)
+        seen[owner[height >= top[index] - cell]] = True
+    return _weld(Surface(surface.vertices, surface.faces[seen], surface.color), _CELLS)
 
 
 def _weld(surface: Surface, cells: int) -> Surface:

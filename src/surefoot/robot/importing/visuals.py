@@ -95,7 +95,11 @@ def read_urdf_visuals(
 
 
 def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:
-    """Return what an MJCF draws: geoms that collide with nothing, on bodies without these all that a viewer shows."""
+    """Return what an MJCF draws.
+
+    Of a part with meshes that collide with nothing: what collides with nothing; with other meshes: what MuJoCo's viewer
+    shows; without any: all its shapes.
+    """
     try:
         with mujoco_errors(path):
             spec = mujoco.MjSpec.from_file(str(path))
@@ -110,9 +114,11 @@ def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:
     except SurefootError as error:
         _note([str(error).removeprefix(f"{path}: ")], notes)
         return []
+    part, mesh_geoms = model.body_weldid[model.geom_bodyid], model.geom_type == mjtGeom.mjGEOM_MESH
+    shown = model.geom_group < _SHOWN_GROUPS
     decor = (model.geom_contype == 0) & (model.geom_conaffinity == 0)
-    decorated = np.isin(model.geom_bodyid, model.geom_bodyid[decor])
-    shown = np.where(decorated, decor, model.geom_group < _SHOWN_GROUPS)
+    shown |= ~np.isin(part, part[shown & mesh_geoms])
+    shown = np.where(np.isin(part, part[decor & mesh_geoms]), decor, shown)
     surfaces: dict[int, Surface] = {}
     visuals = []
     for geom in np.flatnonzero(shown):
@@ -122,8 +128,8 @@ def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:
             continue
         if kind != mjtGeom.mjGEOM_MESH:
             surface = _solid(mjtGeom(kind), size)
-        elif (surface := surfaces.get(mesh)) is None:
-            surface = surfaces[mesh] = _mesh_surface(model, mesh)
+        else:
+            surface = surfaces[mesh] = surfaces.get(mesh) or _mesh_surface(model, mesh)
         frame = np.eye(4)
         frame[:3, :3], frame[:3, 3] = quat_matrix(model.geom_quat[geom]), model.geom_pos[geom]
         red, green, blue = (float(value) for value in np.clip(rgba[:3], 0, 1))
