@@ -33,7 +33,7 @@ def held(tabs: list[Page]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--policy", default="go2-steer", help="one without commands has no delay to measure")
-    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--duration", type=float, default=20.0)
     parser.add_argument("--tabs", type=int, default=1)
     parser.add_argument("--hours", type=float, default=0.0, help="then simulate so long at full speed: memory")
     options = parser.parse_args()
@@ -59,7 +59,7 @@ def main() -> None:
         tabs[0].evaluate(_COUNT)
         drive.delays.clear()
         begin, sent, simulated = time.perf_counter(), view.frames, drive.robot.time
-        while (passed := time.perf_counter() - begin) < options.seconds:
+        while (passed := time.perf_counter() - begin) < options.duration:
             tabs[0].mouse.move(x + reach * math.sin(passed), y - reach * math.cos(passed))
             time.sleep(0.03)
         shown, passed = tabs[0].evaluate("window.pictures"), time.perf_counter() - begin

@@ -54,31 +54,31 @@ TINY = (
     "--threads 1 --learning-threads 1 --ppo.minibatches 1"
 )
 RUN = "--threads 1 --out out"
-OUT = ("--out", "--runs", "--hidden-out", "--link", "--record", "--motion-capture", "--params")
+OUT = ("--out", "--link", "--params")
 """Options that name files to be written."""
 CODES = {"study": {1, 130}, "train": {130}, "deploy": {3}, "doctor": {3}, "identify": {3}}
 """Exit codes that are documented besides 0 and 2."""
 COMMANDS = {
-    "train options": f"train trot {TINY} --runs out",
+    "train options": f"train trot {TINY} --out out",
     "evaluate options": f"evaluate @policy.onnx --episodes 1 {RUN}",
-    "gap options": f"gap @policy.onnx --to mujoco --runs 1 --duration 0.03 {RUN}",
+    "gap options": f"gap @policy.onnx --to mujoco --episodes 1 --duration 0.03 {RUN}",
     "sensitivity options": (
         f"sensitivity @policy.onnx --values 2 --episodes 1 --duration 0.03 --ranges @ranges.yaml {RUN}"
     ),
-    "play options": "play @policy.onnx --seconds 0.03 --out out/a.mp4",
-    "study options": "study @study.yaml --report-only --runs out/runs --out out/report",
+    "play options": "play @policy.onnx --duration 0.03 --out out/a.mp4",
+    "study options": "study @study.yaml --report-only --out out",
     "search options": "search @task.yaml --space @space.yaml --report-only --out out/search",
     "space": "search @task.yaml --space @@space.yaml --report-only --out out/search",
     "deploy options": "deploy @policy.onnx --port nowhere --duration 0.03 --out out",
     "doctor options": "doctor @policy.onnx --port nowhere",
     "identify options": "identify latency --recording @recording.npz --params out/robot.toml --out out",
     "motor figure options": "identify motor-figure --duration 0.03 --out out/a.png",
-    "trace fit options": "identify --from-trace @trace.npz --out out",
+    "trace fit options": "identify --trace @trace.npz --out out",
     "emulate options": "emulate --duration 0.02",
-    "task": f"train @@task.yaml {TINY} --runs out",
-    "table of poses": f"train table.yaml {TINY} --runs out --task.reference.file @@poses.csv",
+    "task": f"train @@task.yaml {TINY} --out out",
+    "table of poses": f"train table.yaml {TINY} --out out --task.reference.file @@poses.csv",
     "ranges": f"evaluate @policy.onnx --episodes 1 --randomize @@ranges.yaml {RUN}",
-    "study": "study @@study.yaml --report-only --runs out/runs --out out/report",
+    "study": "study @@study.yaml --report-only --out out",
     "sheet": f"evaluate @policy.onnx --episodes 1 --robot @@robot/robot.toml {RUN}",
     "urdf": f"evaluate @policy.onnx --episodes 1 --robot @@robot/minitaur.urdf {RUN}",
     "params": f"evaluate @policy.onnx --episodes 1 --params @@params.toml {RUN}",
@@ -504,7 +504,7 @@ def make_seeds(folder: Path, names: set[str]) -> None:
         _work(folder, "evaluate", "policy.onnx", "--episodes", "1", "--out", "made", "--threads", "1")
         (folder / "made" / "episode_000.npz").rename(folder / "trace.npz")
     if any(name.startswith("run/") for name in names):
-        _work(folder, "train", "task.yaml", *TINY.split(), "--runs", "made")
+        _work(folder, "train", "task.yaml", *TINY.split(), "--out", "made")
         (run,) = (path.parent for path in folder.glob("made/*/*/run.json"))
         run.rename(folder / "run")
     shutil.rmtree(folder / "made", ignore_errors=True)

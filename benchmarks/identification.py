@@ -55,7 +55,7 @@ def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
             experiment = EXPERIMENTS[name]
             hidden = Path(folder) / f"{name}.toml"
             command = [sys.executable, "-m", "surefoot", "emulate", "--world", world, "--lockstep"]
-            command += ["--hidden-seed", str(seed), "--hidden-out", str(hidden), "--seed", str(seed)]
+            command += ["--hidden-seed", str(seed), "--out", str(hidden), "--seed", str(seed)]
             process = subprocess.Popen(
                 [*command, *(["--rack"] if experiment.rack else [])],
                 stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,

@@ -43,13 +43,24 @@ def drive(policy: str, robot: str, world: str, forward: float, yaw_rate: float, 
         folder = Path(name)
         table = ["time,forward,sideways,yaw_rate", *(",".join(f"{value:.6f}" for value in row) for row in rows)]
         (folder / "square.csv").write_text("\n".join(table))
-        capture = ["--motion-capture", str(folder / "capture.csv")]
-        options = ["--robot", robot, "--world", world, "--seed", str(seed), "--lockstep", *capture]
+        capture = str(folder / "capture.csv")
+        options = ["--robot", robot, "--world", world, "--seed", str(seed), "--lockstep", "--out", capture]
         emulator = subprocess.Popen([*SUREFOOT, "emulate", *options], stdout=subprocess.PIPE, text=True)
         try:
             assert emulator.stdout is not None
             port = emulator.stdout.readline().split()[-1]
-            words = [*SUREFOOT, "deploy", policy, "--port", port, "--lockstep", *capture, "--out", name]
+            words = [
+                *SUREFOOT,
+                "deploy",
+                policy,
+                "--port",
+                port,
+                "--lockstep",
+                "--motion-capture",
+                capture,
+                "--out",
+                name,
+            ]
             words += ["--commands", str(folder / "square.csv"), "--duration", f"{duration:.3f}"]
             subprocess.run(words, check=True, stdout=sys.stderr, stderr=subprocess.DEVNULL)
         finally:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from surefoot.api.policies import SEARCH_PATHS, find_policy, load_policy, run_policy
-from surefoot.cli.helpers.simulator import RunOptions, with_duration
+from surefoot.api.simulator import evaluation_task, with_duration
 from surefoot.files import atomic_write
 from surefoot.report.pages.recorded_runs import ShownTrace, recording_page
 
@@ -21,7 +21,7 @@ STEPS = ((0.0, 0.7, 0.0, 0.0), (1.7, 0.5, 0.0, 0.8), (3.4, 0.0, 0.8, 0.0))
 def recorded(name: str) -> ShownTrace:
     """Return a run of a policy that ships."""
     policy, robot, task = load_policy(find_policy(name), None)
-    task = with_duration(RunOptions().apply(task, robot), robot, SECONDS)
+    task = with_duration(evaluation_task(task, robot, {}), robot, SECONDS)
     if (limits := task.commands.limits(robot)) is not None:
         most = (limits.forward[1], limits.sideways[1], limits.yaw_rate[1])
         rows = tuple(

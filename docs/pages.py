@@ -32,7 +32,7 @@ def running(*words: str) -> Iterator[str]:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder, running_browser(gives_way=Path(folder)) as browser:
-        with running("drive", "go2-steer", "--port", "0") as address:
+        with running("drive", "go2-steer", "--page-port", "0") as address:
             for name, size in (("drive-wide", WIDE), ("drive-narrow", NARROW)):
                 page = browser.new_page(viewport=size)
                 page.goto(address)
@@ -42,7 +42,7 @@ if __name__ == "__main__":
                 page.screenshot(path=FOLDER / f"{name}.png")
                 page.close()
         with running("emulate", "--robot", "go2") as port:
-            words = [*("--port", port, "--drive", "--page-port", "0", "--out", folder)]
+            words = [*("--port", port, "--browser", "--page-port", "0", "--out", folder)]
             with running("deploy", "go2-steer", *words) as address:
                 page = browser.new_page(viewport=WIDE)
                 page.goto(address)

@@ -70,8 +70,8 @@ class Command:
     """Policy files, or names of policies that ship."""
     world: str = "bullet"
     """mujoco or bullet."""
-    runs: int = 3
-    """Runs of each."""
+    episodes: int = 3
+    """Episodes of each."""
     seed: int = 1
     """The one seed."""
     json: bool = False
@@ -108,7 +108,7 @@ def measure(command: Command, name: str) -> Iterator[dict[str, Any]]:
             other = thick_feet(robot, Path(scratch) / "thick") if change.thick_feet else None
             varied = replace(base, params=change.params, thermal_protection=change.thermal_protection)
             world = changed(make, change, other)
-            traces = run_episodes(policy, varied, command.runs, world, command.seed, world_name=command.world)
+            traces = run_episodes(policy, varied, command.episodes, world, command.seed, world_name=command.world)
             runs = measure_runs(traces)
             yield {
                 "policy": policy.contract.name,
@@ -133,11 +133,11 @@ def run(command: Command) -> None:
                 speed, power = np.mean(row["speed"]), np.mean(row["power"])
                 print(
                     f"{row['policy']:<14} {row['change']:<26} {speed:9.2f} {power:9.1f} "
-                    f"{row['balanced']:>6} of {command.runs} {100 * row['contact']:10.0f} %",
+                    f"{row['balanced']:>6} of {command.episodes} {100 * row['contact']:10.0f} %",
                     flush=True,
                 )
     if command.json:
-        print(json.dumps({"world": command.world, "runs": command.runs, "seed": command.seed, "rows": rows}))
+        print(json.dumps({"world": command.world, "runs": command.episodes, "seed": command.seed, "rows": rows}))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@
 4. `surefoot gap` measures simulation and deployed runs with the same functions and draws both.
 
     python examples/deploy_on_emulator.py                    # trot-robust, in Bullet where there is PyBullet
-    python examples/deploy_on_emulator.py gallop --runs 1
+    python examples/deploy_on_emulator.py gallop --episodes 1
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ def deploy(policy: str, world: str, runs: int, out: Path, lockstep: bool = False
     out.mkdir(parents=True)
     capture, traces = out / "motion_capture.csv", out / "deployed"
     clock = ["--lockstep"] if lockstep else []
-    with emulator("--world", world, "--motion-capture", capture, *clock) as port:
+    with emulator("--world", world, "--out", capture, *clock) as port:
         # An emulator cannot be damaged: go on after a failed check, such as that of a busy computer.
         if surefoot("doctor", policy, "--port", port, *clock) == REFUSED:
             raise SystemExit(REFUSED)
         code = surefoot(
-            *("deploy", policy, "--port", port, "--runs", str(runs), "--motion-capture", capture, "--out", traces),
+            *("deploy", policy, "--port", port, "--episodes", str(runs), "--motion-capture", capture, "--out", traces),
             *("--world-name", f"emulator ({world})", *clock),
         )
     return code or surefoot("gap", policy, "--from", "mujoco", "--to", "trace", traces, "--out", out / "gap")
@@ -83,11 +83,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policy", nargs="?", default="trot-robust")
     parser.add_argument("--world", default=other_world())
-    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--episodes", type=int, default=3)
     parser.add_argument("--out", type=Path, default=Path("out/deployed"))
     parser.add_argument("--lockstep", action="store_true", help="robot time follows the times in the host's frames")
     asked = parser.parse_args()
-    return show(asked.policy, asked.world, asked.runs, asked.out, asked.lockstep)
+    return show(asked.policy, asked.world, asked.episodes, asked.out, asked.lockstep)
 
 
 if __name__ == "__main__":

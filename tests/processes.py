@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
+import shlex
 import subprocess
 import sys
 import threading
@@ -32,6 +34,11 @@ def surefoot(*words: object, cwd: Path | None = None) -> subprocess.CompletedPro
         stack.enter_context(mock.patch.dict(os.environ, environment))
         code = main(list(map(str, words)))
     return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
+
+
+def printed_commands(text: str) -> dict[str, list[str]]:
+    """Return the words of every command that an output offers as `to PURPOSE: COMMAND`, by purpose."""
+    return {purpose: shlex.split(command) for purpose, command in re.findall(r"^to ([^:\n]+): (.+)$", text, re.M)}
 
 
 def refused(done: subprocess.CompletedProcess[str], *parts: str) -> None:

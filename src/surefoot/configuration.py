@@ -13,9 +13,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import tyro
 import yaml
 
-from surefoot.errors import SurefootError, choices, describe_os_errors, quote
+from surefoot.errors import SurefootError, choices, describe_os_errors, quote, suggest
 from surefoot.files import read_configuration
 
 T = TypeVar("T")
@@ -79,6 +80,8 @@ Threads = Annotated[int, Within(0, 1024)]
 """Number of threads; 0 means one a core."""
 Duration = Annotated[float, Within(0, 3600, above=True)]
 """Length of a run [s]."""
+NoOption = Annotated[T, tyro.conf.Fixed, tyro.conf.Suppress]
+"""A field that has no option by its dotted name, since commands have one of their own for it."""
 Positive = Annotated[float, Within(0, 1e9, above=True)]
 NotNegative = Annotated[float, Within(0, 1e9)]
 
@@ -201,7 +204,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     for key in data:
         if key not in fields:
             former = getattr(kind, "former_keys", {}).get(key)
-            raise SurefootError(f"{prefix}{key} is not a key; {former or f'choices: {choices(fields)}'}")
+            raise SurefootError(f"{prefix}{key} is not a key; {former or suggest(str(key), fields)}")
     values = {} if base is None else {name: getattr(base, name) for name in fields}
     for name, item in fields.items():
         if name in data:
@@ -222,7 +225,7 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
         return value
     if origin is typing.Literal:
         if value not in args:
-            raise SurefootError(f"{where} is {quote(value)}; choices: {choices(args)}")
+            raise SurefootError(f"{where} is {quote(value)}; {suggest(value, args)}")
         return value
     if origin in (typing.Union, types.UnionType):
         tables = [option for option in args if dataclasses.is_dataclass(option)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 import reprlib
 from collections.abc import Iterable, Iterator
@@ -54,6 +55,18 @@ def quote(value: Any) -> str:
     """Return a value as messages quote it: as Python writes it, shortened where it is long or deep."""
     text = _QUOTES.repr(value)
     return text if len(text) <= 200 else f"{text[:200]}..."
+
+
+def suggest(name: object, names: Iterable[object]) -> str:
+    """Return the choices for the end of an error message about a wrong name, after the nearest one if there is one."""
+    texts = [str(choice) for choice in names]
+    near = nearest(str(name), texts)
+    return f"{f'did you mean {near}? ' if near else ''}choices: {choices(texts)}"
+
+
+def nearest(name: str, names: Iterable[str]) -> str | None:
+    """Return the name out of several that is most like a wrong one; None if none is."""
+    return next(iter(difflib.get_close_matches(name[:100], list(names), n=1, cutoff=0.65)), None)
 
 
 def choices(names: Iterable[str]) -> str:

@@ -16,6 +16,11 @@ Rows = Sequence[Mapping[str, object]]
 """Rows of a table, all with the columns of the first one."""
 
 
+def with_unit(text: str, unit: str) -> str:
+    """Return a heading such as `speed (m/s)`; the text alone without a unit."""
+    return f"{text} ({unit})" if unit else text
+
+
 def plain_value(value: object) -> object:
     """Return a value as JSON holds it: None for a number that is not finite."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

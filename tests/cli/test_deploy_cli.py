@@ -171,7 +171,8 @@ sys.exit(code)
 
 @pytest.mark.usefixtures("quick")
 def test_several_runs_in_a_row_each_leave_a_trace(emulate, tmp_path):
-    done = deploy(emulate().port, "--duration", "0.3", "--runs", "2", "--out", str(tmp_path), "--world-name", "bench")
+    words = ("--duration", "0.3", "--episodes", "2", "--out", str(tmp_path), "--world-name", "bench")
+    done = deploy(emulate().port, *words)
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("surefoot: disarm") == 2
     assert sorted(path.name for path in tmp_path.glob("*.npz")) == ["run_000.npz", "run_001.npz"]
@@ -231,7 +232,7 @@ def test_a_killed_host_leaves_its_run_behind_and_loses_the_robot_to_the_next_one
         (["trot", "--port", "/dev/nothing"], "port /dev/nothing: can't be opened: No such file or directory"),
         (["canter", "--port", "x"], "policy 'canter' does not exist"),
         (["trot", "--port", "x", "--duration", "-1"], "duration is -1; it must be over 0"),
-        (["trot", "--port", "x", "--runs", "0"], "runs is 0; it must be 1 or more"),
+        (["trot", "--port", "x", "--episodes", "0"], "episodes is 0; it must be 1 or more"),
         (["trot"], "--port"),
         (["trot", "--port", "x", "--out", "/dev/null"], "out is /dev/null; it must be a folder"),
     ],

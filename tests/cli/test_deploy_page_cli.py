@@ -1,4 +1,4 @@
-"""`surefoot deploy --drive`: the robot's own state on a page in a real browser, and commands from there."""
+"""`surefoot deploy --browser`: the robot's own state on a page in a real browser, and commands from there."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
     emulate: Callable[..., Emulator], page: Page, tmp_path: Path
 ):
     robot = emulate("--robot", "go2", "--ideal-sensors")
-    words = ("--port", robot.port, "--drive", "--page-port", "0", "--out", str(tmp_path), "--json")
+    words = ("--port", robot.port, "--browser", "--page-port", "0", "--out", str(tmp_path), "--json")
     deploy = subprocess.Popen([*SUREFOOT, "deploy", "go2-steer", *words], stdout=-1, stderr=-1, text=True)
     try:
         assert deploy.stderr is not None
@@ -76,6 +76,6 @@ def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
 
 
 def test_drive_page_refuses_incompatible_options():
-    command = ("deploy", "go2-steer", "--port", "x", "--drive")
+    command = ("deploy", "go2-steer", "--port", "x", "--browser")
     refused(run_surefoot(*command, "--commands", "5555"), "commands come from one place")
     refused(run_surefoot(*command, "--lockstep"), "a page drives in real time")

@@ -191,11 +191,11 @@ def test_taken_port_is_one_line():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        words = [sys.executable, "-m", "surefoot", "drive", "go2-steer", "--port", str(taken.getsockname()[1])]
+        words = [sys.executable, "-m", "surefoot", "drive", "go2-steer", "--page-port", str(taken.getsockname()[1])]
         done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
-    assert "--port" in done.stderr
+    assert "--page-port" in done.stderr
 
 
 @pytest.fixture(scope="module")

@@ -29,10 +29,10 @@ from surefoot.robot.params_file import read_params
         (["--baud", "-1"], "baud is -1; it must be 0 or more"),
         (["--baud", "300"], "baud is 300; it must be 9600 or more, or 0"),
         (["--hidden-seed", "-1"], "hidden_seed is -1; it must be 0 or more"),
-        (["--hidden-out", "x.toml"], "hidden_out needs hidden parameters; give --hidden-seed too"),
+        (["--out", "x.toml"], "out x.toml is for hidden parameters; give --hidden-seed too"),
         (["--hidden-seed", "1", "--set", "voltage=15"], "does not go with --params and --set"),
-        (["--hidden-seed", "1", "--hidden-out", "x.txt"], "hidden_out x.txt: the name must end in .toml"),
-        (["--motion-capture", "x.txt"], "motion_capture x.txt: the name must end in .csv"),
+        (["--out", "x.txt"], "out x.txt: the name must end in .csv or .toml, with one file of each"),
+        (["--out", "x.csv", "y.csv"], "out y.csv: the name must end in"),
         (["--set", "voltage=99"], "voltage is 99; minitaur allows 5 to 30"),
         (["--params", "missing.toml"], "missing.toml: can't be read: No such file"),
     ],
@@ -42,9 +42,7 @@ def test_emulate_reports_invalid_options_in_one_line(tmp_path, words, message):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("option", "name"), [("--motion-capture", "a.csv"), ("--hidden-out", "a.toml"), ("--link", "a")]
-)
+@pytest.mark.parametrize(("option", "name"), [("--out", "a.csv"), ("--out", "a.toml"), ("--link", "a")])
 def test_emulate_refuses_to_overwrite_files(tmp_path, option, name):
     file = tmp_path / name
     file.write_text("mine")
@@ -69,7 +67,7 @@ def test_the_faults_are_listed():
 
 def test_emulate_runs_for_a_duration_and_prints_a_summary(tmp_path):
     file = tmp_path / "seen.csv"
-    done = surefoot("emulate", "--duration", "0.1", "--motion-capture", file, "--rack")
+    done = surefoot("emulate", "--duration", "0.1", "--out", file, "--rack")
     assert done.returncode == 0
     assert re.fullmatch(r"robot on /dev/pts/\d+\n", done.stdout)
     summary = r"surefoot: 0\.1\d* s of robot time in 0\.\d s; \d+ % of a processor; "
@@ -79,7 +77,7 @@ def test_emulate_runs_for_a_duration_and_prints_a_summary(tmp_path):
 
 def test_hidden_parameters_go_to_the_file_alone(robot, tmp_path):
     file = tmp_path / "hidden.toml"
-    done = surefoot("emulate", "--hidden-seed", "5", "--hidden-out", file, "--duration", "0.01")
+    done = surefoot("emulate", "--hidden-seed", "5", "--out", file, "--duration", "0.01")
     assert done.returncode == 0
     file_params = read_params(file, robot)
     assert file_params.tables["origin"] == {"hidden_seed": 5}

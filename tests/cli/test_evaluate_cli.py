@@ -27,7 +27,7 @@ KEYS = {
 }
 EXTRAS = {
     *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "push_force", "set", "robot", "policy_file"),
-    *("config_hash", "randomize", "actuator", "params", "params_source"),
+    *("config_hash", "randomize", "actuator", "params", "params_source", "saturation"),
 }
 LEGS = {"front_left", "back_left", "front_right", "back_right"}
 
@@ -61,7 +61,7 @@ def test_help_is_fast_and_names_the_commands():
 
 
 def test_errors_come_before_anything_heavy_is_imported():
-    lines = ("evaluate no.onnx --episodes 0", "sensitivity no.onnx --episodes 0", "gap no.onnx --to bullet --runs 0")
+    lines = ("evaluate x.onnx --episodes 0", "sensitivity x.onnx --episodes 0", "gap x.onnx --to bullet --episodes 0")
     script = (
         "import sys; from surefoot.cli.main import main;"
         f"assert [main(line.split()) for line in {lines}] == [2, 2, 2];"
@@ -111,7 +111,10 @@ def test_settings_and_pushes_change_the_result(policy: Path):
         ("evaluate POLICY --episodes 0", "episodes is 0; it must be 1 or more"),
         ("evaluate POLICY --push-force 40 20", "pushes.force is [40.0, 20.0]; the lower bound must come first"),
         ("evaluate POLICY --push-force -1 20", "push_force[0] is -1; it must be 0 or more"),
-        ("evaluate POLICY --set strength=1", "'strength' is not a physical parameter; choices: base_mass_ratio"),
+        (
+            "evaluate POLICY --set strength=1",
+            "'strength' is not a physical parameter; did you mean motor_strength? choices: base_mass",
+        ),
         ("evaluate POLICY --set motor_strength=9", "motor_strength is 9; minitaur allows 0 to 2"),
         ("evaluate POLICY --set motor_strength=much", "sets no number"),
         ("evaluate POLICY --world moon", "world 'moon' does not exist; choices: mujoco"),
@@ -119,7 +122,7 @@ def test_settings_and_pushes_change_the_result(policy: Path):
         ("evaluate POLICY --out /dev/null/out", "/dev/null"),
         ("evaluate POLICY --episodes x", "x"),
         ("evaluate nowhere", "policy 'nowhere' does not exist"),
-        ("play POLICY --seconds 0", "seconds is 0"),
+        ("play POLICY --duration 0", "duration is 0"),
         ("play POLICY --out film.gif", "the name must end in .mp4"),
         ("evaluate", "no POLICY and no --trace is given"),
         ("evaluate trot --trace run.npz", "--trace and a policy are given"),
@@ -141,7 +144,7 @@ def test_a_damaged_policy_is_refused(tmp_path: Path, policy: Path):
 
 def test_play_writes_a_video_where_there_is_no_display(policy: Path, tmp_path: Path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    done = surefoot("play", policy, "--seconds", "0.4", cwd=tmp_path)
+    done = surefoot("play", policy, "--duration", "0.4", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "wrote untrained.mp4\n"
     frames = ffmpeg.read_frames(str(tmp_path / "untrained.mp4"))
@@ -203,7 +206,7 @@ def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monk
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(policies, "SEARCH_PATHS", (policy.parent,))
     assert policies.find_policy("untrained") == policy
-    with pytest.raises(ValueError, match=r"policy 'trot' .*policies that ship: untrained"):
+    with pytest.raises(ValueError, match=r"policy 'trot' .*choices: untrained"):
         policies.find_policy("trot")
 
 
@@ -252,6 +255,11 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     from surefoot.task.trace import EpisodeTrace
 
     monkeypatch.setattr(tracking, "GRID", 2)
+    from surefoot.api.episodes import captions
+    from surefoot.api.policies import find_policy, load_gait, run_policy
+    from surefoot.api.simulator import evaluation_task, with_duration
+    from surefoot.report.figures.runs import episode_plot
+
     words = ("evaluate", "go2-steer", "--command-grid", "--threads", 1, "--out", tmp_path)
     done = surefoot(*words, "--json")
     assert done.returncode == 0, done.stderr
@@ -276,4 +284,16 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     refused(surefoot(*words, "--commands", "way.csv"), "way.csv")
     (tmp_path / "way.csv").write_text("time,forward,sideways,yaw_rate\n0,0.5,0,0\n")
     refused(surefoot(*words, "--commands", tmp_path / "way.csv"), "--command-grid and --commands are given")
+    # A task's episode takes 9.6 s; the file two seconds longer than its last row, if that is more.
+    policy, robot, task, _ = load_gait(find_policy("go2-steer"), None)
+    for end, duration in ((7.0, 9.6), (9.0, 11.008)):
+        (tmp_path / "way.csv").write_text(f"time,forward,sideways,yaw_rate\n0,0.5,0,0\n{end},0,0,0\n")
+        run = evaluation_task(task, robot, {}, commands=tmp_path / "way.csv")
+        assert 0.016 * run.max_steps == pytest.approx(duration)
+    (trace,) = run_policy(policy, with_duration(run, robot, 0.8), 1, "mujoco", 1)
+    texts = captions(trace)
+    assert len(texts) == trace.num_steps == 50
+    assert "command: forward 0.50, left 0.00 m/s, turn 0.00 rad/s\nrobot: forward 0." in texts[-1]
+    episode_plot(trace, robot, tmp_path / "episode.png")
+    assert (tmp_path / "episode.png").stat().st_size > 10_000
     refused(surefoot("evaluate", "trot", "--command-grid"), "this policy has no commands to follow")

@@ -103,8 +103,8 @@ def test_tables_figure_and_traces(here: Path):
 
 
 def test_home_is_the_simulator_of_the_policy_and_away_the_robot_of_the_data_sheet(here: Path):
-    words = ["trot.onnx", "--to", "mujoco", "--runs", "2", "--set", "voltage=15", "--from-set", "base_mass_ratio=1.1"]
-    output = result([*words, "--to-set", "base_mass_ratio=0.9", "voltage=14"])
+    words = ["trot.onnx", "--to", "mujoco", "--episodes", "2", "--set", "voltage=15"]
+    output = result([*words, "--from-set", "base_mass_ratio=1.1", "--to-set", "base_mass_ratio=0.9", "voltage=14"])
     (policy,) = output["policies"]
     at_home = {"control_latency": 0.0, "servo_latency": 0.0, "voltage": 15.0, "base_mass_ratio": 1.1}
     assert policy["home"] == {"actuator": "constraint", "params": at_home, "params_source": {}}
@@ -136,7 +136,7 @@ def test_the_same_worlds_have_no_gap(here: Path):
 
 
 def test_runs_have_the_same_duration_in_every_world(here: Path):
-    words = ["gallop.onnx", "--to", "mujoco", "--runs", "1", "--to-set", "control_step=0.012"]
+    words = ["gallop.onnx", "--to", "mujoco", "--episodes", "1", "--to-set", "control_step=0.012"]
     result(words)
     steps = [int(run["steps"]) for run in read(Path("gap/episodes.csv"))]
     assert steps == [60, 30]
@@ -150,7 +150,7 @@ def test_runs_have_the_same_duration_in_every_world(here: Path):
 
 
 def test_recorded_runs_have_the_results_of_simulated_ones(here: Path):
-    words = ["trot.onnx", "gallop.onnx", "--runs", "2"]
+    words = ["trot.onnx", "gallop.onnx", "--episodes", "2"]
     simulated = result([*words, "--to", "mujoco", "--to-set", "voltage=13"])
     shutil.copytree("gap/trot/mujoco-away", "robot/monday/trot")
     shutil.copytree("gap/gallop/mujoco-away", "robot/tuesday")
@@ -182,7 +182,7 @@ def test_recorded_runs_have_the_results_of_simulated_ones(here: Path):
         ("gallop.onnx --to mujoco bullet", "--to is 'mujoco bullet'; it takes"),
         ("gallop.onnx --to mujoco --to mujoco", "--to mujoco is given twice"),
         ("gallop.onnx --from moon --to mujoco", "world 'moon' does not exist"),
-        ("gallop.onnx --to mujoco --runs 0", "runs is 0; it must be 1 or more"),
+        ("gallop.onnx --to mujoco --episodes 0", "episodes is 0; it must be 1 or more"),
         ("gallop.onnx --to mujoco --to-set strength=1", "'strength' is not a physical parameter"),
         ("gallop.onnx --to mujoco --from-set motor_strength=9", "motor_strength is 9; minitaur allows 0 to 2"),
         ("gallop.onnx --to mujoco --out /dev/null/gap", "/dev/null"),
@@ -249,7 +249,7 @@ def test_without_bullet_the_error_names_the_extra(line: str, here: Path, monkeyp
 
 def test_bullet_is_another_world(here: Path):
     pytest.importorskip("pybullet")
-    output = result(["gallop.onnx", "--to", "bullet", "--runs", "2"])
+    output = result(["gallop.onnx", "--to", "bullet", "--episodes", "2"])
     home, away = output["policies"][0]["worlds"]
     assert (home["world"], away["world"]) == ("mujoco", "bullet")
     assert away["gap"] != 0

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
+from processes import SUREFOOT, EmulatorHere, emulators, printed_commands, refused, surefoot
 
 from surefoot.cli.helpers.identify_run import refuse_another_robot
 from surefoot.emulator.limits import Limits, make_handshake
@@ -44,8 +44,8 @@ def test_motor_figure_without_a_log(tmp_path: Path) -> None:
 def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) -> None:
     pytest.importorskip("pybullet")
     log, out = tmp_path / "motor.csv", tmp_path / "motor.png"
-    words = ["motor-figure", "--out", out, "--json"]
-    assert identify(*words, "--world", "bullet", "--record", log, "--duration", 0.5).returncode == 0
+    words = ["motor-figure", "--json", "--out", out]
+    assert identify(*words, log, "--world", "bullet", "--duration", 0.5).returncode == 0
     output = json.loads(identify(*words, "--log", log).stdout)
     assert output["against"] == str(log)
     # The same laws in another engine come out the same; another law does not.
@@ -58,7 +58,7 @@ def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) 
     [
         (
             ["tail"],
-            "'tail' is no experiment; choices: latency, motor, mass, contact, motor-figure, or --from-trace FOLDER",
+            "'tail' is no experiment; choices: latency, motor, mass, contact, motor-figure, or --trace FOLDER",
         ),
         (["motor"], "give one of them; none is given"),
         (["motor", "--port", "x", "--recording", "y"], "give one of them; both is given"),
@@ -74,10 +74,13 @@ def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) 
             "motors will move and the robot must hang free, its legs in the air; without",
         ),
         (["mass", "--port", "/dev/none", "--record-only"], "the robot must sit on flat ground with a metre of room"),
-        (["--from-trace", "none"], "trace folder none does not exist"),
-        (["--from-trace=none"], "trace folder none does not exist"),
+        (["--trace", "none"], "trace folder none does not exist"),
+        (["--trace=none"], "trace folder none does not exist"),
         (["motor-figure", "--motor", "tail"], "motor 'tail' does not exist"),
-        (["motor-figure", "--out", "motor.pdf"], "must end in .png"),
+        (
+            ["motor-figure", "--out", "motor.pdf"],
+            "out motor.pdf: the name must end in .png or .csv, with one file of each",
+        ),
         (["motor-figure", "--frequency", "0"], "frequency is 0; it must be over 0"),
         (["motor-figure", "--log", "none.csv"], "none.csv: can't be read"),
         (["motor-figure", "--set", "mass=2"], "'mass' is not a physical parameter"),
@@ -98,7 +101,7 @@ def test_identify_without_words_lists_the_experiments():
     done = identify()
     assert done.returncode == 2
     assert identify("--help").stdout == done.stderr
-    for name in ("latency", "motor", "mass", "contact", "--from-trace FOLDER", "motor-figure"):
+    for name in ("latency", "motor", "mass", "contact", "--trace FOLDER", "motor-figure"):
         assert f"\n  {name}  " in done.stderr
 
 
@@ -167,7 +170,7 @@ def test_record_only_needs_the_bare_install(recorded: Recorded):
     for output in (phases[0], "drag x 2", "ends with damped motors when a motor leaves", "N m for 0.4 s"):
         assert output in done.stdout
     assert f"contact experiment recorded: {folder / 'recording.npz'}" in done.stdout
-    assert f"to fit it: surefoot identify contact --recording {folder}" in done.stdout
+    assert printed_commands(done.stdout)["fit it"][1:] == ["identify", "contact", "--recording", str(folder)]
     # A line a phase, where there is no terminal; nothing but plain text.
     lines = [line for line in done.stderr.splitlines() if line.startswith("surefoot: ")]
     assert [line.partition(", ")[0] for line in lines] == [f"surefoot: {name}" for name in phases]
@@ -325,7 +328,7 @@ def test_identify_from_traces(tmp_path: Path):
     traces, out = tmp_path / "traces", tmp_path / "out"
     words = ["evaluate", "trot", "--episodes", 2, "--threads", 1, "--set", "motor_strength=0.9", "--out", traces]
     assert surefoot(*words).returncode == 0
-    done = identify("--from-trace", traces, "--fit", "motor_strength", "--out", out, "--json")
+    done = identify("--trace", traces, "--fit", "motor_strength", "--out", out, "--json")
     assert done.returncode == 0, done.stderr
     output = json.loads(done.stdout)
     assert output["experiment"] == "traces"
@@ -334,7 +337,7 @@ def test_identify_from_traces(tmp_path: Path):
     assert set(overlay["params"]) == {"motor_strength"}
     assert np.mean(overlay["params"]["motor_strength"]) == pytest.approx(0.9, abs=0.03)
     assert overlay["identified"]["traces"]["file"] == str(traces)
-    done = identify("--from-trace", traces, "--fit", "contact_friction")
+    done = identify("--trace", traces, "--fit", "contact_friction")
     refused(done, "traces can't identify 'contact_friction'; choices: motor_strength")
 
 
@@ -345,7 +348,7 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
     from surefoot.identify.replay import Replayer, segment_from_log
 
     pupper, logs, out = RobotDescription.load("pupper_v2"), tmp_path / "logs", tmp_path / "out"
-    words = ("--from-trace", logs, "--robot", "pupper_v2")
+    words = ("--trace", logs, "--robot", "pupper_v2")
     logs.mkdir()
     refused(identify(*words), f"folder {logs} holds no logs (.npz)")
     truth = PhysicalParams.nominal(pupper).with_values(pupper, control_latency=0.030)
@@ -358,8 +361,8 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
         blank = RobotLog(name, time, command, read, np.full((71, 12), np.nan), np.full((71, 4), np.nan))
         output = replayer.run(segment_from_log(blank, pupper), truth)
         np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=output.motor_angle[0])
-    refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick'; logs: fast, slow")
-    refused(identify("--from-trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
+    refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick', which is no log; choices: fast, slow")
+    refused(identify("--trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
     how = ("--rack", "fast", "slow", "--hold-out", "fast", "--fit", "control_latency", "--out", out)
     done = identify(*words, *how, "--json")
     assert done.returncode == 0, done.stderr

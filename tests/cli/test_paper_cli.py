@@ -38,8 +38,8 @@ def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
         (["--root", "."], ["root is .", "with the folder results"]),
         (["--out", "page.pdf"], ["out page.pdf: the name must end in .html"]),
         (["--root", "REPOSITORY", "--quick", "--full"], ["--quick and --full are given; give one of them"]),
-        (["--root", "REPOSITORY", "--folder", "here"], ["--folder", "go with --quick or --full"]),
-        (["--root", "REPOSITORY", "--quick", "--folder", "file"], ["file; it must be a folder"]),
+        (["--root", "REPOSITORY", "--workers", "2"], ["--workers", "go with --quick or --full"]),
+        (["--root", "REPOSITORY", "--quick", "--out", "file"], ["file; it must be a folder"]),
     ],
 )
 def test_paper_refuses_options_that_do_not_go_together(
@@ -74,19 +74,19 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
 
     stages = (Stage("once", once), evaluate("results/policies/trot.json", "trot"), Stage("stopped", stopped))
     monkeypatch.setattr(paper_runs, "STAGES", stages)
-    words = ("paper", "--root", repository, "--quick", "--folder", shipped, "--out", tmp_path / "page.html")
+    words = ("paper", "--root", repository, "--quick", "--out", shipped)
     done = surefoot(*words)
     assert done.returncode == 130
     assert f"surefoot paper --root {repository} --quick" in done.stderr
     summary = json.loads((shipped / "results/policies/trot.json").read_text())
     assert (summary["policy"], summary["episodes"]) == ("trot", 20)
-    assert not (tmp_path / "page.html").exists()
+    assert not (shipped / "paper.html").exists()
 
     done = surefoot(*words)
     assert done.returncode == 0, done.stderr
     assert runs_made == ["once", "stopped", "stopped"]
     assert "results/policies/trot.json: is there" in done.stderr
-    page = (tmp_path / "page.html").read_text()
+    page = (shipped / "paper.html").read_text()
     assert paper_runs.QUICK_NOTE.split(":")[0] in page
     assert f"{summary['speed_mean']:.2f} ± {summary['speed_std']:.2f} m/s" in page
     assert "not there: results/policies/gallop.json" in done.stdout
@@ -95,7 +95,7 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
 def test_a_training_keeps_its_policy_and_pictures(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(paper_runs, "STAGES", (paper_runs.train("trot", 8192),))
     folder = tmp_path / "runs"
-    done = surefoot("paper", "--root", repository, "--quick", "--folder", folder, "--out", tmp_path / "page.html")
+    done = surefoot("paper", "--root", repository, "--quick", "--out", folder)
     assert done.returncode == 0, done.stderr
     assert (folder / "policies/trot.onnx").exists()
     assert (folder / "policies/trot/footfalls.png").exists()
@@ -106,7 +106,7 @@ def test_a_command_that_fails_ends_the_runs_in_one_line(
 ):
     stages = (Stage("never", lambda runs: command(runs, "evaluate", "none.onnx")),)
     monkeypatch.setattr(paper_runs, "STAGES", stages)
-    done = surefoot("paper", "--root", repository, "--full", "--folder", shipped)
+    done = surefoot("paper", "--root", repository, "--full", "--out", shipped)
     assert done.returncode == 2
     assert done.stderr.endswith("surefoot: error: surefoot evaluate none.onnx: ended with exit code 2\n")
 
@@ -170,7 +170,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     for stage in paper_runs.STAGES:
         stage.make(quick)
     commands = {tuple(words) for words in calls}
-    assert ("train", "trot", "--runs", "runs", "--steps", "300000") in commands
+    assert ("train", "trot", "--out", "runs", "--steps", "300000") in commands
     assert (tmp_path / "policies/trot.onnx").exists()
     assert (tmp_path / "policies/trot/footfalls.png").exists()
     assert (tmp_path / "results/policies/trot.json").read_text() == "what policies/trot.onnx did\n"
@@ -205,6 +205,6 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
 
 def test_a_run_without_its_file_is_an_error(repository: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(paper_runs, "STAGES", (Stage("results/none.json", lambda runs: None),))
-    done = surefoot("paper", "--root", repository, "--quick", "--folder", shipped)
+    done = surefoot("paper", "--root", repository, "--quick", "--out", shipped)
     refused_late = "surefoot: error: results/none.json was not made; see the output above\n"
     assert (done.returncode, done.stderr.endswith(refused_late)) == (2, True)

@@ -124,7 +124,7 @@ def test_evaluate_runs_on_the_robot_of_a_file():
 
 
 def test_gap_simulates_the_robot_on_all_sides():
-    words = "gap trot --to mujoco --params robot.toml --to-set voltage=14 --runs 2 --duration 0.3"
+    words = "gap trot --to mujoco --params robot.toml --to-set voltage=14 --episodes 2 --duration 0.3"
     (policy,) = result(words, *ONE)["policies"]
     assert policy["home"] == {"actuator": "dc", "params": AS_JSON, "params_source": SOURCE}
     assert policy["away"] == {"actuator": "dc", "params": {**AS_JSON, "voltage": 14.0}, "params_source": SOURCE}
@@ -134,7 +134,7 @@ def test_gap_simulates_the_robot_on_all_sides():
     # Recorded runs stay as they are, and the robot stands beside them.
     shutil.copytree("gap/trot/mujoco-away", "recorded")
     before = [path.read_bytes() for path in sorted(Path("recorded").iterdir())]
-    words = "gap trot --to trace recorded --params robot.toml --runs 2 --duration 0.3 --out result"
+    words = "gap trot --to trace recorded --params robot.toml --episodes 2 --duration 0.3 --out result"
     again = result(words, *ONE)["policies"][0]
     assert again["worlds"][0] == policy["worlds"][0]
     assert again["worlds"][1]["return_mean"] == policy["worlds"][1]["return_mean"]
@@ -162,14 +162,12 @@ def test_train_takes_simulator_and_file():
     pytest.importorskip("torch")
     from surefoot.cli.train import _parse
 
-    words = "trot --actuator constraint --control-latency=0 --task.max-steps 60 --runs r --servo_latency 3e-3 --pushes"
+    words = "trot --actuator constraint --control-latency=0 --task.max-steps 60 --out r --servo_latency 3e-3 --pushes"
     config, command = _parse(words.split())
-    assert (config.task.actuator, command.runs) == ("constraint", Path("r"))
+    assert (config.task.actuator, command.out) == ("constraint", Path("r"))
     assert config.task.params == {"control_latency": 0.0, "servo_latency": 0.003}
     assert (config.task.max_steps, config.task.pushes.enabled) == (60, True)
-    task = _parse(["trot", "--task.params", "voltage", "15", "--control-latency", "0.012", "--params=robot.toml"])[
-        0
-    ].task
+    task = _parse(["trot", "--set", "voltage=15", "--control-latency", "0.012", "--params=robot.toml"])[0].task
     assert (task.params, task.params_source) == ({**VALUES, "control_latency": 0.012, "voltage": 15.0}, SOURCE)
     task = _parse(["trot"])[0].task
     assert (task.actuator, task.params_source) == ("dc", {})
@@ -181,10 +179,10 @@ def test_train_refuses_a_file_of_another_robot_than_named(here: Path):
 
     maxitaur(here / "maxitaur")
     Path("other.toml").write_text(TEXT.replace("minitaur", "maxitaur"))
-    words = ["trot", "--params", "other.toml", "--task.robot", "maxitaur"]
+    words = ["trot", "--params", "other.toml", "--robot", "maxitaur"]
     assert _parse(words)[0].task.params == VALUES
     with pytest.raises(SurefootError, match="has parameters of robot 'minitaur', not of 'maxitaur'"):
-        _parse(["trot", "--params", "robot.toml", "--task.robot", "maxitaur"])
+        _parse(["trot", "--params", "robot.toml", "--robot", "maxitaur"])
 
 
 def test_training_evaluates_on_the_robot_of_its_file(here: Path):

@@ -87,7 +87,7 @@ def test_option_changes_the_range_of_one_parameter(line: str, ranges: Ranges):
     [
         ("--randomize", ["--randomize has no value", "none, table1, or a YAML file"]),
         ("--randomize --json", ["--randomize has no value"]),
-        ("--randomize tabel1", ["randomize 'tabel1' does not exist; choices: ensemble, none, table1"]),
+        ("--randomize tabel1", ["randomize 'tabel1' does not exist; did you mean table1? choices: ensemble"]),
         ("--randomize=", ["randomize '' does not exist"]),
         ("--randomize.colour 0 1", ["'colour' is not a physical parameter; choices: base_mass_ratio"]),
         ("--randomize. 0 1", ["'' is not a physical parameter"]),

@@ -53,7 +53,7 @@ def test_trace_import_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert (output["timing"]["rows"], output["timing"]["repeated_times"]) == (4, pytest.approx(1 / 3))
     assert EpisodeTrace.load(output["trace"]).num_steps == 4
     assert main(["trace", "export"]) == 2
-    assert "'export' is not an action; choices: import" in capsys.readouterr().err
+    assert "'export' is not an action; did you mean import? choices: import" in capsys.readouterr().err
     assert (main(["trace"]), main(["trace", "--help"])) == (2, 0)
     message = capsys.readouterr()
     assert message.out == message.err
@@ -63,7 +63,7 @@ def test_trace_import_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--params", "nothing"], "params is 'nothing'; it must be a file (.toml), or a name; those of pupper_v2: id"),
+        (["--params", "nothing"], "params is 'nothing'; it must be a file (.toml), or a name; choices: id"),
         (["--world", "newton"], "world 'newton' does not exist; choices: mujoco, bullet"),
         (["--out", "figure.svg"], "out figure.svg: the name must end in .png"),
         (["--set", "mass=1"], "'mass' is not a physical parameter"),

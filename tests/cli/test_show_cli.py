@@ -76,7 +76,7 @@ def opened(browser: Browser, url: str) -> Page:
 def shared(traces: list[Path], browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     """Give a tab that shows the runs from a file."""
     file = tmp_path_factory.mktemp("shared") / "runs.html"
-    assert main(["show", *map(str, traces), "--html", str(file)]) == 0
+    assert main(["show", *map(str, traces), "--out", str(file)]) == 0
     assert file.stat().st_size < 1.5e6
     tab = opened(browser, file.as_uri())
     wrong = errors_of(tab)
@@ -96,7 +96,7 @@ def page(shared: Page) -> Page:
 def served(trace: Path, *words: str) -> Iterator[str]:
     """Serve a trace and give the page's address. Ctrl-C ends the command, though its parent ignores SIGINT."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "surefoot", "show", str(trace), "--port", "0", *words],
+        [sys.executable, "-m", "surefoot", "show", str(trace), "--page-port", "0", *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -230,10 +230,10 @@ def test_show_refuses_invalid_traces_and_unknown_robots(
         ([traces[0], cut], "cut.npz: is cut off, damaged"),
         ([arrays], "arrays.npz: not an episode trace"),
         ([tmp_path / "none.npz"], "does not exist"),
-        ([traces[0], "--html", "x.txt"], "must end in .html"),
+        ([traces[0], "--out", "x.txt"], "must end in .html"),
         ([traces[0]] * 17, "17 traces are given"),
     ):
-        assert main(["show", "--html", str(tmp_path / "x.html"), *map(str, words)]) == 2
+        assert main(["show", "--out", str(tmp_path / "x.html"), *map(str, words)]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert message in line
         assert not (tmp_path / "x.html").exists()
@@ -242,6 +242,6 @@ def test_show_refuses_invalid_traces_and_unknown_robots(
 def test_show_draws_a_log_with_the_robot_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     time = 0.01 * np.arange(50)
     np.savez(tmp_path / "log.npz", time=time, command=np.tile(np.sin(time)[:, None], (1, 12)), imu=np.zeros((50, 4)))
-    assert main(["show", str(tmp_path / "log.npz"), "--robot", "go2", "--html", str(tmp_path / "log.html")]) == 0
+    assert main(["show", str(tmp_path / "log.npz"), "--robot", "go2", "--out", str(tmp_path / "log.html")]) == 0
     assert "wrote" in capsys.readouterr().out
     assert "12 of 12 motors were not read" in (tmp_path / "log.html").read_text()

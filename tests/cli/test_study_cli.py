@@ -103,7 +103,7 @@ def test_a_study_resumes_after_kills_and_interrupts(tmp_path: Path) -> None:
     refused(
         surefoot("study", "tiny.yaml", cwd=tmp_path),
         "surefoot: error: runs/tiny/plain/seed_0: was trained with task.max_steps 40, and the study asks for 41; move "
-        "the folder away to train it anew, give another --runs, or change the study back\n",
+        "the folder away to train it anew, give another --out, or change the study back\n",
     )
 
 
@@ -237,7 +237,7 @@ def test_a_missing_world_is_refused_before_training(
 
 BAD = [
     (["tiny.yaml", "--workers", "-1"], "workers is -1; it must be 0"),
-    (["tiny.yaml", "--only", "fast"], "group 'fast' is not in the study; groups: plain, drawn"),
+    (["tiny.yaml", "--only", "fast"], "group 'fast' is not in the study; choices: plain, drawn"),
     (["tiny.yaml", "--seeds", "1", "1"], "seeds is .1, 1.; it takes 1 or more, none twice"),
     (["tiny.yaml", "--train-only", "--report-only"], "--train-only and --report-only leave nothing to do"),
     (["tiny.yaml", "--report-only"], "runs/tiny: no run of the study is finished and evaluated"),

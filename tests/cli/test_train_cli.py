@@ -10,12 +10,16 @@ import time
 from pathlib import Path
 
 import pytest
-from processes import SUREFOOT, refused, surefoot
-
-pytestmark = pytest.mark.slow
+from processes import SUREFOOT, printed_commands, refused, surefoot
 
 pytest.importorskip("torch")
 pytest.importorskip("mujoco")
+
+from surefoot.api.policies import find_policy
+from surefoot.learn.run_folder import RunFolder
+from surefoot.policy.runtime import PolicyRuntime
+
+pytestmark = pytest.mark.slow
 
 TINY = (
     *("--num-envs", "16", "--steps-per-update", "16", "--evaluate-every", "100000"),
@@ -63,15 +67,19 @@ def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
         shown += part
     assert process.wait(timeout=60) == 130
     text = shown.decode(errors="replace")
-    assert "to resume: surefoot train --resume" in text
+    command = printed_commands(text)
+    assert command["drive it"][-2:] == ["drive", str(log[0].parent)]
+    assert command["resume"][-3:] == ["train", "--resume", str(log[0].parent)]
     assert "steps/s" in text
     run = log[0].parent
     assert (run / "checkpoints" / "latest.ckpt").exists()
+    assert find_policy(str(run)) == run / "policy.onnx"
+    assert PolicyRuntime.load(run / "policy.onnx").contract.figures["steps"] > 0
 
-    config = (run / "config.yaml").read_text()
-    (run / "config.yaml").write_text(config.replace("steps: 100000", f"steps: {256 * 10}"))
-    result = surefoot("train", "--resume", str(run), cwd=tmp_path)
+    refused(surefoot("train", "--resume", run, "--steps", "1"), "steps is 1, and", "has done", "give more")
+    result = surefoot("train", "--resume", run, "--steps", 256 * 10, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
+    assert RunFolder.open(run)[1].steps == 256 * 10
     made = {str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()}
     figures = {f"figures/{name}" for name in ("video.mp4", "footfalls.png", "episode.png", "episode.npz")}
     assert {"policy.onnx", "evaluation.json", *figures} <= made, made

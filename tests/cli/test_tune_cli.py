@@ -12,7 +12,7 @@ from processes import refused, surefoot
 pytest.importorskip("cma")
 pytest.importorskip("mujoco")
 
-QUICK = ("--generations", 1, "--population", 4, "--starts", 1, "--seconds", 0.5, "--episodes", 1, "--threads", 1)
+QUICK = ("--generations", 1, "--population", 4, "--starts", 1, "--duration", 0.5, "--episodes", 1, "--threads", 1)
 
 
 def test_tune_writes_and_measures_a_gait_and_resumes_from_it(tmp_path: Path):
@@ -23,7 +23,7 @@ def test_tune_writes_and_measures_a_gait_and_resumes_from_it(tmp_path: Path):
     result = yaml.safe_load((tmp_path / "trot-40.yaml").read_text())
     assert result["reference"]["kind"] == "foot"
     assert result["handcrafted"]["about"]["speed"] == 0.4
-    words = ("tune", "--raibert", "--start", "trot-40.yaml", "--out", "again.yaml", *QUICK)
+    words = ("tune", "--raibert", "--start-from", "trot-40.yaml", "--out", "again.yaml", *QUICK)
     again = surefoot(*words, cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert yaml.safe_load((tmp_path / "again.yaml").read_text())["handcrafted"]["raibert"]["lag"] == 0.045
@@ -35,10 +35,10 @@ def test_tune_writes_and_measures_a_gait_and_resumes_from_it(tmp_path: Path):
         (("--speed", "0"), ["speed is 0", "0.05 or more"]),
         (("--gait", "waltz"), ["--gait", "trot"]),
         (("--out", "gait.txt"), ["gait gait.txt: the name must end in .yaml"]),
-        (("--start", "nothing.yaml"), ["nothing.yaml: can't be read"]),
-        (("--start", "task.yaml"), ["task.yaml: handcrafted is missing"]),
-        (("--start", "hand.yaml"), ["hand.yaml: handcrafted.about.parameters is missing"]),
-        (("--start", "odd.yaml"), ["parameter depth of the gait to start from is 'deep'; it must be a number"]),
+        (("--start-from", "nothing.yaml"), ["nothing.yaml: can't be read"]),
+        (("--start-from", "task.yaml"), ["task.yaml: handcrafted is missing"]),
+        (("--start-from", "hand.yaml"), ["hand.yaml: handcrafted.about.parameters is missing"]),
+        (("--start-from", "odd.yaml"), ["parameter depth of the gait to start from is 'deep'; it must be a number"]),
         (("--robot", "nobody"), ["robot 'nobody': no such robot"]),
     ],
 )
@@ -61,6 +61,6 @@ def test_a_handcrafted_gait_is_evaluated_and_played_as_a_policy_is(tmp_path: Pat
     assert len(result["config_hash"]) == 64
     (tmp_path / "task.yaml").write_text("reference: {kind: foot}\n")
     refused(surefoot("evaluate", "task.yaml", cwd=tmp_path), "task.yaml: handcrafted is missing")
-    played = surefoot("play", "stand.yaml", "--seconds", 0.1, "--out", "stand.mp4", cwd=tmp_path)
+    played = surefoot("play", "stand.yaml", "--duration", 0.1, "--out", "stand.mp4", cwd=tmp_path)
     assert played.returncode == 0, played.stderr
     assert (tmp_path / "stand.mp4").stat().st_size > 1000

@@ -14,7 +14,7 @@ from references import read_reference
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium")
 
-from surefoot.evaluation.rollout import run_episodes
+from surefoot.evaluation.rollout import run_episodes, run_to_end
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task
@@ -67,6 +67,23 @@ def test_a_trace_is_what_the_environment_did_step_by_step():
     assert first.meta["ended"] == "time"
     assert first.num_steps == 40
     assert np.isfinite(first.foot_position_world).all()
+
+
+@pytest.mark.parametrize(
+    ("reward", "limits"),
+    [
+        ({"progress": 1.0, "transport_cost": -0.4}, {"progress": 0.3}),
+        ({"progress": 2.0, "tilt": -2.0, "feedback_change": -0.05}, {}),
+    ],
+)
+def test_the_return_is_the_sum_of_the_tasks_own_reward(reward, limits):
+    task = trot(40, reward=reward, reward_limits=limits)
+    traces = run_episodes(Constant(0.05, -0.02), task, 2, SimWorld, seed=5, threads=1)
+    env = LocomotionEnv(task, 2, SimWorld, 5, autoreset=False, threads=1)
+    runs = run_to_end(lambda _: env.gait.action(np.tile(Constant(0.05, -0.02).row, (2, 1))), env, env.reset()[0])
+    assert runs["return"].std() > 0
+    for returns in (measure_runs(traces)["return"], [trace.reward.sum() for trace in traces]):
+        np.testing.assert_allclose(returns, runs["return"], atol=1e-12)
 
 
 def test_the_return_is_that_of_the_trace_in_another_engine():

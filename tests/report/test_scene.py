@@ -8,30 +8,18 @@ import numpy as np
 import pytest
 
 pytest.importorskip("PIL.Image")
+pytest.importorskip("numba")
 
 from surefoot.errors import SurefootError
-from surefoot.report.drawing.renderer import Camera, Mesh, View
-from surefoot.report.drawing.scene import extent, poses, scene, trace_poses
+from surefoot.report.drawing.mesh import Mesh, link_meshes
+from surefoot.report.drawing.renderer import Camera, View
+from surefoot.report.drawing.scene import extent, poses, trace_poses
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 ROBOT = RobotDescription.load("minitaur")
 FOOT = np.array([0.0, 0.0, 0.2315, 1.0])  # centre of the foot's sphere in the frame of its link, see the URDF
 LEVEL = [1.0, 0.0, 0.0, 0.0]
-
-
-def test_every_visual_becomes_a_shape_of_its_color():
-    shapes = scene(ROBOT)
-    text = ROBOT.urdf.path.read_text()
-    assert len(shapes) == text.count("<visual>")
-    feet = [shape for shape in shapes if shape.kind == "sphere"]
-    assert [shape.link for shape in feet] == [leg.foot for leg in ROBOT.legs]
-    assert feet[0].size == (0.0085,)
-    assert feet[0].color == (230, 115, 26)  # 0.90 0.45 0.10 of 255
-    base = shapes[0]
-    assert (base.link, base.kind, base.size) == ("base", "box", (0.15, 0.065, 0.0435))
-    rotor = next(shape for shape in shapes if shape.kind == "cylinder")
-    assert np.allclose(rotor.rotation @ np.array([0, 0, 1]), [0, -1, 0])
 
 
 def test_feet_are_where_the_leg_geometry_has_them():
@@ -75,12 +63,6 @@ def test_all_bodies_are_where_mujoco_has_them():
 def test_positions_that_are_not_finite_are_refused():
     with pytest.raises(SurefootError, match="base position is not known"):
         poses(ROBOT, [[np.nan, 0, 0]], [LEVEL], ROBOT.resting_angles[None])
-
-
-def test_a_robot_without_visuals_is_refused():
-    links = {name: replace(link, visuals=()) for name, link in ROBOT.urdf.links.items()}
-    with pytest.raises(SurefootError, match="has nothing to draw"):
-        scene(replace(ROBOT, urdf=replace(ROBOT.urdf, links=links)))
 
 
 def test_a_loop_that_can_not_close_is_refused():
@@ -136,15 +118,15 @@ def test_the_viewer_places_every_link_by_its_pose(trace: EpisodeTrace):
     mujoco = pytest.importorskip("mujoco")
     from surefoot.cli.helpers.viewer import build_stage, set_stage
 
-    shapes, placed = scene(ROBOT), trace_poses(ROBOT, trace)
-    model = build_stage(shapes)
-    assert model.ngeom == len(shapes) + 1
+    appearance, placed = ROBOT.appearance(), trace_poses(ROBOT, trace)
+    model = build_stage(appearance)
+    assert model.ngeom == len(link_meshes(appearance)) + 1
     data = mujoco.MjData(model)
     set_stage(model, data, placed, 99)
-    for shape_body in {shape.link for shape in shapes}:
-        body = model.body(shape_body).id
-        assert np.allclose(data.xpos[body], placed[shape_body][99, :3, 3])
-        assert np.allclose(data.xmat[body].reshape(3, 3), placed[shape_body][99, :3, :3], atol=1e-6)
+    for link in {part.link for part in appearance.parts}:
+        body = model.body(link).id
+        assert np.allclose(data.xpos[body], placed[link][99, :3, 3])
+        assert np.allclose(data.xmat[body].reshape(3, 3), placed[link][99, :3, :3], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())
@@ -154,24 +136,10 @@ def test_a_robot_of_any_size_fills_the_picture(name: str) -> None:
     if name == "minitaur":
         assert camera == Camera()
     placed = poses(robot, [0.0, 0.0, 0.3 * extent(robot)], LEVEL, robot.resting_angles)
-    mesh, view = Mesh(scene(robot), list(placed)), View(camera, np.array([0.0, 0.0, camera.height]), (960, 540))
-    pixels, _ = view.project(mesh.place_points(np.array([frames[0] for frames in placed.values()])))
+    mesh, view = Mesh(robot.appearance(), list(placed)), View(camera, np.array([0.0, 0.0, camera.height]), (960, 540))
+    pixels, _ = view.project(mesh.place(np.array([frames[0] for frames in placed.values()]))[0])
     wide, high = np.ptp(pixels, axis=0) / [view.width, view.height]
     assert 0.35 < wide < 0.75
     assert 0.35 < high < 0.95
     assert (pixels > 0).all()
     assert (pixels < [view.width, view.height]).all()
-
-
-@pytest.mark.parametrize("name", ["go2", "pupper_v2"])
-def test_hips_without_visuals_are_cylinders_between_the_joints(name: str):
-    robot = RobotDescription.load(name)
-    placed = poses(robot, np.zeros(3), LEVEL, robot.resting_angles)
-    for leg in robot.legs:
-        abduction, upper = (robot.urdf.joints[motor].child for motor in leg.motors[:2])
-        (hip,) = (shape for shape in scene(robot) if shape.link == abduction)
-        assert np.allclose(hip.rotation @ hip.rotation.T, np.eye(3))
-        assert np.linalg.det(hip.rotation) == pytest.approx(1.0)
-        ends = [hip.position + side * hip.size[1] * hip.rotation[:, 2] for side in (-1.0, 1.0)]
-        places = [(placed[abduction][0] @ [*end, 1.0])[:3] for end in ends]
-        assert np.allclose(places, [placed[link][0, :3, 3] for link in (abduction, upper)], atol=1e-9)

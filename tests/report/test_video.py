@@ -16,8 +16,11 @@ imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
 pytest.importorskip("PIL.Image")
 from PIL import Image  # noqa: E402
 
-from surefoot.report.drawing.renderer import Camera, Mesh, View, draw  # noqa: E402
+pytest.importorskip("numba")
+from surefoot.report.drawing.mesh import Mesh  # noqa: E402
+from surefoot.report.drawing.renderer import Camera, View, draw  # noqa: E402
 from surefoot.report.drawing.video import interpolate_poses, render_video  # noqa: E402
+from surefoot.robot.appearance import Appearance, shape_part  # noqa: E402
 from surefoot.robot.urdf import Shape  # noqa: E402
 
 RED, GREEN, BLUE = (230, 30, 30), (30, 200, 30), (30, 30, 230)
@@ -31,6 +34,10 @@ def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> NDArray[np.float64]:
     return transform
 
 
+def looks(shapes: Sequence[Shape]) -> Appearance:
+    return Appearance(tuple(map(shape_part, shapes)))
+
+
 def render_frame(
     shapes: Sequence[Shape],
     poses: dict[str, NDArray[np.float64]],
@@ -40,10 +47,10 @@ def render_frame(
     """Draw one picture from the camera, which looks at the first of the bodies."""
     camera, stack = camera or Camera(), np.stack(list(poses.values()))
     aim = np.array([*stack[0, :2, 3], camera.height])
-    return draw(Mesh(shapes, list(poses)), stack, View(camera, aim, size))
+    return draw(Mesh(looks(shapes), list(poses)), stack, View(camera, aim, size))
 
 
-def looks(picture: object, color: tuple[int, int, int]) -> NDArray[np.bool_]:
+def colored(picture: object, color: tuple[int, int, int]) -> NDArray[np.bool_]:
     """Return the mask (H, W) of pixels of a pure colour: its channel is far above the others."""
     pixels = np.asarray(picture, dtype=float)
     channel = int(np.argmax(color))
@@ -51,18 +58,20 @@ def looks(picture: object, color: tuple[int, int, int]) -> NDArray[np.bool_]:
     return pixels[..., channel] > 1.8 * others
 
 
+SHAPES = [
+    Shape("base", "box", (0.15, 0.065, 0.0435), pose(), RED),
+    Shape("leg", "cylinder", (0.02, 0.08), pose(), GREEN),
+    Shape("leg", "sphere", (0.03,), pose(z=-0.08), GREEN),
+]
+
+
 @pytest.fixture
 def walker() -> dict[str, Any]:
     """Return a film of a red base that runs forward with a green leg that swings, over one second."""
     times = np.linspace(0.0, 1.0, 51)
-    shapes = [
-        Shape("base", "box", (0.15, 0.065, 0.0435), pose(), RED),
-        Shape("leg", "cylinder", (0.02, 0.08), pose(), GREEN),
-        Shape("leg", "sphere", (0.03,), pose(z=-0.08), GREEN),
-    ]
     base = np.stack([pose(x=1.2 * t, z=0.2) for t in times])
     leg = np.stack([pose(x=1.2 * t + 0.25 * np.sin(6 * t), y=-0.1, z=0.12) for t in times])
-    film = {"shapes": shapes, "poses": {"base": base, "leg": leg}, "times": times, "follow": "base"}
+    film = {"appearance": looks(SHAPES), "poses": {"base": base, "leg": leg}, "times": times, "follow": "base"}
     return film | {"overlay": [""] * len(times), "size": SIZE}
 
 
@@ -84,8 +93,8 @@ def test_a_video_decodes_and_follows_the_base(walker, tmp_path: Path) -> None:
     assert [p.name for p in path.parent.iterdir()] == ["run.mp4"]
     assert path.stat().st_size < 300_000
 
-    reds = np.array([np.argwhere(looks(f, RED)).mean(axis=0) for f in frames])
-    greens = np.array([np.argwhere(looks(f, GREEN)).mean(axis=0) for f in frames])
+    reds = np.array([np.argwhere(colored(f, RED)).mean(axis=0) for f in frames])
+    greens = np.array([np.argwhere(colored(f, GREEN)).mean(axis=0) for f in frames])
     assert np.ptp(reds[:, 1]) < 8  # the camera stays with the base
     assert np.ptp(greens[:, 1]) > 30  # the leg swings
     corner = frames[:, -40:, :60].astype(float)
@@ -109,8 +118,8 @@ def test_nearer_shapes_cover_farther_ones() -> None:
     )
     for shapes in ([near, far], [far, near]):
         picture = render_frame(shapes, poses, camera=camera)
-        assert looks(picture, RED).sum() > 500
-        assert looks(picture, BLUE).sum() == 0
+        assert colored(picture, RED).sum() > 500
+        assert colored(picture, BLUE).sum() == 0
 
 
 def test_a_long_box_beside_a_small_one_is_ordered_by_planes_not_centres() -> None:
@@ -123,7 +132,7 @@ def test_a_long_box_beside_a_small_one_is_ordered_by_planes_not_centres() -> Non
     camera = Camera(offset=(1.2, -0.8, 0.2))
 
     def red(*drawn: Shape) -> int:
-        return int(looks(render_frame(drawn, poses, camera=camera), RED).sum())
+        return int(colored(render_frame(drawn, poses, camera=camera), RED).sum())
 
     assert red(shapes[0]) > 30
     assert red(*shapes) == red(*shapes[::-1]) > 0.9 * red(shapes[0])
@@ -133,7 +142,7 @@ def test_a_long_box_beside_a_small_one_is_ordered_by_planes_not_centres() -> Non
 def test_solids_are_drawn_in_their_size(kind: str, size: tuple[float, ...]) -> None:
     camera = Camera(offset=(0.0, -10.0, 0.0), height=0.5, field_of_view=4.0)  # nearly parallel rays
     picture = render_frame([Shape("b", kind, size, pose(), RED)], {"b": pose(z=0.5)}, size=(200, 200), camera=camera)
-    rows, columns = np.nonzero(looks(picture, RED))
+    rows, columns = np.nonzero(colored(picture, RED))
     expected = 0.2 * 100 / (10.0 * np.tan(np.radians(2.0)))
     assert np.ptp(rows) + 1 == pytest.approx(expected, abs=3)
     assert np.ptp(columns) + 1 == pytest.approx(expected, abs=3)
@@ -147,7 +156,7 @@ def test_a_shapes_frame_is_in_its_links_frame() -> None:
     shape = Shape("b", "cylinder", (0.01, 0.2), frame, RED)
     camera = Camera(offset=(0.0, -10.0, 0.0), height=0.5, field_of_view=4.0)
     picture = render_frame([shape], {"b": pose(z=0.5)}, size=(200, 200), camera=camera)
-    rows, columns = np.nonzero(looks(picture, RED))
+    rows, columns = np.nonzero(colored(picture, RED))
     scale = 100 / (10.0 * np.tan(np.radians(2.0)))
     assert columns.mean() == pytest.approx(100 + 0.1 * scale, abs=2)  # forward is to the right
     assert np.ptp(columns) == pytest.approx(0.4 * scale, abs=3)
@@ -155,13 +164,12 @@ def test_a_shapes_frame_is_in_its_links_frame() -> None:
 
 
 def test_a_shadow_lies_on_the_ground(walker) -> None:
-    shapes, poses = walker["shapes"], walker["poses"]
-    now = {body: p[0] for body, p in poses.items()}
+    now = {body: p[0] for body, p in walker["poses"].items()}
     aloft = {body: p @ pose(z=5.0) for body, p in now.items()}
     camera = Camera(height=0.1)
-    low = np.asarray(render_frame(shapes, now, camera=camera), float)
-    bare = np.asarray(render_frame(shapes, aloft, camera=camera), float)
-    robot = looks(low, RED) | looks(low, GREEN)
+    low = np.asarray(render_frame(SHAPES, now, camera=camera), float)
+    bare = np.asarray(render_frame(SHAPES, aloft, camera=camera), float)
+    robot = colored(low, RED) | colored(low, GREEN)
     darker = (bare.sum(axis=-1) - low.sum(axis=-1) > 60) & ~robot
     assert 200 < darker.sum() < 0.3 * darker.size
 
@@ -178,8 +186,8 @@ def test_a_box_behind_the_camera_is_not_drawn() -> None:
     camera = Camera(offset=(0.0, -1.0, 0.3))
     shapes = [Shape("a", "box", (0.1, 0.1, 0.1), pose(), RED), Shape("b", "box", (0.5, 0.5, 0.5), pose(), BLUE)]
     picture = render_frame(shapes, {"a": pose(z=0.1), "b": pose(y=-3.0)}, camera=camera)
-    assert looks(picture, RED).sum() > 200
-    assert looks(picture, BLUE).sum() == 0
+    assert colored(picture, RED).sum() > 200
+    assert colored(picture, BLUE).sum() == 0
 
 
 @pytest.mark.parametrize(

@@ -120,7 +120,7 @@ def test_body_length_defaults_to_the_distance_of_the_legs(folder: Path):
 def test_an_unknown_robot_is_refused_with_the_choices():
     names = RobotDescription.available()
     assert "minitaur" in names
-    with pytest.raises(SurefootError, match=rf"robot 'snake': no such robot .*; robots: {', '.join(names)}$"):
+    with pytest.raises(SurefootError, match=rf"robot 'snake': no such robot .*; choices: {', '.join(names)}$"):
         RobotDescription.load("snake")
 
 

@@ -13,6 +13,7 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, SerialLegs
 from surefoot.robot.importing.imported import LEGS, ImportedRobot
+from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot
 from surefoot.world.mujoco_model import build_model, foot_geoms
@@ -62,12 +63,29 @@ def test_the_reader_returns_the_files_values(tmp_path: Path) -> None:
     assert imported.joints[0] == ("FL_abduction", "FL_hip", "FL_knee")
     np.testing.assert_array_equal(imported.limits[0], [(-1.0, 1.0), (np.nan, np.nan), (-2.6, -0.5)])
     np.testing.assert_allclose(imported.base_box, ([0, 0, 0], [0.2, 0.1, 0.05]), atol=1e-12)
-    assert imported.knee_signs(None) == ([-1] * 4, True)
+    assert imported.guess_knees() == ("backward", "the knees' limits", False)
     assert "feet: the last link's sphere, radius 0.02 m" in imported.notes
     toe = '<body name="FL_toe" pos="0 0 -.2"/>'
     text = mjcf().replace('<geom type="sphere" size=".02" pos="0 0 -.2"/>', toe, 1)
     notes = read_robot(write(tmp_path, text)).notes
     assert any(note.startswith("feet of FL_knee: a link named so") for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("path", "inside", "name"),
+    [
+        ("a/My Dog-2.urdf", "", "my_dog_2"),
+        ("a/hyq_no_sensors.urdf", "hyq", "hyq"),
+        ("a/solo12.urdf", "solo", "solo12"),
+        ("a/dog.xml", "dog_description", "dog"),
+        ("go2/scene_flat.xml", "go2 scene", "go2"),
+        ("go2/robot.urdf", "", "go2"),
+        ("dog_c_simple_description/urdf/dog.urdf", "dog", "dog_c"),
+        ("dog_description/urdf/cat.urdf", "plane", "cat"),
+    ],
+)
+def test_a_robot_is_named_by_what_says_most(path: str, inside: str, name: str) -> None:
+    assert robot_name(Path(path), inside) == name
 
 
 def test_a_written_folder_loads_and_keeps_masses_and_kinematics(tmp_path: Path) -> None:
@@ -148,8 +166,48 @@ def test_a_meshless_urdf_with_two_motors_a_leg(tmp_path: Path) -> None:
     robot = SHIPPED["solo8"]
     imported = read_robot(robot.urdf.path)
     assert [len(leg) for leg in imported.joints] == [2] * 4
-    assert imported.knee_signs("inward") == ([-1, -1, 1, 1], True)
-    assert imported.knee_signs(None) == ([-1] * 4, False)
+    # Its joints have the names of ANYmal's and Solo's, and no limits.
+    assert imported.guess_knees()[::2] == ("inward", True)
+
+
+FREE = mjcf().replace(' range="-2.6 -.5"', "")
+"""A quadruped whose knees have no limits."""
+
+
+def write_srdf(path: Path, **states: Sequence[float]) -> None:
+    """Write an SRDF with the knees' angles in the order FL, FR, RL, RR for each state."""
+    groups = "".join(
+        f'<group_state name="{state}">'
+        + "".join(f'<joint name="{leg}_knee" value="{angle}"/>' for leg, angle in zip(CORNERS, angles, strict=True))
+        + "</group_state>"
+        for state, angles in states.items()
+    )
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f'<robot name="dog">{groups}</robot>')
+
+
+def test_without_limits_a_pose_of_the_file_shows_where_knees_point(tmp_path: Path) -> None:
+    assert read_robot(write(tmp_path, FREE)).guess_knees()[::2] == ("backward", True)
+    # Straight legs show nothing, nor does a keyframe of another model.
+    legs_at = {"zero": (0, 0), "home": (-1.2, 1.2)}
+    keys = "".join(
+        f'<key name="{name}" qpos="0 0 .3 1 0 0 0 {f"0 .6 {front} " * 2} {f"0 -.6 {back} " * 2}"/>'
+        for name, (front, back) in legs_at.items()
+    )
+    text = FREE.replace("</mujoco>", f"<keyframe>{keys}</keyframe></mujoco>")
+    assert read_robot(write(tmp_path, text)).guess_knees() == ("inward", "keyframe 'home'", False)
+
+
+def test_states_of_an_srdf_near_the_file_show_it_too_those_that_stand_first(tmp_path: Path) -> None:
+    write_srdf(tmp_path / "srdf/dog.srdf", folded=[-1, -1, -1, -1], straight_standing=[0] * 4, standing=[1, 1, -1, -1])
+    path = tmp_path / "robots"
+    path.mkdir()
+    imported = read_robot(write(path, FREE))
+    assert imported.guess_knees() == ("outward", "state 'standing' of dog.srdf", False)
+    # Limits go first; a file that can't be read is none.
+    assert read_robot(write(path, mjcf())).guess_knees() == ("backward", "the knees' limits", False)
+    (tmp_path / "srdf/dog.srdf").write_text("<robot")
+    assert read_robot(write(path, FREE)).guess_knees()[2]
 
 
 def urdf(body: str) -> str:
@@ -171,27 +229,60 @@ BAD = [
     ("dog.urdf", urdf(link("a", mass="") + link("b", mass="")), "no link has an <inertial> with a mass"),
     ("dog.urdf", urdf(link("a", MESH)), "mesh 'package://r/trunk.stl' is not there"),
     ("dog.urdf", BOMB, "declares XML entities"),
-    ("dog.urdf", "<robot", "is not well-formed XML"),
-    ("dog.urdf", urdf(link("a")), "nothing in it moves"),
+    ("dog.urdf", "<robot", "is not well-formed XML in line 1, column 1: unclosed token"),
+    ("dog.urdf", urdf(link("a")), "is an object or a scene: nothing in it turns on a hinge"),
+    ("dog.urdf", "", "is empty"),
+    ("dog.urdf", "\x7fELF\0\0", "is a binary file"),
+    ("trunk.stl", "solid", "is a mesh; give the URDF or MJCF that names it"),
+    ("dog.urdf", urdf(""), "has no links"),
+    ("dog.srdf", urdf('<group_state name="standing"/>'), "is an SRDF, which names groups and poses; give the URDF"),
+    (
+        "dog.urdf",
+        '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:macro name="leg"/></robot>',
+        "is a xacro, which is a template; run `xacro dog.urdf > robot.urdf`",
+    ),
+    (
+        "dog.urdf",
+        urdf(
+            link("a")
+            + link("b", mass="0")
+            + '<joint name="j" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/></joint>'
+        ),
+        "'b' moves and has no mass or no inertia; state both in its <inertial>",
+    ),
+    ("dog.xml", mjcf(legs(("FL",))), "is an arm or another single chain: 3 joints hang from 'trunk'"),
+    ("dog.xml", mjcf(legs(("FL", "FR"))), "is a biped, humanoid or other robot: from 'trunk' hang 2 chains of 3, 3"),
+    (
+        "dog.xml",
+        mjcf().split("</worldbody>")[0] + mjcf().split("<worldbody>")[1].replace('name="', 'name="other_'),
+        "holds 2 robots: trunk, other_trunk; give a file with one",
+    ),
+    (
+        "dog.xml",
+        mjcf("".join(leg(f"{n}{k}", 0.2 * x, 0.08 * y) for n, (x, y) in CORNERS.items() for k in (1, 2))).replace(
+            'axis="1 0 0" range="-1 1"', 'axis="1 0 0"'
+        ),
+        "has 8 legs: from 'trunk' hang 8 chains",
+    ),
     ("dog.urdf", urdf(link("a", mass="heavy")), "link 'a': mass is 'heavy'; it must be a finite number"),
-    ("dog.xml", "<sdf/>", "the root element is <sdf>"),
-    ("dog.xml", mjcf(legs() + leg("M", 0.0, 0.2)), "5 legs hang from 'trunk'; a quadruped has 4"),
-    ("dog.xml", mjcf(legs(("FL", "FR", "RL"))), "3 legs hang from 'trunk'"),
+    ("dog.xml", "<sdf/>", "is an SDF of Gazebo; convert it to a URDF"),
+    ("dog.xml", mjcf(legs() + leg("M", 0.0, 0.2)), "has 5 legs: from 'trunk' hang 5 chains of 3, 3, 3, 3, 3 joints"),
+    ("dog.xml", mjcf(legs(("FL", "FR", "RL"))), "has 3 legs: from 'trunk'"),
     (
         "dog.xml",
         mjcf("".join(TWO_CHAINS.format(n=n, x=0.2 * x, y=0.1 * y, link=LINK) for n, (x, y) in CORNERS.items())),
-        "legs that branch and no loop that closes them",
+        "has legs that branch at 'bFL'; five-bar legs need a sheet that is written by hand",
     ),
     ("dog.xml", mjcf(legs(axes=("1 0 0", "0 1 .3", "0 1 0"))), "should be the hip, and its axis at zero is"),
     ("dog.xml", mjcf(legs(foot="<site/>")), "has neither a shape nor a link for its foot"),
     ("dog.xml", mjcf().replace('axis="0 1 0"', 'type="slide" axis="0 1 0"', 1), "no single hinge"),
-    ("dog.xml", "<mujoco><wheel/></mujoco>", "MuJoCo refuses it: XML Error: Schema violation"),
+    ("dog.xml", "<mujoco><wheel/></mujoco>", "MuJoCo can't read it: line 1, <wheel>: Schema violation"),
     (
         "dog.xml",
         mjcf()
         .replace('type="box"', 'type="mesh" mesh="m"')
         .replace("<worldbody>", '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'),
-        "MuJoCo refuses it: Error",
+        "MuJoCo can't read it: Error opening file 'none.stl'",
     ),
     (
         "dog.xml",
@@ -202,7 +293,7 @@ BAD = [
     (
         "dog.xml",
         mjcf().replace('<joint name="FL_abduction" axis="1 0 0" range="-1 1"/>', ""),
-        "its legs have 2, 3, 3, 3 hinges; all must have 2, or all 3",
+        "its legs have 2, 3, 3, 3 hinges, and all must have 2, or all 3",
     ),
     (
         "dog.xml",

@@ -113,7 +113,10 @@ def test_settings_of_a_command_line():
 
 @pytest.mark.parametrize(
     ("word", "piece"),
-    [("volts=3", "'volts' is not a physical parameter; choices: "), ("voltage", "write voltage=VALUE")],
+    [
+        ("volts=3", "'volts' is not a physical parameter; did you mean voltage? choices: "),
+        ("voltage", "write voltage=VALUE"),
+    ],
 )
 def test_a_setting_that_does_not_fit_is_refused(word: str, piece: str):
     with pytest.raises(SurefootError) as caught:

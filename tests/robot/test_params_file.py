@@ -49,7 +49,7 @@ def test_values_are_those_that_the_file_names(robot, tmp_path):
         ("params = 3", r"p\.toml: has no table \[params\]"),
         ("[params", r"p\.toml: is not TOML"),
         ('robot = "cat"\n[params]', r"p\.toml: has parameters of robot 'cat', not of 'minitaur'"),
-        ("[params]\nvolts = 15", r"p\.toml: 'volts' is not a physical parameter; choices: base_mass_ratio"),
+        ("[params]\nvolts = 15", r"p\.toml: 'volts' is not a physical parameter; did you mean voltage\? choices: base"),
         ("[params]\nvoltage = 99", r"p\.toml: voltage is 99; minitaur allows 5 to 30"),
         ("[params]\nvoltage = nan", r"p\.toml: params\.voltage is nan"),
         ('[params]\nvoltage = "15"', r"p\.toml: params\.voltage is '15'; it must be a finite number or a list"),

@@ -81,7 +81,7 @@ def test_costs_of_energy_are_searched_where_the_reward_has_them() -> None:
 
 BAD = [
     ("ppo.leg: {low: 0, high: 1}", "ppo.leg is not a key; choices: policy_hidden"),
-    ("pppo.gamma: {low: 0, high: 1}", "pppo is not a key; choices: task, name"),
+    ("pppo.gamma: {low: 0, high: 1}", "pppo is not a key; did you mean ppo\\? choices: task, name"),
     ("steps_per_update.first: {low: 1, high: 2}", "steps_per_update.first is not a field"),
     (
         "ppo.policy_hidden.2: {low: 8, high: 9, int: true}",
@@ -96,11 +96,11 @@ BAD = [
     ("ppo.epochs: {low: 1.5, high: 3, int: true}", "ppo.epochs: low is 1.5 and high is 3; with int they must be whole"),
     ("ppo.epochs: {low: 1, high: 3}", r"ppo.epochs is 1.0; it must be a whole number"),
     ("ppo.gamma: {low: 0.9}", "ppo.gamma: it needs low and high, or choices"),
-    ("ppo.activation: {choices: [elu, sigh]}", "ppo.activation is 'sigh'; choices: elu"),
+    ("ppo.activation: {choices: [elu, sigh]}", "ppo.activation is 'sigh'; did you mean swish\\? choices: elu"),
     ("ppo.activation: {choices: [elu], low: 1}", "it has choices and parts of a range"),
     ("ppo.activation: {choices: [elu, elu]}", r"choices is \['elu', 'elu'\]; it takes none twice"),
     ("ppo.gamma: 0.9", "ppo.gamma: Dimension is 0.9; it must be a table with keys out of: low, high"),
-    ("ppo.gamma: {lowest: 0.9}", "ppo.gamma: lowest is not a key; choices: low"),
+    ("ppo.gamma: {lowest: 0.9}", "ppo.gamma: lowest is not a key; did you mean low\\? choices: low"),
     ("ppo.gamma: {low: a, high: 1}", "ppo.gamma: low is 'a'; it must be a number or nothing"),
     ("seed: {low: 0, high: 9, int: true}", "seed is not searched: the search sets it itself"),
     ("ppo.gamma: {low: 0.9, high: 1, also: [ppo.gamma]}", "ppo.gamma is named twice"),

@@ -78,7 +78,7 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
     assert [(run.group, run.config.seed) for run in runs] == [("plain", 3), ("drawn", 3), ("plain", 5), ("drawn", 5)]
     assert runs[1].path == tmp_path / "runs" / "drawn" / "seed_3"
     assert [run.group for run in study_runs(study, tmp_path, ("drawn",))] == ["drawn", "drawn"]
-    with pytest.raises(SurefootError, match="group 'fast' is not in the study; groups: plain, drawn"):
+    with pytest.raises(SurefootError, match="group 'fast' is not in the study; choices: plain, drawn"):
         study_runs(study, tmp_path, ("fast",))
 
 
@@ -96,10 +96,10 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("groups: {a: {train: {task: {randomize: table9}}}}", "table9' does not exist"),
         ("{groups: {a: {}}, train: {task: {pushes: {probability: 2}}}}", "probability is 2"),
         ("{groups: {a: {}}, task: walk}", "walk' does not exist; choices: gallop, gallop-robust, scratch, steer, trot"),
-        ("{groups: {a: {}}, compare: [[a, b]]}", "compare: 'b' is no group of the study; groups: a"),
+        ("{groups: {a: {}}, compare: [[a, b]]}", "compare: 'b' is no group of the study; choices: a"),
         ("{groups: {a: {}}, top: 0}", "top is 0; it must be 1 or more"),
         ("{groups: {a: {}}, top: [1]}", "top is .1.; it must be a whole number"),
-        ("{groups: {a: {}}, bars: {x: [b]}}", "bars.x: 'b' is no group of the study; groups: a"),
+        ("{groups: {a: {}}, bars: {x: [b]}}", "bars.x: 'b' is no group of the study; choices: a"),
         ("{groups: {a: {}}, bars: {x: [a, a]}}", "bars.x is .'a', 'a'.; it takes 1 group or more, none twice"),
         ("{groups: {a: {}}, bars: {x: []}}", "bars.x is ..; it takes 1 group or more"),
         ("{groups: {a: {}}, bars: {../x: [a]}}", "name is '../x'; a name has letters"),

@@ -16,7 +16,7 @@ from surefoot.studies.tune import GAINS, PATH, PHASES, TuneConfig, Tuner, foot_c
 from surefoot.world.sim_world import SimWorld
 
 USUAL = {name: usual for name, (_, _, usual) in PATH.items()}
-SMALL = TuneConfig(generations=2, population=4, starts=2, seconds=0.5, threads=1)
+SMALL = TuneConfig(generations=2, population=4, starts=2, duration=0.5, threads=1)
 
 
 def test_foot_config_scales_parameters_by_reach_and_speed():

@@ -63,7 +63,7 @@ def test_a_task_survives_writing_and_reading(tmp_path, name):
 @pytest.mark.parametrize(
     ("text", "pieces"),
     [
-        ("robott: minitaur", ["robott is not a key", "choices: name, robot, observations"]),
+        ("robott: minitaur", ["robott is not a key; did you mean robot? ", "choices: name, robot, observations"]),
         ("feedback: {swign: [0, 1]}", ["feedback.swign is not a key", "choices: swing, extension"]),
         ("feedback: {swing: [0, 1, 2]}", ["feedback.swing is [0, 1, 2]", "a list of 2 values, each a number"]),
         ("feedback: {swing: [1, 0]}", ["feedback.swing is [1, 0]", "the lower bound must come first"]),

@@ -229,7 +229,10 @@ def test_to_dict_describes_the_same_reference(data):
     ("data", "pieces"),
     [
         ({"kind": "square"}, ["reference.kind is 'square'", "none, sine, table, foot, follow"]),
-        ({"kind": "sine", "swign": {}}, ["reference.swign is not a key", "choices: kind, abduction, swing, extension"]),
+        (
+            {"kind": "sine", "swign": {}},
+            ["reference.swign is not a key", "did you mean swing? choices: kind, abduction, swing, extension"],
+        ),
         ({"kind": "sine", "swing": {"amp": 1.0}}, ["reference.swing.amp is not a key", "amplitude, frequency"]),
         ({"kind": "sine", "swing": {"amplitude": "big"}}, ["reference.swing.amplitude is 'big'", "a number or"]),
         ({"kind": "sine", "swing": {"amplitude": np.inf}}, ["reference.swing.amplitude is inf"]),

@@ -109,7 +109,10 @@ def test_yaw_rate_is_continuous_where_yaw_wraps():
     ],
 )
 def test_reward_of_a_step_is_the_weighted_sum_of_limited_terms(weights, limits, reward):
-    np.testing.assert_allclose(step_reward(weights, limits, step_motion()), [reward], atol=1e-15)
+    total, parts = step_reward(weights, limits, step_motion())
+    np.testing.assert_allclose(total, [reward], atol=1e-15)
+    assert list(parts) == list(weights)
+    np.testing.assert_allclose(sum(parts.values()), total, atol=1e-15)
 
 
 def test_a_limit_of_progress_limits_the_reward_of_an_environment():
@@ -123,13 +126,17 @@ def test_a_limit_of_progress_limits_the_reward_of_an_environment():
 
 
 @pytest.mark.parametrize(
-    ("weights", "expected"),
+    ("weights", "limits", "expected"),
     [
-        (PAPER_REWARD, 0.008),
-        ({"progress": 2.0, "energy": -0.01, "transport_cost": -1.0}, 0.01),  # (.01 + 1 / 100 N) / 2
-        ({"progress": 1.0}, 0.0),
-        ({"track_velocity": 1.0, "energy": -1.0}, 0.008),
+        (PAPER_REWARD, {}, 0.008),
+        ({"progress": 1.0, "energy": -0.01, "transport_cost": -1.0}, {}, 0.02),  # .01 + 1 / 100 N
+        ({"progress": 1.0}, {"progress": 0.5}, 0.0),
+        ({"progress": 2.0, "energy": -0.01}, {}, None),
+        ({"progress": 1.0, "tilt": -1.0}, {}, None),
+        ({"progress": 1.0, "energy": 0.01}, {}, None),
+        (PAPER_REWARD, {"energy": 0.0}, None),
+        ({"track_velocity": 1.0}, {}, None),
     ],
 )
-def test_energy_weight_of_traces_is_that_of_the_reward_where_it_has_progress(weights, expected):
-    assert energy_weight(weights, 100.0) == pytest.approx(expected)
+def test_only_rewards_of_progress_and_energy_have_the_papers_weight(weights, limits, expected):
+    assert energy_weight(weights, limits, 100.0) == (None if expected is None else pytest.approx(expected))

@@ -26,12 +26,35 @@ def draw_episode(folder: Path, trace: EpisodeTrace, robot: RobotDescription) -> 
 
 
 def print_summaries(summaries: dict[str, dict[str, Any]]) -> None:
-    """Print the figures of evaluations, a column for each."""
+    """Print the figures of evaluations, a column for each; and a line, if a motor limits the first one's gait."""
     from surefoot.tables import print_table
 
+    print_table(summary_rows(summaries))
+    if note := saturation_note(next(iter(summaries.values()))):
+        print(note)
+
+
+def summary_rows(summaries: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
+    """Return the figures of one evaluation or more as text: a row a measure, a column an evaluation."""
     columns = {name: _summary_texts(summary) for name, summary in summaries.items()}
     measures = next(iter(columns.values()))
-    print_table([{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures])
+    return [{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures]
+
+
+def saturation_note(summary: dict[str, Any]) -> str | None:
+    """Return a line that names the motor that is longest at its limit, if that limits the gait."""
+    from surefoot.evaluation.runs import SATURATION
+
+    shares = {name: share for name, share in summary["saturation"].items() if share is not None}
+    worst = max(shares, key=lambda name: shares[name], default=None)
+    if worst is None or shares[worst] < SATURATION:
+        return None
+    count = sum(share >= SATURATION for share in shares.values()) - 1
+    others = f", {count} more in over {SATURATION:.0%}" if count else ""
+    return (
+        f"motors limit this gait: {worst} is at its limit in {shares[worst]:.0%} of the time{others}; "
+        "surefoot robot check says what torque a trot asks for"
+    )
 
 
 def _tracking_texts(summary: dict[str, Any]) -> dict[str, str]:
@@ -80,21 +103,35 @@ def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
 def film(robot: RobotDescription, trace: EpisodeTrace, path: Path) -> Path:
     """Write a video (.mp4) of a trace; return its path."""
     from surefoot.report.drawing.renderer import Camera
-    from surefoot.report.drawing.scene import extent, scene, trace_poses
+    from surefoot.report.drawing.scene import extent, trace_poses
     from surefoot.report.drawing.video import render_video
 
-    shapes, poses = scene(robot), trace_poses(robot, trace)
+    parts, poses = robot.appearance(), trace_poses(robot, trace)
     camera = Camera.for_robot(extent(robot))
-    return render_video(shapes, poses, trace.time, path, overlay=_captions(trace), follow=robot.base, camera=camera)
+    return render_video(parts, poses, trace.time, path, overlay=captions(trace), follow=robot.base, camera=camera)
 
 
-def _captions(trace: EpisodeTrace) -> list[str]:
-    """Return a text for each control step of a trace: policy, world, and speed over the last half second."""
-    half = max(round(0.5 / trace.meta["control_step"]), 1)
+def captions(trace: EpisodeTrace) -> list[str]:
+    """Return a text for each control step of a trace: policy, world, and speed over the last half second.
+
+    Of a robot that is steered, the command, and its speeds forward and to the left and yaw rate.
+    """
+    import numpy as np
+
+    from surefoot.evaluation.statistics import decimal
+    from surefoot.evaluation.tracking import motion
+
+    half, steered = max(round(0.5 / trace.meta["control_step"]), 1), bool(np.isfinite(trace.command).any())
     lines = []
+    velocity = motion(trace) if steered else np.zeros((trace.num_steps, 3))
     for step, time in enumerate(trace.time):
         start = max(step + 1 - half, 0)
         moved = trace.base_position_world[step + 1, 0] - trace.base_position_world[start, 0]
-        since = time - (trace.time[start - 1] if start else 0.0)
-        lines.append(f"{trace.meta['policy']} in {trace.meta['world']}\n{time:4.1f} s   {moved / since:5.2f} m/s")
+        speed = f"{moved / (time - (trace.time[start - 1] if start else 0.0)):5.2f} m/s"
+        if steered:
+            rows = {"command": trace.command[step], "robot": velocity[start : step + 1].mean(axis=0)}
+            texts = {name: [decimal(float(value)) for value in row] for name, row in rows.items()}
+            speed = "".join(f"\n{name}: forward {x}, left {y} m/s, turn {w} rad/s" for name, (x, y, w) in texts.items())
+        separator = "" if steered else "   "
+        lines.append(f"{trace.meta['policy']} in {trace.meta['world']}\n{time:4.1f} s{separator}{speed}")
     return lines

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,14 +12,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from surefoot.configuration import to_mapping
 from surefoot.deploy.checks import check_policy
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription
 from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.task.config import TaskConfig
-from surefoot.task.contract_mapping import task_from_contract
+from surefoot.task.contract_mapping import plugin_notes, task_from_contract
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 
@@ -30,20 +31,38 @@ SEARCH_PATHS = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
 """Folders of policies that ship: of an installed package, and of the repository."""
 
 
+POLICY = "policy.onnx"
+"""The policy in a run's folder."""
+
+
 def shipped_policies() -> dict[str, Path]:
     """Return the files of the policies that ship, by name."""
     return {path.stem: path for folder in reversed(SEARCH_PATHS) for path in sorted(folder.glob("*.onnx"))}
 
 
 def find_policy(policy: str) -> Path:
-    """Return the file of a policy given by path or by the name of one that ships; refuse what is neither."""
-    shipped = shipped_policies()
-    if Path(policy).is_file():
-        return Path(policy)
+    """Return the file of a policy given by path, by its run's folder or by the name of one that ships.
+
+    Raises:
+        SurefootError: none of them, a run without a policy, or a folder of several runs.
+    """
+    shipped, path = shipped_policies(), Path(policy)
+    if path.is_file():
+        return path
     if policy in shipped:
         return shipped[policy]
-    names = f"policies that ship: {choices(shipped)}" if shipped else "no policies ship with this surefoot"
-    raise SurefootError(f"policy '{policy}' does not exist; {names}, or the path of a policy file")
+    if path.is_dir():
+        if (path / POLICY).is_file():
+            return path / POLICY
+        if (path / "run.json").is_file():
+            raise SurefootError(f"run {path} has no {POLICY} yet; its first evaluation or its end writes it")
+        if runs := sorted(path.glob(f"*/{POLICY}"), key=lambda file: file.stat().st_mtime):
+            raise SurefootError(
+                f"{path} is a folder of {len(runs)} runs; give one of them, the newest: {runs[-1].parent}"
+            )
+        raise SurefootError(f"folder {path} is no run: it has no {POLICY}")
+    names = suggest(policy, sorted(shipped)) if shipped else "no policies ship with this surefoot"
+    raise SurefootError(f"policy '{policy}' does not exist; {names}, or the path of a policy file or run")
 
 
 def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, RobotDescription]:
@@ -53,8 +72,10 @@ def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, Ro
         SurefootError: a file that is no policy, or one for another robot.
     """
     policy = PolicyRuntime.load(path)
-    description = RobotDescription.load(robot or policy.contract.description)
+    description = policy.load_robot(robot)
     check_policy(policy.contract, description)
+    for line in plugin_notes(policy.contract):
+        print(f"surefoot: {policy.contract.name}: {line}", file=sys.stderr)
     return policy, description
 
 
@@ -64,8 +85,7 @@ def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDesc
     Control step, latencies, gains and voltage are those that the policy was trained with. Otherwise as `open_policy`.
     """
     policy, description = open_policy(path, robot)
-    task = task_from_contract(policy.contract, description)
-    return policy, description, replace(task, robot=robot or policy.contract.description)
+    return policy, description, task_from_contract(policy.contract, description)
 
 
 def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, TaskConfig, dict[str, str]]:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surefoot.cli.helpers.link_options import LinkOptions
-from surefoot.cli.helpers.options import PAGE_PORT, Count, Json, PagePort, PolicyName, Port, check_folder
+from surefoot.cli.helpers.options import PAGE_PORT, Count, Json, PagePort, PluginNames, PolicyName, Port, check_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
@@ -44,18 +44,19 @@ class DeployCommand(LinkOptions):
     policy: PolicyName
     port: Port
     duration: Duration | None = None
-    """Time for which the policy runs [s]; its episode's, if not given."""
-    runs: Count = 1
-    """How many runs, one after another; the robot sits in between."""
+    """Time for which the policy runs [s]; its episode's or, if longer, that of --commands' file, if not given."""
+    episodes: Count = 1
+    """How many episodes, one after another; the robot sits in between."""
     out: Path | None = None
     """Folder for traces (run_000.npz and so on); `deploy`, if not given. A dry run keeps none if this is not given."""
     dry_run: bool = False
     """Do everything but arm the robot: states are read and commands computed, none is sent."""
     json: Json = False
+    plugin: PluginNames = ()
     commands: str | None = None
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate), keyboard, gamepad, or the
     number of a UDP port on this computer; without it such a robot stands."""
-    drive: bool = False
+    browser: bool = False
     """Show the robot on a page in the browser, and take commands from there. The run lasts ten minutes, if no
     --duration is given."""
     page_port: PagePort = PAGE_PORT
@@ -69,11 +70,11 @@ def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(DeployCommand, argv, "surefoot deploy")
     check_folder(command.out)
-    if command.drive and command.commands is not None:
-        raise SurefootError("--drive and --commands are given; commands come from one place")
-    if command.drive and command.lockstep:
-        raise SurefootError("--drive and --lockstep are given; a page drives in real time")
-    if command.drive:
+    if command.browser and command.commands is not None:
+        raise SurefootError("--browser and --commands are given; commands come from one place")
+    if command.browser and command.lockstep:
+        raise SurefootError("--browser and --lockstep are given; a page drives in real time")
+    if command.browser:
         import_module("viser")  # what is not installed is reported before the robot is connected
     from surefoot.api.policies import find_policy, open_policy
     from surefoot.check_result import first_failure
@@ -105,7 +106,7 @@ def main(argv: list[str]) -> int:
                 raise SurefootError(f"--commands is given; policy '{contract.name}' has no commands to follow")
             commands = open_commands(command.commands, contract.commands)
             stack.callback(commands.close)
-        if command.drive:
+        if command.browser:
             from surefoot.cli.helpers.deploy_page import DeployPage
 
             channel = ChannelCommands(0)
@@ -129,6 +130,7 @@ def main(argv: list[str]) -> int:
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; return the report of each, and the exit code."""
+    from surefoot.deploy.command_sources import FileCommands
     from surefoot.deploy.motion_runner import DOWN, UP
     from surefoot.deploy.pacer import LoopTiming
     from surefoot.deploy.run_saver import RunSaver, next_free
@@ -136,12 +138,14 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     contract = deployment.contract
     step = contract.control_step
     steps = deployment.controller.task.max_steps
-    duration = command.duration or (_DRIVEN if command.drive else None)
+    duration = command.duration or (_DRIVEN if command.browser else None)
     if duration is not None:
         steps = max(round(duration / step), 1)
+    elif isinstance(deployment.commands, FileCommands):
+        steps = max(round(deployment.commands.duration / step), steps)
     results: list[dict[str, Any]] = []
     code = 0
-    for run in range(command.runs):
+    for run in range(command.episodes):
         path = None if command.dry_run and command.out is None else next_free(command.out or Path("deploy"))
         saver = RunSaver(deployment, path, steps, command.world_name, run)
         timing = LoopTiming(steps + round((UP + DOWN) / step) + 16)
@@ -196,7 +200,7 @@ def _report(command: DeployCommand, deployment: Deployment, results: list[dict[s
             return code
         for result in results:
             _print_result(result)
-        if traces := [result["trace"] for result in results if result["trace"] is not None]:
+        if traces := [Path(result["trace"]) for result in results if result["trace"] is not None]:
             print(show_command(traces), flush=True)
     return code
 

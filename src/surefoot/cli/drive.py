@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, RobotName, World
+from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PluginNames, PolicyName, RobotName, World
 from surefoot.cli.helpers.parsing import parse
 
 
@@ -15,11 +15,12 @@ class DriveCommand:
     policy: PolicyName
     world: World = "mujoco"
     robot: RobotName = None
-    port: PagePort = PAGE_PORT
+    page_port: PagePort = PAGE_PORT
     commands: str | None = None
     """What steers in place of the page: a file (CSV: time, forward, sideways, yaw_rate), keyboard or gamepad at this
     terminal, or the number of a UDP port on this computer."""
     host: Host = None
+    plugin: PluginNames = ()
 
 
 def main(argv: list[str]) -> int:
@@ -27,5 +28,5 @@ def main(argv: list[str]) -> int:
     command = parse(DriveCommand, argv, "surefoot drive")
     from surefoot.api.drive_page import DrivePage, serve
 
-    serve(DrivePage(command.policy, command.world, command.robot), command.host, command.port, command.commands)
+    serve(DrivePage(command.policy, command.world, command.robot), command.host, command.page_port, command.commands)
     return 0

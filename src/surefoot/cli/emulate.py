@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from surefoot.cli.helpers.options import Repeated, Settings, check_suffix
+from surefoot.cli.helpers.options import Repeated, Settings, World, files_by_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
@@ -36,8 +36,7 @@ class EmulateCommand:
     the end sums up the run. --fault help lists the faults.
     """
 
-    world: str = "mujoco"
-    """Physics engine: mujoco or bullet."""
+    world: World = "mujoco"
     robot: str = DEFAULT_ROBOT
     """Name or folder of the robot."""
     params: Path | None = None
@@ -49,8 +48,6 @@ class EmulateCommand:
     """Draw physical parameters that are not printed."""
     hidden_ranges: str = "table1"
     """Table of ranges to draw them from; with ensemble, seeds 1 to 20 are the robots of world ensemble."""
-    hidden_out: Path | None = None
-    """File (.toml) to write them to, for checking later."""
     faults: Annotated[Repeated, tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@TIME] [...]")] = ()
     """What goes wrong, such as drop=0.01, or unplug=1.5 (s after the robot is first armed); help lists them."""
     lockstep: bool = False
@@ -65,12 +62,18 @@ class EmulateCommand:
     """Bits a second of the serial line, in real time; 0: bytes take no time."""
     link: Path | None = None
     """Symbolic link to the pseudo-terminal, removed at the end."""
-    motion_capture: Path | None = None
-    """File (.csv) for what a motion capture system sees of the robot, 200 times a second."""
+    out: tuple[Path, ...] = ()
+    """Files to write: what a motion capture system sees of the robot, 200 times a second (.csv), and the physical
+    parameters that --hidden-seed draws (.toml), for checking later."""
     duration: Annotated[float, Within(0, 1e7, above=True)] | None = None
     """End after so much robot time [s]."""
     viewer: bool = False
     """Show the robot in a window."""
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """Files of --out by suffix."""
+        return files_by_suffix(self.out, (".csv", ".toml"))
 
 
 def main(argv: list[str]) -> int:
@@ -102,15 +105,14 @@ def main(argv: list[str]) -> int:
 def _check(command: EmulateCommand) -> None:
     if command.baud and command.baud < 9600:
         raise SurefootError(f"baud is {command.baud:g}; it must be 9600 or more, or 0")
-    if command.hidden_out is not None and command.hidden_seed is None:
-        raise SurefootError("hidden_out needs hidden parameters; give --hidden-seed too")
+    files = command.files
+    if ".toml" in files and command.hidden_seed is None:
+        raise SurefootError(f"out {files['.toml']} is for hidden parameters; give --hidden-seed too")
     if command.hidden_seed is not None and (command.params is not None or command.settings):
         raise SurefootError("hidden_seed draws the parameters; it does not go with --params and --set")
-    for name, suffix in (("hidden_out", ".toml"), ("motion_capture", ".csv")):
-        path = getattr(command, name)
-        check_suffix(name, path, suffix)
-        if path is not None and path.exists():
-            raise SurefootError(f"{name} {path} exists; give another name")
+    for path in files.values():
+        if path.exists():
+            raise SurefootError(f"out {path} exists; give another name")
 
 
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
@@ -119,8 +121,8 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     from surefoot.robot.randomization import draw_hidden, load_ranges
 
     params = draw_hidden(robot, load_ranges(command.hidden_ranges, robot=robot.folder), command.hidden_seed)
-    if command.hidden_out is not None:
-        write_params(command.hidden_out, robot, params, {"origin": {"hidden_seed": command.hidden_seed}})
+    if (path := command.files.get(".toml")) is not None:
+        write_params(path, robot, params, {"origin": {"hidden_seed": command.hidden_seed}})
     return params
 
 
@@ -180,8 +182,8 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
         try:
             loop = make_loop(command, robot, faults, port, summary)
             board = loop.board
-            if command.motion_capture is not None:
-                observers.append(CaptureWriter(command.motion_capture, board.plant, later=not command.lockstep))
+            if (path := command.files.get(".csv")) is not None:
+                observers.append(CaptureWriter(path, board.plant, later=not command.lockstep))
             if command.viewer:
                 from surefoot.cli.helpers.viewer import EmulateViewer
 

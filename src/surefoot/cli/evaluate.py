@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from surefoot.api.episodes import draw_episode, print_summaries
+from surefoot.api.simulator import with_duration
 from surefoot.cli.helpers.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import RangeOptions, take_ranges
 from surefoot.cli.helpers.simulator import RunOptions, describe_simulator
-from surefoot.configuration import to_mapping
+from surefoot.configuration import Duration, to_mapping
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ class EvaluateCommand(RunOptions):
     """Recorded runs instead of a policy: trace files (.npz), or folders of them."""
     episodes: Count = 20
     """Episodes to run, side by side."""
+    duration: Duration | None = None
+    """Length of an episode [s]; that of the policy's task, if not given."""
     json: Json = False
     command_grid: bool = False
     """Give a policy with commands one command an episode, over a grid of its range, not drawn ones; with --out a
@@ -97,6 +100,8 @@ def _simulate(
     policy, robot, task, names = load_gait(path, command.robot)
     ranges = range_options.apply(robot.folder)
     task = command.apply(task, robot, ranges, command.thermal_protection)
+    if command.duration is not None:
+        task = with_duration(task, robot, command.duration)
     episodes = command.episodes
     if command.command_grid:
         from surefoot.evaluation.tracking import command_grid
@@ -135,11 +140,11 @@ def _load_traces(
         name = changed[0] if changed else "randomize"
         option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
         raise SurefootError(f"--trace and {option} are given; recorded runs are measured as they are, nothing is run")
-    from surefoot.evaluation.recorded import find_traces
+    from surefoot.evaluation.recorded import find_traces, load_robot
     from surefoot.robot import RobotDescription
 
     recorded = [one for path in command.trace for one in find_traces(path)]
-    robot = RobotDescription.load(command.robot or str(recorded[0][1].meta["robot"]))
+    robot = load_robot(*recorded[0]) if command.robot is None else RobotDescription.load(command.robot)
     for path, trace in recorded:
         if trace.meta["robot"] != robot.name:
             raise SurefootError(

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from surefoot.api.simulator import with_duration
 from surefoot.cli.helpers.options import (
     Count,
     Json,
+    PluginNames,
     PolicyNames,
     Pushes,
     Repeated,
@@ -22,7 +24,7 @@ from surefoot.cli.helpers.options import (
 )
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import RunOptions, Simulator, describe_simulator, with_duration
+from surefoot.cli.helpers.simulator import RunOptions, Simulator, describe_simulator
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, check_name, prefix_errors
 
@@ -110,10 +112,10 @@ class GapCommand:
     """Home: mujoco or bullet, or recorded traces."""
     away: Annotated[Repeated, tyro.conf.arg(name="to", metavar="WORLD | trace FOLDER")] = ()
     """Another world: mujoco or bullet, or recorded traces; as often as you like."""
-    runs: Count = 3
-    """Runs of each policy in each world."""
+    episodes: Count = 3
+    """Episodes of each policy in each world."""
     duration: Duration | None = None
-    """Length of a run [s], the same in all worlds; that of the policy's task, if not given."""
+    """Length of an episode [s], the same in all worlds; that of the policy's task, if not given."""
     params: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File of a robot's physical parameters (.toml): that robot is simulated on all sides, at home too."""
     settings: Settings = ()
@@ -130,6 +132,7 @@ class GapCommand:
     """Folder for traces (.npz), tables (.csv) and the figure (.png)."""
     json: Json = False
     threads: Threads = 0
+    plugin: PluginNames = ()
 
 
 def main(argv: list[str]) -> int:
@@ -180,12 +183,12 @@ def main(argv: list[str]) -> int:
                     continue
                 task, title = (
                     at_home if label == labels[0] else elsewhere,
-                    f"{one.name} in {label}: {command.runs} runs",
+                    f"{one.name} in {label}: {command.episodes} episodes",
                 )
-                options = (command.runs, side, command.seed, command.threads, one.name, title)
+                options = (command.episodes, side, command.seed, command.threads, one.name, title)
                 simulated = run_policy(one.policy, task, *options)
                 runs[one.name][label] = save_runs(command.out / one.name / label, simulated)
-    _report(command, candidates, tasks, robot.name, sides, runs)
+    _report(command, candidates, tasks, robot, sides, runs)
     return 0
 
 
@@ -208,7 +211,7 @@ def _report(
     command: GapCommand,
     candidates: list[Candidate],
     tasks: list[tuple[TaskConfig, TaskConfig]],
-    robot: str,
+    robot: RobotDescription,
     sides: tuple[Side, ...],
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
@@ -220,6 +223,7 @@ def _report(
     from surefoot.tables import plain_rows, print_files, print_table, write_csv
 
     out, gaps, episodes, figures = command.out, [], [], []
+    unit = min(task.return_unit(robot) for task, _ in tasks)
     for name, worlds in runs.items():
         traces = {world: [trace for _, trace in recorded] for world, recorded in worlds.items()}
         gaps.append(PolicyGap.from_runs(name, [measure_runs(part, world) for world, part in traces.items()]))
@@ -231,13 +235,13 @@ def _report(
     files = [
         write_csv(out / "gap.csv", [row for part in rows.values() for row in part]),
         write_csv(out / "episodes.csv", episodes),
-        gap_figure([*gaps, *pooled], out / "gap.png"),
+        gap_figure([*gaps, *pooled], out / "gap.png", unit),
         *figures,
     ]
     if not command.json:
         title = f"Reality gap: return in {gaps[0].worlds[0]} less return elsewhere, ± one standard error"
         texts = [
-            {"policy": name} | gap_text(row, row["side"] == "home", sign=True)
+            {"policy": name} | gap_text(row, row["side"] == "home", sign=True, unit=unit)
             for name, part in rows.items()
             for row in part
         ]
@@ -248,10 +252,10 @@ def _report(
         return
     plain = {name: plain_rows(part) for name, part in rows.items()}
     result = {
-        "robot": robot,
+        "robot": robot.name,
         "from": _text(sides[0]),
         "to": list(map(_text, sides[1:])),
-        "runs": command.runs,
+        "runs": command.episodes,
         "seed": command.seed,
         "pushes": command.pushes,
         "policies": [

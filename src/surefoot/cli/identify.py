@@ -14,10 +14,10 @@ from typing import Annotated
 
 from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
 from surefoot.cli.helpers.options import Json, Seed, check_folder, check_suffix
-from surefoot.cli.helpers.output import print_json, table_lines
+from surefoot.cli.helpers.output import next_command, print_json, table_lines
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.identify.overlay import missing_experiments, read_prior
 from surefoot.identify.recording import COMPLETE, Recording, load_recording
 from surefoot.identify.registry import EXPERIMENTS, Experiment
@@ -28,11 +28,11 @@ STOPPED = 3
 """Exit code of an experiment that did not come to its end."""
 RECORDING = "recording.npz"
 RUNS = Path("runs/identify")
-FROM_TRACE = "--from-trace"
+TRACE = "--trace"
 FIGURE = "motor-figure"
 _USAGE = """usage: surefoot identify EXPERIMENT --port PORT ...
        surefoot identify EXPERIMENT --recording FOLDER ...
-       surefoot identify --from-trace FOLDER ...
+       surefoot identify --trace FOLDER ...
 
 Identify a robot's physical parameters by experiments, and write them to a file for surefoot train --params FILE.
 
@@ -52,7 +52,7 @@ class TracesCommand:
     The last runs, at least one, are held out to check the fit; of a single run its last quarter.
     """
 
-    from_trace: Path
+    trace: Path
     """Trace file (.npz), or a folder of them. Of robots with joint actuators: logs of commands and angles."""
     fit: tuple[str, ...] = ()
     """Physical parameters to identify; all that traces can identify, if not given. The others stay as they are."""
@@ -66,9 +66,9 @@ class TracesCommand:
     """Logs, by the names of their files, of a robot that hung with its base held still."""
     hold_out: tuple[str, ...] = ()
     """Logs, by the names of their files, that are not fitted but replayed with the estimates."""
-    seconds: Annotated[float, Within(0.5, 3600)] = 2.3
+    duration: Annotated[float, Within(0.5, 3600)] = 2.3
     """How much of each log is fitted [s], from its start."""
-    search: Annotated[int, Within(0, 100_000)] = 0
+    generations: Annotated[int, Within(0, 100_000)] = 0
     """Generations of CMA-ES that look for a start before logs are fitted."""
     seed: Seed = 1
     json: Json = False
@@ -89,19 +89,17 @@ def main(argv: list[str]) -> int:
     if word == FIGURE:
         code: int = import_module("surefoot.cli.helpers.identify_motor_figure").main(argv[1:])
         return code
-    if word.partition("=")[0] == FROM_TRACE:
+    if word.startswith("--"):
         return _identify_from_traces(argv)
     if word in EXPERIMENTS:
         return _run_experiment(EXPERIMENTS[word], argv[1:])
-    raise SurefootError(
-        f"'{word}' is no experiment; choices: {choices([*EXPERIMENTS, FIGURE])}, or {FROM_TRACE} FOLDER"
-    )
+    raise SurefootError(f"'{word}' is no experiment; {suggest(word, [*EXPERIMENTS, FIGURE])}, or {TRACE} FOLDER")
 
 
 def _usage() -> str:
     experiments = {name: f"{one.what} (on {'rack' if one.rack else 'ground'})" for name, one in EXPERIMENTS.items()}
     others = {
-        f"{FROM_TRACE} FOLDER": "motors and delays from traces of runs; a robot with joint actuators from logs",
+        f"{TRACE} FOLDER": "motors and delays from traces of runs; a robot with joint actuators from logs",
         FIGURE: "one motor follows a sine: servo and DC motor, constraint motor, and a recording",
     }
     width = max(map(len, [*experiments, *others]))
@@ -114,15 +112,15 @@ def _identify_from_traces(argv: list[str]) -> int:
     check_folder(command.out)
     if command.robot is not None and (robot := RobotDescription.load(command.robot)).actuator.kind == "joint":
         return _identify_from_logs(command, robot)
-    for name in ("rack", "hold_out", "search"):
+    for name in ("rack", "hold_out", "generations"):
         if getattr(command, name):
             raise SurefootError(
                 f"--{name.replace('_', '-')} is of logs of a robot with joint actuators; name it: --robot"
             )
-    from surefoot.evaluation.recorded import find_traces
+    from surefoot.evaluation.recorded import find_traces, load_robot
 
-    traces = find_traces(command.from_trace)
-    robot = RobotDescription.load(command.robot or str(traces[0][1].meta["robot"]))
+    traces = find_traces(command.trace)
+    robot = load_robot(*traces[0]) if command.robot is None else RobotDescription.load(command.robot)
     check_identifiable(robot)
     prior = read_prior(command.params, robot)
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
@@ -132,7 +130,7 @@ def _identify_from_traces(argv: list[str]) -> int:
 
     with fit_progress("traces") as report:
         result = fit_traces(robot, [trace for _, trace in traces], command.fit or None, prior.params, report)
-    folder, source = command.out or _new_folder("traces"), str(command.from_trace)
+    folder, source = command.out or _new_folder("traces"), str(command.trace)
     more = {"traces": [str(path) for path, _ in traces]}
     save_and_print(robot, prior, result, command.params, folder, source, more, command.json)
     return 0
@@ -142,13 +140,13 @@ def _identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     """Fit a whole robot with joint actuators to logs."""
     from surefoot.identify.logs.robot_log import read_log
 
-    paths = sorted(command.from_trace.glob("*.npz")) if command.from_trace.is_dir() else [command.from_trace]
+    paths = sorted(command.trace.glob("*.npz")) if command.trace.is_dir() else [command.trace]
     if not paths:
-        raise SurefootError(f"folder {command.from_trace} holds no logs (.npz)")
+        raise SurefootError(f"folder {command.trace} holds no logs (.npz)")
     logs = {path.name.removesuffix(".npz"): read_log(path, robot) for path in paths}
     for option, names in (("rack", command.rack), ("hold-out", command.hold_out)):
         if bad := [name for name in names if name not in logs]:
-            raise SurefootError(f"--{option} names '{bad[0]}'; logs: {choices(logs)}")
+            raise SurefootError(f"--{option} names '{bad[0]}', which is no log; {suggest(bad[0], logs)}")
     prior = read_prior(command.params, robot)
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
 
@@ -160,10 +158,10 @@ def _identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     fitted = [run for name, run in runs.items() if name not in command.hold_out]
     held = [runs[name] for name in command.hold_out]
     with fit_progress("logs") as report:
-        result = fit_logs(robot, fitted, held, command.fit or None, prior.params, command.seconds, command.search,
+        result = fit_logs(robot, fitted, held, command.fit or None, prior.params, command.duration, command.generations,
                           command.seed, report)  # fmt: skip
     folder, more = command.out or _new_folder("logs"), {"logs": [str(path) for path in paths]}
-    save_and_print(robot, prior, result, command.params, folder, command.from_trace.name, more, command.json)
+    save_and_print(robot, prior, result, command.params, folder, command.trace.name, more, command.json)
     return 0
 
 
@@ -241,5 +239,5 @@ def _print_recording(command: ExperimentCommand, recording: Recording, path: Pat
         what = "recorded" if complete else f"stopped after {recording.duration:.1f} s: {ended}; recorded until then"
         print(f"{name} experiment {what}: {path}", file=sys.stdout if complete else sys.stderr)
         if complete:
-            print(f"to fit it: surefoot identify {name} --recording {path.parent}")
+            print(next_command("fit it", "identify", name, "--recording", path.parent))
     return 0 if complete else STOPPED

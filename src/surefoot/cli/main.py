@@ -8,8 +8,9 @@ import sys
 from collections.abc import Sequence
 
 from surefoot import __version__
+from surefoot.api.extras import describe_missing
 from surefoot.cli.helpers.output import table_lines
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.stop_signals import enable_interrupt
 
 COMMANDS = {
@@ -41,15 +42,6 @@ commands:
 
 surefoot COMMAND --help lists a command's options; surefoot --version prints the version."""
 _MAX_ERROR_LENGTH = 2000
-_EXTRAS = {
-    "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas"),
-    "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
-    "report": ("matplotlib", "imageio_ffmpeg", "PIL"),
-    "search": ("optuna", "ray", "grpc"),
-    "tune": ("cma",),
-    "bags": ("rosbags",),
-    "page": ("viser", "websockets"),
-}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -68,9 +60,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}")
     except ModuleNotFoundError as error:
-        module = (error.name or "").split(".")[0]
-        if extra := _find_extra(module):
-            return _fail(f"this needs {module}, which is not installed: pip install 'surefoot[{extra}]'")
+        if hint := describe_missing(error):
+            return _fail(hint)
         raise
     except KeyboardInterrupt:
         print("surefoot: interrupted", file=sys.stderr)
@@ -86,20 +77,12 @@ def _run(words: list[str]) -> int:
         print(f"surefoot {__version__}")
         return 0
     if words[0] not in COMMANDS:
-        raise SurefootError(f"'{words[0]}' is not a command; choices: {choices(COMMANDS)}")
+        raise SurefootError(f"'{words[0]}' is not a command; {suggest(words[0], COMMANDS)}")
     if not all(word.isprintable() for word in words):
         raise SurefootError("the arguments hold characters that can't be printed; use UTF-8 without control characters")
     enable_interrupt()
     code: int = importlib.import_module(COMMANDS[words[0]][0]).main(words[1:])
     return code
-
-
-def _find_extra(module: str) -> str | None:
-    """Return the extra of surefoot that installs a module, or None."""
-    from surefoot.world.registry import WORLDS
-
-    engines = [(entry.extra, (entry.package,)) for entry in WORLDS.values()]
-    return next((extra for extra, modules in [*_EXTRAS.items(), *engines] if module in modules), None)
 
 
 def _fail(message: str) -> int:

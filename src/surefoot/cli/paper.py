@@ -22,14 +22,13 @@ class PaperCommand:
 
     root: Path = Path()
     """Folder that holds `results`, `policies` and `docs`: a clone of surefoot."""
-    out: Path = Path("paper.html")
-    """File of the page (.html)."""
+    out: Path | None = None
+    """File of the page (.html); paper.html, if not given. With --quick or --full: folder for all that is made, and the
+    page paper.html in it; paper-quick or paper-full, if not given."""
     quick: bool = False
     """Make a small version of everything first: some twenty minutes on two cores."""
     full: bool = False
     """Make everything first: days on two cores, fewer on a cluster."""
-    folder: Path | None = None
-    """Folder for what --quick or --full makes; paper-quick or paper-full, if not given."""
     workers: Workers = 0
     ray: Ray = None
 
@@ -37,30 +36,32 @@ class PaperCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(PaperCommand, argv, "surefoot paper")
-    check_suffix("out", command.out, ".html")
+    if not (command.quick or command.full):
+        check_suffix("out", command.out, ".html")
     if not (command.root / "results").is_dir():
         raise SurefootError(f"root is {command.root}; it must be a clone of surefoot, with the folder results")
     if command.quick and command.full:
         raise SurefootError("--quick and --full are given; give one of them, or neither")
     from surefoot.studies.paper import write_page
 
-    root, note = command.root, ""
+    root, page, note = command.root, command.out or Path("paper.html"), ""
     if command.quick or command.full:
         from surefoot.cli.helpers.paper_runs import QUICK_NOTE, PaperRuns, make_all
         from surefoot.studies.workers import check_address
 
         check_address(command.ray)
-        root = (command.folder or Path("paper-quick" if command.quick else "paper-full")).resolve()
+        root = (command.out or Path("paper-quick" if command.quick else "paper-full")).resolve()
         check_folder(root)
+        page = root / "paper.html"
         runs = PaperRuns(command.root.resolve(), root, command.quick, command.workers, command.ray)
         if not make_all(runs):
             runs.console.print(f"Stopped. To go on:\n  {shlex.join(['surefoot', 'paper', *argv])}")
             return 130
         note = QUICK_NOTE if command.quick else ""
-    elif command.folder or command.workers or command.ray:
-        raise SurefootError("--folder, --workers and --ray go with --quick or --full, and neither is given")
-    missing = write_page(root, command.out, note)
-    print(f"wrote {command.out}")
+    elif command.workers or command.ray:
+        raise SurefootError("--workers and --ray go with --quick or --full, and neither is given")
+    missing = write_page(root, page, note)
+    print(f"wrote {page}")
     for name in missing:
         print(f"not there: {name}")
     return 0

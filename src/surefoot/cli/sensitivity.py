@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from surefoot.cli.helpers.options import (
     Count,
     Json,
+    PluginNames,
     PolicyNames,
     Pushes,
     PushForce,
@@ -56,6 +57,7 @@ class SensitivityCommand:
     simulator: SimulatorOptions = Simulator()
     """Another simulator than the policies' own, as the nominal world."""
     threads: Threads = 0
+    plugin: PluginNames = ()
 
 
 def main(argv: list[str]) -> int:
@@ -87,7 +89,7 @@ def main(argv: list[str]) -> int:
         "threads": command.threads,
         "robots": WORLDS[command.world].robots_side_by_side,
     }
-    results = []
+    results, unit = [], min(task.return_unit(robot) for task in tasks)
     for one, task in zip(loaded, tasks, strict=True):
         with ProgressBar(one.name) as bar:
             results.append(
@@ -103,8 +105,8 @@ def main(argv: list[str]) -> int:
             write_csv(command.out / f"{name}.csv", pd.concat(parts).set_index("policy").reset_index())
             for name, parts in tables.items()
         ),
-        aggregate_figure(results, command.out / "aggregate.png"),
-        *(parameter_figure(row, groups, command.out / f"{row}.png", trained) for row in results[0].rows),
+        aggregate_figure(results, command.out / "aggregate.png", unit),
+        *(parameter_figure(row, groups, command.out / f"{row}.png", trained, unit) for row in results[0].rows),
     ]
     if command.json:
         whole = {
@@ -125,7 +127,7 @@ def main(argv: list[str]) -> int:
         }
         print_json(whole)
     else:
-        _print_tables(results, files)
+        _print_tables(results, files, unit)
     return 0
 
 
@@ -145,32 +147,35 @@ def _summary(result: Sensitivity) -> dict[str, Any]:
     }
 
 
-def _print_tables(results: list[Sensitivity], files: list[Path]) -> None:
-    """Print a table of the policies, and one of each row's range, worst world, and nearest values that break a gait."""
+def _print_tables(results: list[Sensitivity], files: list[Path], unit: str) -> None:
+    """Print a table of the policies, and one of each row's range, worst world, and nearest values that break a gait.
+
+    `unit` is that of returns.
+    """
     from surefoot.evaluation.sensitivity import find_breaks, row_unit
-    from surefoot.tables import print_files, print_table
+    from surefoot.tables import print_files, print_table, with_unit
 
     policies, rows = [], []
     for result in results:
         policies.append(
             {
                 "policy": result.policy,
-                "nominal return (m)": f"{result.nominal['return'].mean():.2f}",
-                "return (m)": f"{result.mean:.2f} ± {result.std:.2f}",
+                with_unit("nominal return", unit): f"{result.nominal['return'].mean():.2f}",
+                with_unit("return", unit): f"{result.mean:.2f} ± {result.std:.2f}",
                 "test worlds": str(len(result.worlds)),
                 "falls": f"{result.tests.fell.sum()} of {len(result.tests)}",
             }
         )
         breaks = find_breaks(result)
         for row in result.rows:
-            worlds, unit = result.of_row(row), row_unit(row)
+            worlds = result.of_row(row)
             worst = worlds.loc[worlds.return_mean.idxmin()]
             rows.append(
                 {
                     "policy": result.policy,
-                    "row": f"{row} ({unit})" if unit else row,
+                    "row": with_unit(row, row_unit(row)),
                     "range": f"{worlds.value.iloc[0]:.3g} to {worlds.value.iloc[-1]:.3g}",
-                    "worst return (m)": f"{worst.return_mean:.2f}",
+                    with_unit("worst return", unit): f"{worst.return_mean:.2f}",
                     "at": f"{worst.value:.3g}",
                     "falls": f"{worlds.falls.sum()} of {worlds.episodes.sum()}",
                     "breaks at": ", ".join(f"{value:.3g}" for value in breaks.value[breaks.row == row]) or "-",

@@ -11,12 +11,13 @@ import tyro
 
 from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, check_suffix
 from surefoot.cli.helpers.parsing import parse
-from surefoot.errors import SurefootError, quote
+from surefoot.errors import SurefootError
 from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 
 if TYPE_CHECKING:
     from surefoot.report.pages.recorded_runs import ShownTrace
+    from surefoot.task.trace import EpisodeTrace
 
 
 @dataclass(frozen=True)
@@ -30,31 +31,31 @@ class ShowCommand:
     """Trace files (.npz), or folders of them; with --robot also .npz files with arrays time, command, motor_angle and
     imu, which name no robot."""
     robot: str | None = None
-    """Name or folder of the robot of such files, or of traces of a robot that does not ship."""
+    """Name or folder of the robot of such files, or of traces in place of the robot that they carry."""
     layout: Literal["side", "over", "one"] = "side"
     """Robots side by side, laid over each other, or one at a time; the page can change it."""
-    html: Path | None = None
+    out: Path | None = None
     """File to write (.html) in place of serving: the whole page, which opens in a browser without anything else."""
-    port: PagePort = PAGE_PORT
+    page_port: PagePort = PAGE_PORT
     host: Host = None
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(ShowCommand, argv, "surefoot show")
-    check_suffix("html", command.html, ".html")
+    check_suffix("page", command.out, ".html")
     if not command.trace:
         raise SurefootError("no TRACE is given; give one or more files (.npz), or folders of them")
     from surefoot.report.pages.recorded_runs import recording_page
     from surefoot.report.pages.server import PageServer
 
     page = recording_page(_load_traces(command), command.layout)
-    if command.html is not None:
-        command.html.parent.mkdir(parents=True, exist_ok=True)
-        atomic_write(command.html, page)
-        print(f"wrote {command.html}: {len(page) / 1e6:.1f} MB; opens in a browser")
+    if command.out is not None:
+        command.out.parent.mkdir(parents=True, exist_ok=True)
+        atomic_write(command.out, page)
+        print(f"wrote {command.out}: {len(page) / 1e6:.1f} MB; opens in a browser")
         return 0
-    server = PageServer(command.host, command.port, None, page)
+    server = PageServer(command.host, command.page_port, None, page)
     try:
         print(f"{server.address}   (Ctrl-C ends)", flush=True)
         threading.Event().wait()
@@ -66,7 +67,7 @@ def main(argv: list[str]) -> int:
 def _load_traces(command: ShowCommand) -> list[ShownTrace]:
     """Load traces and robots; a trace is named by its policy, and by world or file where that is not unique."""
     from surefoot.api.policies import distinct_names
-    from surefoot.evaluation.recorded import find_traces
+    from surefoot.evaluation.recorded import find_traces, load_robot
     from surefoot.identify.logs.importing import import_log
     from surefoot.npz import read_npz
     from surefoot.report.pages.recorded_runs import ShownTrace
@@ -78,18 +79,20 @@ def _load_traces(command: ShowCommand) -> list[ShownTrace]:
             traces.append((path, import_log(path, robot)))
         else:
             traces += find_traces(path)
-    robots = {} if robot is None else {robot.name: robot}
-    for path, trace in traces:
+    # Robots of one name may differ, where each trace carries its own.
+    robots: dict[tuple[str, bytes], RobotDescription] = {}
+
+    def robot_of(path: Path, trace: EpisodeTrace) -> RobotDescription:
         name = str(trace.meta["robot"])
-        if name not in robots:
-            if name not in RobotDescription.available():
-                raise SurefootError(
-                    f"trace file {path}: is of robot {quote(name)}, which does not ship; give its folder with --robot"
-                )
-            robots[name] = RobotDescription.load(name)
+        if robot is not None and robot.name == name:
+            return robot
+        if (key := (name, trace.robot_archive)) not in robots:
+            robots[key] = load_robot(path, trace)
+        return robots[key]
+
     titles = [str(trace.meta["policy"])[:80] or path.stem for path, trace in traces]
     if len(set(titles)) < len(titles):
         titles = [f"{title}, {str(trace.meta['world'])[:80]}" for title, (_, trace) in zip(titles, traces, strict=True)]
     titles = distinct_names(titles, [f"{path.parent.name}/{path.stem}" for path, _ in traces])
     pairs = zip(titles, traces, strict=True)
-    return [ShownTrace(title, robots[str(trace.meta["robot"])], trace) for title, (_, trace) in pairs]
+    return [ShownTrace(title, robot_of(path, trace), trace) for title, (path, trace) in pairs]

@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from surefoot.cli.helpers.options import Ray, Workers
+from surefoot.cli.helpers.options import PluginNames, Ray, Workers
 from surefoot.cli.helpers.output import make_console
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
@@ -34,11 +34,11 @@ class StudyCommand:
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """YAML file of the study."""
     out: Path | None = None
-    """Folder for tables, figures and the report; results/NAME if not given."""
-    runs: Path | None = None
-    """Folder for the runs; runs/NAME if not given."""
+    """Folder for the report with tables and figures, and for the runs, in runs/; results/NAME and runs/NAME, if not
+    given."""
     workers: Workers = 0
     ray: Ray = None
+    plugin: PluginNames = ()
     seeds: tuple[Seed, ...] = ()
     """Seeds in place of the file's."""
     steps: Steps | None = None
@@ -66,7 +66,7 @@ def main(argv: list[str]) -> int:
         study = replace(study, seeds=command.seeds)
     if command.steps is not None:
         study = study.with_steps(command.steps)
-    root = command.runs or Path("runs") / study.name
+    root = Path("runs") / study.name if command.out is None else command.out / "runs"
     runs = study_runs(study, root, command.only)
     for run in runs:
         run.check(extend=command.extend)

@@ -6,24 +6,31 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from surefoot.cli.helpers.options import PAGE_PORT, PagePort
+import tyro
+
+from surefoot.cli.helpers.options import PAGE_PORT, PagePort, PluginNames, Settings
 from surefoot.cli.helpers.output import make_console, next_command, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
-from surefoot.errors import SurefootError, choices
-from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.errors import SurefootError, choices, suggest
+from surefoot.learn.config import LoggerName, Steps, TrainConfig, load_train_config
+from surefoot.robot import parse_settings
 from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
+from surefoot.task.plugins import load_plugins
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from surefoot.learn.ppo_learner import UpdateFigures
+    from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import Evaluation
 
 _USAGE = """usage: surefoot train TASK [options]                 learn a gait
-       surefoot train --resume RUN [--browser]         resume a run exactly where it stopped, with its own options
+       surefoot train --resume RUN [--steps N]         resume a run exactly where it stopped, with its own options
        surefoot train TASK --help                      every option, with the task's own values
 
 TASK is {tasks}, or the path of a YAML file.
@@ -39,23 +46,29 @@ def main(argv: list[str]) -> int:
         return 0 if argv else 2
     if argv[0] == "--resume":
         resume = parse(ResumeCommand, argv, "surefoot train")
-        return _train(None, resume.resume, resume.page)
+        return _resume(resume)
     if argv[0].startswith("-"):
-        raise SurefootError(f"'{argv[0]}' is not a task; choices: {choices(preset_names())}, or a YAML file")
+        raise SurefootError(f"'{argv[0]}' is not a task; {suggest(argv[0], preset_names())}, or a YAML file")
     config, command = _parse(argv)
     from surefoot.api.training import check_config
 
     check_config(config)
-    return _train(config, command.runs, command.page)
+    options = command.page, command.logger_name
+    from surefoot.learn.run_folder import RunFolder
+
+    return _train(RunFolder.create(config, command.out), False, *options)
 
 
 @dataclass(frozen=True)
-class PageOptions:
-    """Options for the page of a training."""
+class ViewOptions:
+    """Options for where a training is watched."""
 
+    logger: LoggerName = "tensorboard"
+    """Log to TensorBoard's files in the run folder; wandb: to Weights & Biases as well."""
     browser: bool = False
     """Show the newest policy on a page in the browser while it learns."""
     page_port: PagePort = PAGE_PORT
+    plugin: PluginNames = ()
 
     @property
     def page(self) -> int | None:
@@ -64,54 +77,88 @@ class PageOptions:
             import_module("viser")  # a missing package is reported before there is a run
         return self.page_port if self.browser else None
 
+    @property
+    def logger_name(self) -> LoggerName:
+        """The logger, whose package is there."""
+        if self.logger == "wandb":
+            import_module("wandb")  # as above
+        return self.logger
+
 
 @dataclass(frozen=True, kw_only=True)
-class ResumeCommand(PageOptions):
+class ResumeCommand(ViewOptions):
     """Resume a run exactly where it stopped; the run's own options hold."""
 
     resume: Path
     """Folder of the run."""
+    steps: Steps | None = None
+    """Control steps of the whole run, more than it has done, in place of its own; a finished run goes on, too."""
 
 
 @dataclass(frozen=True)
-class TrainCommand(PageOptions, TrainConfig):
+class TrainCommand(ViewOptions, TrainConfig):
     """Learn a gait."""
 
     simulator: SimulatorOptions = Simulator()
     """Another simulator than the task's."""
     pushes: bool = False
     """Push the robot at random, as the task says how hard and how often."""
-    runs: Path = Path("runs")
+    robot: Annotated[str | None, tyro.conf.arg(help="Name or folder of the robot; the task's, if not given.")] = None
+    settings: Settings = ()
+    """Physical parameters that differ from the task's, such as motor_strength=0.8."""
+    out: Path = Path("runs")
     """Folder for run folders."""
 
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     """Return the configuration of the arguments, with the task's values as defaults, and the command."""
-    base = load_train_config(argv[0], _robot_name(argv))
+    # The defaults of the other options depend on these two.
+    load_plugins(_option_values(argv, "--plugin"))
+    base = load_train_config(argv[0], next(reversed(_option_values(argv, "--robot")), None))
     words, range_options = take_ranges(argv[1:])
     ranges = range_options.apply(base.task.robot, base.task.randomize)
     # Ranges have options of their own: tyro's would take any count of numbers.
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize={})})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
-    # Parameters given by name go over a file of parameters, which replaces the task's own.
-    params = {name: value for name, value in command.task.params.items() if base.task.params.get(name) != value}
-    task = command.simulator.apply(replace(command.task, params=base.task.params), params)
+    settings = parse_settings([word for group in command.settings for word in group])
+    task = command.simulator.apply(command.task, settings)
     pushes = replace(task.pushes, enabled=task.pushes.enabled or command.pushes)
     task = replace(task, pushes=pushes, randomize=ranges)
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
 
 
-def _robot_name(argv: list[str]) -> str | None:
-    """Return the value of `--task.robot`, on which the defaults of the other options depend; None without it."""
-    for word, after in zip(argv, [*argv[1:], ""], strict=True):
-        name, _, value = word.partition("=")
-        if name == "--task.robot":
-            return value or after
-    return None
+def _option_values(argv: list[str], option: str) -> list[str]:
+    """Return the values of an option, as often as it is given."""
+    pairs = [(*word.partition("="), after) for word, after in zip(argv, [*argv[1:], ""], strict=True)]
+    return [value or after for name, _, value, after in pairs if name == option]
 
 
-def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int:
-    """Train in a new folder below `path`, or without a configuration resume the run in it; return the exit code."""
+def _resume(command: ResumeCommand) -> int:
+    """Resume a run, with more steps if that is asked for; return the exit code."""
+    from surefoot.learn.folder_lock import folder_lock
+    from surefoot.learn.run_config import set_steps
+    from surefoot.learn.run_folder import RunFolder
+
+    folder, _ = RunFolder.open(command.resume)
+    if command.steps is not None:
+        with folder_lock(folder.path):
+            if command.steps <= (done := folder.load()["steps"]):
+                raise SurefootError(f"steps is {command.steps}, and {folder.path} has done {done}; give more")
+            set_steps(folder.path, command.steps)
+    return _train(folder, True, command.page, command.logger_name)
+
+
+def _print_next_commands(console: Console, folder: RunFolder) -> None:
+    """Print where the policy of a stopped run is, and the commands to go on with, as far as they work."""
+    if folder.policy.exists():
+        console.print(f"policy: {folder.policy.absolute()}")
+        console.print(next_command("drive it", "drive", folder.path))
+    if folder.latest.exists():
+        console.print(next_command("resume", "train", "--resume", folder.path))
+
+
+def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: LoggerName) -> int:
+    """Train in a run's folder, from its beginning or on from its last checkpoint; return the exit code."""
     from surefoot.api.episodes import print_summaries
     from surefoot.api.training import EPISODE, TrainingProgress, finish_run
     from surefoot.learn.folder_lock import folder_lock
@@ -119,8 +166,9 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
     from surefoot.learn.training_loop import TrainingLoop
     from surefoot.world.registry import find_world
 
-    console, resume = make_console(), config is None
-    folder, config = RunFolder.open(path) if config is None else (RunFolder.create(config, path), config)
+    console = make_console()
+    # Configurations name copies in the folder: what they were copied from may change or go.
+    folder, config = RunFolder.open(folder.path)
 
     def stop(count: int) -> None:
         if count > 1:
@@ -128,7 +176,7 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
         console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
 
     with folder_lock(folder.path):
-        loop = TrainingLoop(config, folder, find_world(config.world), resume=resume)
+        loop = TrainingLoop(config, folder, find_world(config.world), resume=resume, logger=logger)
         console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}")
         with ExitStack() as stack:
             progress = stack.enter_context(TrainingProgress(config, console, loop.learner.steps))
@@ -145,10 +193,17 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
                 if page is not None:
                     page.update()
 
-            loop.run(report, lambda: stops.count > 0)
-        if not loop.finished:
-            console.print(f"Stopped and saved at {loop.learner.steps:,} steps.")
-            console.print(next_command("resume", "train", "--resume", folder.path))
+            try:
+                loop.run(report, lambda: stops.count > 0)
+            except KeyboardInterrupt:
+                console.print("Stopped at once; what was saved last remains.")
+                stopped = True
+            else:
+                stopped = not loop.finished
+                if stopped:
+                    console.print(f"Stopped and saved at {loop.learner.steps:,} steps.")
+        if stopped:
+            _print_next_commands(console, folder)
             return 130
         summaries = finish_run(loop, folder, console.print)
     print_summaries({kind.replace("_", " "): summary for kind, summary in summaries.items()})

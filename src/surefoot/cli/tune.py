@@ -22,7 +22,7 @@ class TuneCommand(TuneConfig):
     The file is a task too: `surefoot train FILE` learns feedback on top of the trajectories.
     """
 
-    start: Path | None = None
+    start_from: Path | None = None
     """Handcrafted gait (.yaml) to begin with, such as one of another speed, or one without Raibert's controller."""
     out: Path | None = None
     """File (.yaml) that the gait is written to, the best so far after every generation; GAIT-SPEED.yaml here, if not
@@ -36,9 +36,9 @@ def main(argv: list[str]) -> int:
     command = parse(TuneCommand, argv, "surefoot tune")
     check_suffix("gait", command.out, ".yaml")
     config = TuneConfig(**{item.name: getattr(command, item.name) for item in fields(TuneConfig)})
-    start = {} if command.start is None else HandcraftedGait.load(command.start).about.get("parameters")
+    start = {} if command.start_from is None else HandcraftedGait.load(command.start_from).about.get("parameters")
     if not isinstance(start, dict):
-        raise SurefootError(f"{command.start}: handcrafted.about.parameters is missing; the gait was not tuned")
+        raise SurefootError(f"{command.start_from}: handcrafted.about.parameters is missing; the gait was not tuned")
     from surefoot.evaluation.runs import summarize
     from surefoot.world.sim_world import SimWorld
 

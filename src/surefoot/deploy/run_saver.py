@@ -71,7 +71,7 @@ class RunSaver:
             "motor_names": list(contract.motor_names),
             "observation_names": list(contract.columns),
             "params": {},
-            "energy_weight": controller.task.energy_weight(robot),
+            **controller.task.return_meta(robot),
             "max_steps": max_steps,
             "gait_period": controller.gait.reference.period,
             "lead": self.link.lead,
@@ -81,6 +81,7 @@ class RunSaver:
             "ended": "fault",
             "reason": "cut off",
         }
+        self._robot_archive = robot.archive
         self._partial: BackgroundFile | None = None
         self._stop_reported = False
 
@@ -103,7 +104,7 @@ class RunSaver:
         if "robot_time_start" not in self.meta:
             self.meta["robot_time_start"] = start if math.isfinite(start) else None
             if partial is not None:
-                partial.add(head_line(self.recorder.layout, self.meta))
+                partial.add(head_line(self.recorder.layout, self.meta, self._robot_archive))
         if partial is None:
             return
         if partial.waiting > MAX_WAITING:
@@ -138,7 +139,7 @@ class RunSaver:
             except SurefootError as error:
                 notes.append(f"{error}; the trace has no base motion")
         try:
-            trace = make_trace(recorder.layout, recorder.rows, meta, truth)
+            trace = make_trace(recorder.layout, recorder.rows, meta, truth, self._robot_archive)
         except SurefootError as error:
             return SavedRun(notes=[*notes, f"the rows make no trace: {error}"], lost=True)
         if self.path is None:

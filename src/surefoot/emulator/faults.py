@@ -11,7 +11,7 @@ import numpy as np
 
 from surefoot.deploy.messages import Handshake, Mode, Packet, State
 from surefoot.emulator.signals import MotorOrder, Sensors
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 
 if TYPE_CHECKING:
     from surefoot.emulator.plant import Plant  # and with it the simulator, which a list of the faults does not need
@@ -116,7 +116,7 @@ def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) 
         name, equals, text = rest.partition("=")
         kind = FAULTS.get(name)
         if kind is None:
-            raise SurefootError(f"'{name}' is no fault; choices: {choices(FAULTS)}")
+            raise SurefootError(f"'{name}' is no fault; {suggest(name, FAULTS)}")
         if name in faults:
             raise SurefootError(f"fault {name} is given twice; give it once")
         if kind.real_time and lockstep:

@@ -21,6 +21,7 @@ import pandas as pd
 from surefoot.arrays import Array
 from surefoot.evaluation.runs import summarize_runs
 from surefoot.evaluation.statistics import Interval, MeanEstimate, crossed_interval
+from surefoot.tables import with_unit
 from surefoot.task.config import TaskConfig
 
 
@@ -96,16 +97,19 @@ class PolicyGap:
         return rows
 
 
-def gap_text(row: Mapping[str, Any], is_home: bool, sign: bool = False) -> dict[str, str]:
-    """Return cells of text on a row with the columns of `summarize_runs`, gap and gap_error: means with one error."""
+def gap_text(row: Mapping[str, Any], is_home: bool, sign: bool = False, unit: str = "m") -> dict[str, str]:
+    """Return cells of text on a row with the columns of `summarize_runs`, gap and gap_error: means with one error.
+
+    `unit` is that of returns.
+    """
 
     def mean(name: str, digits: int = 2) -> str:
         return MeanEstimate(row[f"{name}_mean"], row[f"{name}_error"]).text(digits)
 
     return {
         "world": row["world"],
-        "return (m)": mean("return"),
-        "gap (m)": "" if is_home else MeanEstimate(row["gap"], row["gap_error"]).text(sign=sign),
+        with_unit("return", unit): mean("return"),
+        with_unit("gap", unit): "" if is_home else MeanEstimate(row["gap"], row["gap_error"]).text(sign=sign),
         "speed (m/s)": mean("speed"),
         "power (W)": mean("power", 1),
         "falls": f"{row['falls']} of {row['runs']}",

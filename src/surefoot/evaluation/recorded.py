@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, prefix_errors
+from surefoot.robot import RobotDescription
 from surefoot.task.partial_trace import SUFFIX, recover
 from surefoot.task.trace import EpisodeTrace
 
@@ -25,6 +26,12 @@ def find_traces(folder: Path) -> RecordedTraces:
     if not paths:
         raise SurefootError(f"trace folder {folder} holds no traces (.npz), nor do the folders in it")
     return [(path, _load(path)) for path in paths]
+
+
+def load_robot(path: Path, trace: EpisodeTrace) -> RobotDescription:
+    """Return the robot of a trace, as `EpisodeTrace.load_robot`; errors name the trace's file."""
+    with prefix_errors(f"trace file {path}"):
+        return trace.load_robot()
 
 
 def save_runs(folder: Path, traces: Sequence[EpisodeTrace]) -> RecordedTraces:

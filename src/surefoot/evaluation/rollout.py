@@ -118,8 +118,10 @@ class _Recorder:
                 "energy": truth.energy,
                 "foot_contact": truth.foot_contact,
                 "foot_position_world": env.world.foot_positions(),
+                "motor_saturation": truth.motor_saturation,
                 "true_motor_angle": truth.motor_angle,
                 "command": self.command,
+                "reward": env.reward,
                 "push_force_world": env.pusher.force.copy() if pushed else np.full((env.num_envs, 3), np.nan),
             }
         )
@@ -133,6 +135,7 @@ class _Recorder:
             base_position_world=np.array([row[robot] for row in self.position[: steps + 1]]),
             base_quat_world=np.array([row[robot] for row in self.quat[: steps + 1]]),
             meta=meta,
+            robot_archive=self.env.robot.archive,
             **arrays,
         )
 
@@ -183,7 +186,7 @@ def run_episodes(
         "leg_names": list(env.robot.leg_names),
         "motor_names": list(env.robot.motor_names),
         "observation_names": list(env.observer.columns),
-        "energy_weight": task.energy_weight(env.robot),
+        **task.return_meta(env.robot),
         "gait_period": env.gait.reference.period,
         "max_steps": task.max_steps,
         "params_source": task.params_source,

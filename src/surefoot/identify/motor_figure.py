@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors
+from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors, suggest
 from surefoot.files import check_readable
 from surefoot.identify.logs.table import read_csv
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -82,7 +82,7 @@ class MotorLog:
 def motor_index(robot: RobotDescription, motor: str) -> int:
     """Return the index of a motor; refuse an unknown name."""
     if motor not in robot.motor_names:
-        raise SurefootError(f"motor '{motor}' does not exist; motors: {choices(robot.motor_names)}")
+        raise SurefootError(f"motor '{motor}' does not exist; {suggest(motor, robot.motor_names)}")
     return robot.motor_names.index(motor)
 
 

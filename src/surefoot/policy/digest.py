@@ -1,19 +1,21 @@
 """The digest of a policy file, which shows that its network and its contract are those that were exported together.
 
-An export writes the SHA-256 of both as a further property of the file:
+An export writes the SHA-256 of both, and of the robot if the file carries one, as a further property of the file:
 
     SHA-256( contract as JSON | 00 | graph )
+    SHA-256( contract as JSON | 00 | robot's archive in base64 | 00 | graph )
 
 `graph` are the bytes of field 7 of the ONNX file's `ModelProto`: operators, normalizer, weights, bounds. The robot's
 computer has no `onnx` package and onnxruntime does not expose these bytes, so the top level of the protobuf message is
 read here. Whatever else a model could have there (functions, other properties, another version of the operators) is
-refused, so that nothing beside the two decides what is computed.
+refused, so that nothing beside these decides what is computed.
 
 Whoever changes a file can write a new digest too: it detects damage and stale exports, and is not a signature.
 """
 
 from __future__ import annotations
 
+import base64
 import hashlib
 from dataclasses import dataclass
 
@@ -24,6 +26,8 @@ from surefoot.policy.protobuf import BYTES, MANY, NUMBER, encode_field, read_mes
 
 DIGEST_KEY = "surefoot-digest"
 """Property of the ONNX file that holds the digest, in hexadecimal."""
+ROBOT_KEY = "surefoot-robot"
+"""Property that holds the archive of a robot that does not ship, in base64."""
 _GRAPH, _OPSET, _PROPERTIES, _KEY, _VALUE = 7, 8, 14, 1, 2
 _MODEL = {1: NUMBER, 2: BYTES, 3: BYTES, _GRAPH: BYTES, _OPSET: BYTES, _PROPERTIES: MANY}
 """Fields of a model: version of the format, its producer, and these."""
@@ -36,12 +40,26 @@ class PolicyParts:
     graph: bytes
     """The computation, with all of its constants."""
     contract: bytes
+    robot: bytes
+    """Archive of the robot in base64; empty, if the robot ships."""
     stated_digest: bytes | None
 
     @property
     def digest(self) -> str:
-        """SHA-256 of contract and graph, in hexadecimal."""
-        return hashlib.sha256(self.contract + b"\0" + self.graph).hexdigest()
+        """SHA-256 of contract, robot and graph, in hexadecimal."""
+        robot = self.robot + b"\0" if self.robot else b""
+        return hashlib.sha256(self.contract + b"\0" + robot + self.graph).hexdigest()
+
+    def robot_archive(self) -> bytes:
+        """Return the robot's archive, whose contents are not checked; empty, if the file carries none.
+
+        Raises:
+            SurefootError: no base64.
+        """
+        try:
+            return base64.b64decode(self.robot, validate=True)
+        except ValueError:
+            raise SurefootError("its robot is damaged: it is not base64") from None
 
 
 def read_parts(data: bytes) -> PolicyParts:
@@ -61,7 +79,7 @@ def read_parts(data: bytes) -> PolicyParts:
     for value in model[_PROPERTIES]:
         entry = read_message(value, "property", {_KEY: BYTES, _VALUE: BYTES})
         name = b"".join(entry[_KEY]).decode(errors="replace")
-        if name in properties or name not in (METADATA_KEY, DIGEST_KEY):
+        if name in properties or name not in (METADATA_KEY, ROBOT_KEY, DIGEST_KEY):
             raise SurefootError(
                 f"has a property {name[:40]!r} that surefoot does not write, or has it twice; contract or digest may "
                 "be damaged: export the policy again"
@@ -69,7 +87,8 @@ def read_parts(data: bytes) -> PolicyParts:
         properties[name] = b"".join(entry[_VALUE])
     if METADATA_KEY not in properties:
         raise SurefootError("has no contract; surefoot runs only policies that it exported")
-    return PolicyParts(b"".join(model[_GRAPH]), properties[METADATA_KEY], properties.get(DIGEST_KEY))
+    robot = properties.get(ROBOT_KEY, b"")
+    return PolicyParts(b"".join(model[_GRAPH]), properties[METADATA_KEY], robot, properties.get(DIGEST_KEY))
 
 
 def check_digest(data: bytes) -> PolicyParts:

@@ -14,6 +14,8 @@ from surefoot.native_output import stdout_to_stderr
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import check_digest
 from surefoot.policy.network import INPUT, MAX_BYTES, OUTPUT, check_network
+from surefoot.robot import RobotDescription
+from surefoot.robot.archive import unpack_robot
 
 with stdout_to_stderr():
     # onnxruntime warns of unknown processors and devices while it is loaded, not only when it is used.
@@ -26,8 +28,8 @@ class PolicyRuntime:
     Make it with `load`.
     """
 
-    def __init__(self, session: onnxruntime.InferenceSession, contract: Contract) -> None:
-        self._session, self.contract = session, contract
+    def __init__(self, session: onnxruntime.InferenceSession, contract: Contract, robot: bytes = b"") -> None:
+        self._session, self.contract, self._robot = session, contract, robot
         self._low, self._high = np.array(contract.low), np.array(contract.high)
 
     @classmethod
@@ -42,24 +44,47 @@ class PolicyRuntime:
         with describe_os_errors(f"policy file {path}"), path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
         with prefix_errors(f"policy file {path}"):
-            if not data:
-                raise SurefootError("is empty; a policy is an ONNX file that surefoot exported")
-            try:
-                # Nothing of a file is run before all of this has passed.
-                parts = check_digest(data)
-                check_network(parts.graph)
-                contract = Contract.from_json(parts.contract.decode())
-            except (UnicodeDecodeError, OverflowError, RecursionError) as error:
-                raise SurefootError(str(error)) from error
-            try:
-                with stdout_to_stderr():
-                    session = onnxruntime.InferenceSession(data, _options(), providers=["CPUExecutionProvider"])
-            except Exception as error:  # onnxruntime's errors have no common class of their own.
-                reason = " ".join(str(error).split()).rsplit(" : ", 1)[-1]
-                raise SurefootError(f"is damaged or not ONNX: {reason}") from error
-            _check_tensor("input", session.get_inputs(), INPUT, contract.width)
-            _check_tensor("output", session.get_outputs(), OUTPUT, len(contract.action_names))
-        return cls(session, contract)
+            return cls.parse(data)
+
+    @classmethod
+    def parse(cls, data: bytes) -> PolicyRuntime:
+        """Check the bytes of a policy file and load them.
+
+        Raises:
+            SurefootError: as `load`.
+        """
+        if not data:
+            raise SurefootError("is empty; a policy is an ONNX file that surefoot exported")
+        try:
+            # Nothing of a file is run before all of this has passed.
+            parts = check_digest(data)
+            check_network(parts.graph)
+            contract = Contract.from_json(parts.contract.decode())
+        except (UnicodeDecodeError, OverflowError, RecursionError) as error:
+            raise SurefootError(str(error)) from error
+        try:
+            with stdout_to_stderr():
+                session = onnxruntime.InferenceSession(data, _options(), providers=["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime's errors have no common class of their own.
+            reason = " ".join(str(error).split()).rsplit(" : ", 1)[-1]
+            raise SurefootError(f"is damaged or not ONNX: {reason}") from error
+        _check_tensor("input", session.get_inputs(), INPUT, contract.width)
+        _check_tensor("output", session.get_outputs(), OUTPUT, len(contract.action_names))
+        robot = parts.robot_archive()
+        if not robot and not contract.description:
+            raise SurefootError(f"lacks its robot '{contract.robot}', which does not ship; export it again")
+        return cls(session, contract, robot)
+
+    def load_robot(self, robot: str | None = None) -> RobotDescription:
+        """Return the robot to run on: by name or folder, else the one that the file carries, else its own that ships.
+
+        Raises:
+            SurefootError: no such robot, or an invalid one.
+        """
+        if robot is None and self._robot:
+            with prefix_errors(f"policy '{self.contract.name}'"):
+                return RobotDescription.load(unpack_robot(self._robot))
+        return RobotDescription.load(robot or self.contract.description)
 
     def feedback(self, observation: ArrayLike) -> Array:
         """Return the feedback (N, A) within the contract's bounds for observations (N, O * history).

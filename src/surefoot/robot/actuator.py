@@ -10,7 +10,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.configuration import NotNegative, Positive, Within, from_mapping
-from surefoot.errors import SurefootError, choices, quote
+from surefoot.errors import SurefootError, quote, suggest
 
 _Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
 """One number for all motors, one for each motor of a leg, or one for each motor."""
@@ -123,7 +123,7 @@ def read_actuator(table: Mapping[str, Any], order: Sequence[str], legs: Sequence
     kinds: dict[str, type[DcMotorData] | type[JointActuatorData]] = {"dc": DcMotorData, "joint": JointActuatorData}
     kind = table.get("kind", "dc")
     if kind not in list(kinds):  # it may be unhashable
-        raise SurefootError(f"actuator.kind is {quote(kind)}; choices: {choices(kinds)}")
+        raise SurefootError(f"actuator.kind is {quote(kind)}; {suggest(kind, kinds)}")
     data = from_mapping(kinds[kind], {key: value for key, value in table.items() if key != "kind"}, "actuator")
     place = {name: k for leg in legs for k, name in enumerate(leg)}
     changed: dict[str, Any] = {}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_toml
-from surefoot.errors import SurefootError, check_name, choices, prefix_errors, quote
+from surefoot.errors import SurefootError, check_name, choices, prefix_errors, quote, suggest
 from surefoot.robot.actuator import ActuatorData, DcMotorData, nominal_params, read_actuator
 from surefoot.robot.appearance import Appearance
+from surefoot.robot.archive import SHEET, pack_robot
 from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PARAMETERS
@@ -85,14 +87,17 @@ class RobotDescription:
             SurefootError: no such robot, or an invalid description: states file, key and rule.
         """
         folder = cls.find_folder(robot)
-        sheet_path = folder / "robot.toml"
+        sheet_path = folder / SHEET
         if not sheet_path.is_file():
-            names = choices(cls.available())
-            raise SurefootError(f"robot '{robot}': no such robot and no folder with a robot.toml; robots: {names}")
+            raise SurefootError(
+                f"robot '{robot}': no such robot and no folder with a robot.toml; {suggest(robot, cls.available())}"
+            )
         data, _ = read_toml(sheet_path)
         with prefix_errors(sheet_path):
             sheet = from_mapping(Sheet, data)
             check_name("name", sheet.name)
+            if Path(sheet.urdf).is_absolute() or ".." in Path(sheet.urdf).parts:
+                raise SurefootError(f"urdf is {quote(sheet.urdf)}; it must be a file in the robot's folder")
         urdf = read_urdf(folder / sheet.urdf)
         with prefix_errors(sheet_path):
             return cls._from_sheet(sheet, urdf, folder)
@@ -103,7 +108,7 @@ class RobotDescription:
         sign = np.array(sheet.motors.sign or [1] * len(order), float)
         bounds = {name: item.bounds for name, item in PARAMETERS.items()}
         if unknown := [name for name in sheet.allowed if name not in bounds]:
-            raise SurefootError(f"allowed.{unknown[0]} is unknown; choices: {choices(bounds)}")
+            raise SurefootError(f"allowed.{unknown[0]} is unknown; {suggest(unknown[0], bounds)}")
         check_ranges("allowed", sheet.allowed)
         if sheet.looks is not None and (Path(sheet.looks).name != sheet.looks or sheet.looks in ("", "..")):
             raise SurefootError(f"looks is {quote(sheet.looks)}; it must be the name of a file in the robot's folder")
@@ -158,6 +163,21 @@ class RobotDescription:
         for name, value in self.nominal_params().items():
             if PARAMETERS[name].belongs_to(self):
                 self.check_allowed(name, np.asarray(value), source="nominal ")
+
+    @property
+    def ships(self) -> bool:
+        """Whether it ships with surefoot: its name is enough to load it anywhere."""
+        return self.folder.resolve().parent == _HERE.resolve()
+
+    @property
+    def location(self) -> str:
+        """What `load` takes to load it again on this machine: the name of a robot that ships, else the folder."""
+        return self.folder.name if self.ships else str(self.folder)
+
+    @cached_property
+    def archive(self) -> bytes:
+        """The folder as bytes, for files that carry their robot; empty for a robot that ships."""
+        return b"" if self.ships else pack_robot(self.folder)
 
     @property
     def num_motors(self) -> int:

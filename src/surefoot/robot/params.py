@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 
 
 class _Robot(Protocol):
@@ -214,7 +214,7 @@ PARAMETERS: dict[str, Parameter] = {item.name: item.metadata["parameter"] for it
 def check_parameter(name: str, robot: _Robot | None = None) -> None:
     """Refuse a name that is no physical parameter, or one that a robot's kind of motors does not have."""
     if name not in PARAMETERS:
-        raise SurefootError(f"'{name}' is not a physical parameter; choices: {choices(PARAMETERS)}")
+        raise SurefootError(f"'{name}' is not a physical parameter; {suggest(name, PARAMETERS)}")
     if robot is not None and not PARAMETERS[name].belongs_to(robot):
         kind = PARAMETERS[name].actuator
         raise SurefootError(

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.configuration import is_number, read_toml
-from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors, quote
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote, suggest
 from surefoot.files import atomic_write
 from surefoot.robot.description import RobotDescription
 from surefoot.robot.params import PARAMETERS, PhysicalParams, parse_settings
@@ -73,7 +73,7 @@ def find_params(path_or_name: str | Path, robot: RobotDescription) -> Path:
         return path
     names = sorted(item.stem for item in robot.folder.glob("*.toml") if item.name != "robot.toml")
     if path.name not in names:
-        own_names = f"those of {robot.name}: {choices(names)}" if names else f"{robot.name} ships with none"
+        own_names = suggest(path_or_name, names) if names else f"{robot.name} ships with none"
         raise SurefootError(f"params is '{path_or_name}'; it must be a file (.toml), or a name; {own_names}")
     return own
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml, to_mapping
-from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors, quote
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote, suggest
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS, check_parameter
 from surefoot.robot.params_file import read_params
@@ -165,7 +165,7 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
         path = next((path for path in paths if path.is_file()), None)
     if path is None:
         raise SurefootError(
-            f"randomize {quote(name)} does not exist; choices: {choices(range_names())}, or the path of a YAML file"
+            f"randomize {quote(name)} does not exist; {suggest(name, range_names())}, or the path of a YAML file"
         )
     data = _read_intervals(path, description) if path.suffix == ".toml" else read_yaml(path)
     with prefix_errors(path):

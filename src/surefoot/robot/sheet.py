@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 from surefoot.configuration import NotNegative, Positive, Within, from_mapping, is_number
-from surefoot.errors import SurefootError, choices, quote
+from surefoot.errors import SurefootError, choices, quote, suggest
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.urdf import Urdf
 
@@ -227,7 +227,7 @@ def check_names(key: str, names: Sequence[str], valid: Iterable[str]) -> None:
     """Refuse names that the robot does not have, and names that stand twice."""
     for name in names:
         if name not in valid:
-            raise SurefootError(f"{key} names '{name}', which the robot does not have; choices: {choices(valid)}")
+            raise SurefootError(f"{key} names '{name}', which the robot does not have; {suggest(name, valid)}")
     if len(set(names)) != len(names):
         raise SurefootError(f"{key} is {quote(list(names))}; names must not repeat")
 

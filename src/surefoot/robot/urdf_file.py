@@ -9,12 +9,13 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
+from xml.parsers.expat import ErrorString
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices, describe_os_errors
+from surefoot.errors import SurefootError, choices, describe_os_errors, suggest
 from surefoot.files import read_configuration
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.urdf import GREY, Color, Joint, Link, Shape, Urdf
@@ -33,7 +34,9 @@ def read_xml(path: Path) -> ElementTree.Element:
     try:
         return ElementTree.fromstring(content)
     except ElementTree.ParseError as error:
-        raise SurefootError(f"{path}: is not well-formed XML: {error}") from error
+        line, column = error.position
+        reason = ErrorString(error.code)
+        raise SurefootError(f"{path}: is not well-formed XML in line {line}, column {column + 1}: {reason}") from error
 
 
 def attribute(element: ElementTree.Element | None, key: str, default: str = "") -> str:
@@ -191,10 +194,10 @@ def _read_joint(element: ElementTree.Element, name: str, links: Collection[str],
     parent, child = attribute(element.find("parent"), "link"), attribute(element.find("child"), "link")
     for end in (parent, child):
         if end not in links:
-            raise SurefootError(f"{where} joins '{end}', not a link; choices: {choices(links)}")
+            raise SurefootError(f"{where} joins '{end}', not a link; {suggest(end, links)}")
     kind, limits = attribute(element, "type"), None
     if kind not in KINDS:
-        raise SurefootError(f"{where}: type is '{kind}'; choices: {choices(KINDS)}")
+        raise SurefootError(f"{where}: type is '{kind}'; {suggest(kind, KINDS)}")
     x, y, z = read_numbers(attribute(element.find("axis"), "xyz", "1 0 0"), 3, f"{where}: axis")
     length = math.hypot(x, y, z)
     if kind != "fixed" and length == 0.0:

@@ -15,7 +15,7 @@ import pandas as pd
 
 from surefoot import __version__
 from surefoot.configuration import to_mapping
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.evaluation.footfalls import analyze_footfalls
 from surefoot.evaluation.gap import PolicyGap, away_task, home_task
 from surefoot.evaluation.recorded import save_runs
@@ -25,7 +25,7 @@ from surefoot.evaluation.sensitivity import Sensitivity, run_sensitivity
 from surefoot.files import atomic_write
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot.randomization import load_ranges
-from surefoot.tables import plain_value
+from surefoot.tables import plain_value, with_unit
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
@@ -53,7 +53,7 @@ class ResultFigure:
     @property
     def heading(self) -> str:
         """Title and unit, as the head of a column."""
-        return f"{self.title} ({self.unit})"
+        return with_unit(self.title, self.unit)
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ def evaluation_names(names: Iterable[str]) -> tuple[str, ...]:
     """Return the evaluations of a study, the one that every study has first; refuse unknown names."""
     for name in names:
         if name not in EVALUATIONS:
-            raise SurefootError(f"evaluate: '{name}' is no kind of evaluation; choices: {choices(EVALUATIONS)}")
+            raise SurefootError(f"evaluate: '{name}' is no kind of evaluation; {suggest(name, EVALUATIONS)}")
     return tuple(dict.fromkeys(("nominal", *names)))
 
 
@@ -255,7 +255,7 @@ def evaluate(policy: Path, name: str, threads: int = 0) -> Result:
 
     def compute() -> Result:
         runtime, kind = PolicyRuntime.load(policy), EVALUATIONS[name]
-        task = task_from_contract(runtime.contract)
+        task = task_from_contract(runtime.contract, runtime.load_robot())
         result, stored = kind.run(EvaluationRun(runtime, task, kind.settings, threads))
         # Traces before the result, so that a result never lacks them.
         for world, traces in stored.items():

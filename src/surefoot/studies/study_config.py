@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from surefoot.configuration import Seed, Within, from_mapping, read_yaml
-from surefoot.errors import SurefootError, check_name, choices, prefix_errors
+from surefoot.errors import SurefootError, check_name, choices, prefix_errors, suggest
 from surefoot.learn.config import TrainConfig
 from surefoot.robot.randomization import resolve_table
 from surefoot.studies.training import Training, base_config
@@ -86,7 +86,7 @@ class StudyConfig:
     def _check_names(self, where: str, groups: tuple[str, ...]) -> None:
         for name in groups:
             if name not in self.groups:
-                raise SurefootError(f"{where}: '{name}' is no group of the study; groups: {choices(self.groups)}")
+                raise SurefootError(f"{where}: '{name}' is no group of the study; {suggest(name, self.groups)}")
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
@@ -158,7 +158,7 @@ def study_runs(study: StudyConfig, root: Path, only: tuple[str, ...] = ()) -> li
     """
     for name in only:
         if name not in study.groups:
-            raise SurefootError(f"group '{name}' is not in the study; groups: {choices(study.groups)}")
+            raise SurefootError(f"group '{name}' is not in the study; {suggest(name, study.groups)}")
     configs = {name: group_config(study, name) for name in study.groups if not only or name in only}
     return [
         Training(name, replace(config, seed=seed), root / name / f"seed_{seed}")

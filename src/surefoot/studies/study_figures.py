@@ -12,8 +12,10 @@ import pandas as pd
 
 from surefoot.evaluation.gap import PolicyGap
 from surefoot.evaluation.statistics import Interval, MeanEstimate
-from surefoot.report.figures.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered
+from surefoot.report.figures.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered, spoken
+from surefoot.robot.commands import COMMANDS
 from surefoot.studies.comparison import Comparison, bin_curve
+from surefoot.tables import with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,12 +27,21 @@ _PALE = 0.5
 _MAX_DOTS = 100
 
 
-def learning_curves(groups: Mapping[str, Sequence[pd.DataFrame]], path: str | Path) -> Path:
-    """Draw the `learning_curve` of trainings by group: mean over a group, band from the least to the greatest."""
-    parts = (("return", "Return of an episode (m)"), ("speed", "Speed (m/s)"), ("falls", "Episodes with a fall (%)"))
+def learning_curves(groups: Mapping[str, Sequence[pd.DataFrame]], path: str | Path, unit: str = "m") -> Path:
+    """Draw the `learning_curve` of trainings by group: mean over a group, band from the least to the greatest.
+
+    Tasks with commands have their errors in place of the speed. `unit` is that of returns.
+    """
+    steered = all(set(COMMANDS) <= set(curve) for curves in groups.values() for curve in curves)
+    errors = [(name, with_unit(f"Error of {spoken(name)}", error_unit)) for name, error_unit in COMMANDS.items()]
+    parts = [
+        ("return", with_unit("Return of an episode", unit)),
+        *(errors if steered else [("speed", "Speed (m/s)")]),
+        ("falls", "Episodes with a fall (%)"),
+    ]
     ends = [max(float(curve.steps.max()) for curve in curves) for curves in groups.values()]
-    scale, unit = (1e6, "million ") if max(ends) >= 2e5 else (1.0, "")
-    with new_figure(path, (11.0, 3.7), columns=3) as (figure, axes):
+    scale, count = (1e6, "million ") if max(ends) >= 2e5 else (1.0, "")
+    with new_figure(path, (11.0 if len(parts) == 3 else 16.0, 3.7), columns=len(parts)) as (figure, axes):
         for ax, (name, title) in zip(axes, parts, strict=True):
             for number, (label, curves) in enumerate(groups.items()):
                 # Every group has its own bins, so that each curve reaches the end of its training.
@@ -42,9 +53,9 @@ def learning_curves(groups: Mapping[str, Sequence[pd.DataFrame]], path: str | Pa
                 ax.fill_between(x, low, high, color=color, alpha=0.16, linewidth=0)
                 ax.plot(x, mean, color=color, label=label)
             ax.set_title(title)
-            ax.set_xlabel(f"{unit}control steps")
+            ax.set_xlabel(f"{count}control steps")
             ax.set_xlim(0.0, max(ends) / scale)
-        axes[2].set_ylim(0.0, max(axes[2].get_ylim()[1], 1.0))
+        axes[-1].set_ylim(0.0, max(axes[-1].get_ylim()[1], 1.0))
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
         heading(figure, "Training: mean over seeds, band from the least to the greatest seed")
     return Path(path)
@@ -81,11 +92,11 @@ def _group_bar(ax: Axes, row: int, interval: Interval, values: pd.Series, color:
     ax.plot(values, lane, "o", color=color, markersize=4.5, markeredgecolor="white", markeredgewidth=0.6, clip_on=False)
 
 
-def gap_figure(policies: Sequence[PolicyGap], path: str | Path) -> Path:
+def gap_figure(policies: Sequence[PolicyGap], path: str | Path, unit: str = "m") -> Path:
     """Draw the return of each policy as bars, a bar a world, with one standard error and every run as a dot.
 
     Below each policy stands its gap to each other world; over a bar, how many of the runs fell, if any did: they are
-    crosses. All policies or groups of policies ran in the same worlds.
+    crosses. All policies or groups of policies ran in the same worlds. `unit` is that of returns.
     """
     names = policies[0].worlds
     width = max(5.2, 1.2 + len(policies) * max(1.6 if len(names) < 3 else 2.3, 0.62 * len(names)))
@@ -94,11 +105,11 @@ def gap_figure(policies: Sequence[PolicyGap], path: str | Path) -> Path:
             for number, world in enumerate(names):
                 _return_bar(ax, place, number, len(names), policy.in_world(world))
         ax.axhline(0.0, color=QUIET, linewidth=0.8)
-        place_labels(ax, [_label(policy) for policy in policies])
+        place_labels(ax, [_label(policy, unit) for policy in policies])
         ax.set_xlim(-0.5, len(policies) - 0.5)
         ax.margins(y=0.12)
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
-        ax.set_title("Return of an episode (m)", fontweight="bold", pad=24.0)
+        ax.set_title(with_unit("Return of an episode", unit), fontweight="bold", pad=24.0)
         legend = "bars: mean and one standard error; dots: runs, crosses: runs that ended in a fall"
         ax.set_xlabel(legend, color=QUIET, fontsize=8.0, labelpad=6.0)
         for number, name in enumerate(names):
@@ -129,11 +140,11 @@ def _return_bar(ax: Axes, place: int, number: int, count: int, runs: pd.DataFram
     ax.annotate(text, (x, top), offset, textcoords="offset points", ha="center", va="bottom", fontsize=7.5, color=INK)
 
 
-def _label(policy: PolicyGap) -> str:
+def _label(policy: PolicyGap, unit: str) -> str:
     """Return a policy's name, and below it its gap to each other world."""
     away, lines = policy.worlds[1:], []
     for world in away:
         gap = policy.gap(world).mean
         where = f"gap to {world}" if len(away) > 1 else "gap"
-        lines.append(f"{where} {gap:+.2f} m" if math.isfinite(gap) else f"{where} -")
+        lines.append(f"{where} {gap:+.2f} {unit}".rstrip() if math.isfinite(gap) else f"{where} -")
     return "\n".join([*policy.name.split(", "), *lines])

@@ -6,10 +6,12 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from surefoot.configuration import from_mapping, read_yaml, write_yaml
 from surefoot.errors import SurefootError
 from surefoot.files import read_json_lines
 from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.learn.run_config import read_run_config, set_steps
+from surefoot.robot import RobotDescription
+from surefoot.robot.archive import robot_files
 
 CHECKPOINT_EVERY = 200_000
 """Control steps between two checkpoints of one of many trainings: about a minute of one core, lost when killed."""
@@ -70,7 +72,7 @@ class Training:
         if self.state == "new":
             return
         stored = self.stored()
-        same = {name: getattr(stored, name) for name in _SAME_RESULT}
+        same = {name: getattr(stored, name) for name in _SAME_RESULT} | {"task": _with_copies(self.config, stored).task}
         if extend and stored.steps < self.config.steps:
             same["steps"] = stored.steps
         if change := difference(stored, replace(self.config, **same)):
@@ -78,7 +80,7 @@ class Training:
             more = "" if name != "steps" or now < was else "go on with it by --extend, "
             raise SurefootError(
                 f"{self.path}: was trained with {name} {was!r}, and the study asks for {now!r}; {more}move the folder "
-                "away to train it anew, give another --runs, or change the study back"
+                "away to train it anew, give another --out, or change the study back"
             )
 
     def extend(self) -> None:
@@ -86,11 +88,11 @@ class Training:
 
         The number of steps does not change the steps before, so the result is that of a run made for more.
         """
-        if self.state == "new" or (stored := self.stored()).steps >= self.config.steps:
+        if self.state == "new" or self.stored().steps >= self.config.steps:
             return
         # In this order: killed in between, it is a run that is not finished, not one that claims more steps.
         self.policy.unlink(missing_ok=True)
-        write_yaml(self.path / "config.yaml", replace(stored, steps=self.config.steps))
+        set_steps(self.path, self.config.steps)
 
     def stored(self) -> TrainConfig:
         """Return the configuration in the folder.
@@ -99,9 +101,24 @@ class Training:
             SurefootError: there is none, or it does not fit.
         """
         try:
-            return from_mapping(TrainConfig, read_yaml(self.path / "config.yaml"))
+            return read_run_config(self.path)
         except SurefootError as error:
             raise SurefootError(f"{self.path}: {error}; move the folder away to train anew") from None
+
+
+def _with_copies(config: TrainConfig, stored: TrainConfig) -> TrainConfig:
+    """Return a configuration with a run's copies of the robot and of the reference's table, where they are equal."""
+    task, copies = config.task, stored.task
+    if task.robot != copies.robot and _robot_files(task.robot) == _robot_files(copies.robot):
+        task = replace(task, robot=copies.robot)
+    file, copy = task.reference.file, copies.reference.file
+    if file and copy and Path(file).read_bytes() == Path(copy).read_bytes():
+        task = replace(task, reference=copies.reference)
+    return replace(config, task=task)
+
+
+def _robot_files(robot: str) -> dict[str, bytes]:
+    return robot_files(RobotDescription.find_folder(robot))
 
 
 def difference(one: Any, other: Any, prefix: str = "") -> tuple[str, Any, Any] | None:

@@ -98,8 +98,8 @@ class TuneConfig:
     """Candidates of a generation."""
     starts: Annotated[int, Within(1, 100)] = 3
     """Episodes of each candidate, from different starts."""
-    seconds: Annotated[float, Within(0.5, 60)] = 4.0
-    """Length of an episode."""
+    duration: Annotated[float, Within(0.5, 60)] = 4.0
+    """Length of an episode [s]."""
     sigma: Annotated[float, Within(0, 1, above=True)] = 0.2
     """First standard deviation, in parts of each parameter's range."""
     seed: Seed = 0
@@ -198,7 +198,7 @@ class Tuner:
 
         self._search = cma.CMAEvolutionStrategy(inside, config.sigma, options)
         task, count = self.gait().task, config.population * config.starts
-        steps = round(config.seconds / float(task.nominal(self.robot).control_step[0]))
+        steps = round(config.duration / float(task.nominal(self.robot).control_step[0]))
         task = replace(task, max_steps=max(steps, 1))
         self._env = LocomotionEnv(task, count, make_world, config.seed, autoreset=False, threads=config.threads)
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from surefoot.configuration import Within, check_bounds, from_mapping, read_yaml
-from surefoot.errors import SurefootError, check_name, choices, prefix_errors, quote
+from surefoot.configuration import NoOption, Within, check_bounds, from_mapping, read_yaml
+from surefoot.errors import SurefootError, check_name, prefix_errors, quote, suggest
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges, check_ranges, resolve_table
@@ -58,7 +58,7 @@ class TaskConfig:
 
     name: str = "gait"
     """Name of the task; run folders carry it."""
-    robot: str = DEFAULT_ROBOT
+    robot: NoOption[str] = DEFAULT_ROBOT
     """Name of a robot that ships with surefoot, or the path of a robot's folder."""
     observations: tuple[str, ...] = IMU_AND_MOTORS_12D
     """Parts of the observation, in order."""
@@ -87,13 +87,13 @@ class TaskConfig:
     """Greatest values of reward terms that count, by name; per second of progress, energy and transport_cost."""
     pushes: PushConfig = field(default_factory=PushConfig)
     """Random pushes on the base."""
-    randomize: Ranges = field(default_factory=dict)
+    randomize: NoOption[Ranges] = field(default_factory=dict)
     """Ranges from which every episode draws physical parameters, by name; in a file also the name of a table."""
-    params: dict[str, ParamValue] = field(default_factory=dict)
+    params: NoOption[dict[str, ParamValue]] = field(default_factory=dict)
     """Physical parameters that differ from the robot's description, by name: a number, or one for each motor."""
-    params_source: dict[str, str] = field(default_factory=dict)
+    params_source: NoOption[dict[str, str]] = field(default_factory=dict)
     """The file that they were read from, if any: its name as `file`, and `sha256`. It is not read again."""
-    actuator: Literal["dc", "constraint"] = "dc"
+    actuator: NoOption[Literal["dc", "constraint"]] = "dc"
     """dc: servo and DC motor; constraint: the position motor of physics engines, the paper's baseline."""
     thermal_protection: bool = False
     """Switch off motors that overheat."""
@@ -129,9 +129,14 @@ class TaskConfig:
             bounds = narrowed_bounds(bounds, reference, robot)
         return HybridGait(robot, reference, *bounds, action=self.action)
 
-    def energy_weight(self, robot: RobotDescription) -> float:
-        """Return the weight of energy [m/J] in returns of traces, see `task.reward.energy_weight`."""
-        return energy_weight(self.reward, robot.weight)
+    def return_meta(self, robot: RobotDescription) -> dict[str, float | None]:
+        """Return what a trace's meta has to compute the return: `energy_weight` and `progress_limit` of `TraceMeta`."""
+        weight = energy_weight(self.reward, self.reward_limits, robot.weight)
+        return {"energy_weight": weight, "progress_limit": self.reward_limits.get("progress")}
+
+    def return_unit(self, robot: RobotDescription) -> str:
+        """Return m for the paper's reward, which is a distance; empty for others, whose terms have different units."""
+        return "" if self.return_meta(robot)["energy_weight"] is None else "m"
 
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
         """Return the physical parameters, which the robot must allow, without randomization, one row."""
@@ -167,7 +172,7 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
     shipped = _shipped_tasks(robot or DEFAULT_ROBOT)
     if task not in shipped and not Path(task).is_file():
         raise SurefootError(
-            f"task '{task}' does not exist; choices: {choices(sorted(shipped))}, or the path of a YAML file"
+            f"task '{task}' does not exist; {suggest(task, sorted(shipped))}, or the path of a YAML file"
         )
     path = shipped.get(task, Path(task))
     data = _with_base(read_yaml(path), path)
@@ -195,7 +200,7 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
         return data
     names = sorted(file.stem for file in _PRESETS.glob("*.yaml") if file != path)
     if base not in names:
-        raise SurefootError(f"{path}: base is {quote(base)}; choices: {choices(names)}")
+        raise SurefootError(f"{path}: base is {quote(base)}; {suggest(base, names)}")
     below = _PRESETS / f"{base}.yaml"
     return _merge(_with_base(read_yaml(below), below), data)
 

@@ -11,6 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
+from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import Randomizer
 from surefoot.rotations import in_heading_frame
@@ -110,6 +111,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.start_position = np.zeros((self.num_envs, 3))
         self.feedback = np.zeros((self.num_envs, len(self.gait.action_names)))
         self.target = np.zeros((self.num_envs, self.robot.num_motors))
+        self.reward = np.zeros(self.num_envs)
+        self.reward_terms: dict[str, Array] = {}
+        self.command_error = np.zeros((self.num_envs, 3))
         self.readings: Readings = self.world.readings()
         self.truth: Truth = self.world.truth()
         self._begin(np.arange(self.num_envs))
@@ -175,11 +179,15 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.readings = world.step(self.target, active)
         before, self.truth = self.truth, world.truth()
         diverged = self.truth.diverged
-        reward = step_reward(task.reward, task.reward_limits, self._motion(before, last))
+        motion = self._motion(before, last)
+        reward, self.reward_terms = step_reward(task.reward, task.reward_limits, motion)
         if self.source is not None and self.commands is not None:
+            self.command_error = motion.command_error
             self.source.update(self.readings.time)
             self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
-        reward[diverged | self.over] = 0.0
+        for part in (reward, self.command_error, *self.reward_terms.values()):
+            part[diverged | self.over] = 0.0
+        self.reward = reward
         self.steps += ~self.over
         self.returns += reward
         terminated = (has_fallen(self.truth, task.fall_angle, task.fall_height, self._ground) | diverged) & ~self.over
@@ -324,3 +332,22 @@ class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]
         if "figures" in info:
             single["figures"] = {name: float(values[0]) for name, values in info["figures"].items()}
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), single
+
+
+def find_batch(env: Any) -> LocomotionEnv:
+    """Return the batch of robots inside an environment: of Gymnasium or Stable-Baselines3, wrapped or not.
+
+    Raises:
+        SurefootError: an environment of another package, or one in another process.
+    """
+    inner = env
+    while inner is not None and not isinstance(inner, LocomotionEnv):
+        if isinstance(inner, LocomotionSingleEnv):
+            inner = inner.batch
+        elif isinstance(several := getattr(inner, "envs", None), list | tuple):
+            inner = several[0]
+        else:
+            inner = next((part for name in ("venv", "env") if (part := getattr(inner, name, None)) is not None), None)
+    if inner is None:
+        raise SurefootError(f"env is a {type(env).__name__}; it must be an environment of surefoot, in this process")
+    return inner

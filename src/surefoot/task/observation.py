@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, suggest
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.commands import CommandState
@@ -38,6 +38,8 @@ class Part:
     """Names of its numbers."""
     read: Callable[[ObservationInputs], Array]
     """Its numbers (N, width)."""
+    flipped: tuple[str, ...] = ()
+    """Columns that change their sign in the mirror image, of a plug-in; those of surefoot: `learn.symmetry`."""
 
 
 def phase(time: Array, period: float | None) -> Array:
@@ -108,7 +110,7 @@ class Observer:
             raise SurefootError(f"observations is empty; choices: {choices(PARTS)}")
         for name in names:
             if name not in PARTS:
-                raise SurefootError(f"observation '{name}' does not exist; choices: {choices(PARTS)}")
+                raise SurefootError(f"observation '{name}' does not exist; {suggest(name, PARTS)}")
         if len(set(names)) != len(names):
             raise SurefootError(f"observations are {choices(names)}; names must not repeat")
         self.names = names
@@ -116,6 +118,8 @@ class Observer:
         if actions is not None and "last_action" in columns:
             columns["last_action"] = [f"last_{action}" for action in actions]
         self.columns = [column for name in names for column in columns[name]]
+        if len(set(self.columns)) != len(self.columns):
+            raise SurefootError(f"columns of the observation are {choices(self.columns)}; names must not repeat")
 
     @property
     def width(self) -> int:

@@ -1,11 +1,12 @@
 """File of rows that a recorder writes during a run; if the run is cut off, a trace can be made from it.
 
-A partial file is a line of JSON (layout and meta of the trace) and then rows of little-endian 64-bit floats. A row that
-was cut off is left out when it is read.
+A partial file is a line of JSON (layout and meta of the trace, and its robot if that does not ship) and then rows of
+little-endian 64-bit floats. A row that was cut off is left out when it is read.
 """
 
 from __future__ import annotations
 
+import base64
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,7 +76,11 @@ class RowLayout:
 
 
 def make_trace(
-    layout: RowLayout, rows: Array, meta: dict[str, Any], truth: dict[str, Array] | None = None
+    layout: RowLayout,
+    rows: Array,
+    meta: dict[str, Any],
+    truth: dict[str, Array] | None = None,
+    robot_archive: bytes = b"",
 ) -> EpisodeTrace:
     """Return the trace of rows (T, width), one a control step, with its meta; refuse rows that are none.
 
@@ -91,12 +96,13 @@ def make_trace(
         "base_quat_world": np.full((steps + 1, 4), np.nan),
         "foot_contact": np.full((steps, layout.legs), np.nan),
     }
-    return EpisodeTrace(**columns, **(unknown | (truth or {})), meta=meta)
+    return EpisodeTrace(**columns, **(unknown | (truth or {})), meta=meta, robot_archive=robot_archive)
 
 
-def head_line(layout: RowLayout, meta: dict[str, Any]) -> bytes:
+def head_line(layout: RowLayout, meta: dict[str, Any], robot_archive: bytes = b"") -> bytes:
     """Return the first line of a partial file."""
-    return json.dumps({"kind": _KIND, **vars(layout), "meta": meta}).encode() + b"\n"
+    robot = {"robot": base64.b64encode(robot_archive).decode()} if robot_archive else {}
+    return json.dumps({"kind": _KIND, **vars(layout), "meta": meta, **robot}).encode() + b"\n"
 
 
 def row_bytes(rows: Array) -> bytes:
@@ -118,6 +124,7 @@ def recover(path: str | Path) -> EpisodeTrace:
         try:
             head = json.loads(line)
             kind, meta = head.pop("kind"), dict(head.pop("meta"))
+            robot = base64.b64decode(head.pop("robot", ""), validate=True)
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
             raise SurefootError(f"is not one: {' '.join(str(error).split())}") from error
         if kind != _KIND:
@@ -127,4 +134,4 @@ def recover(path: str | Path) -> EpisodeTrace:
         if not steps:
             raise SurefootError("holds no whole control step")
         rows = np.frombuffer(body, "<f8", steps * layout.width).reshape(steps, layout.width).astype(float)
-        return make_trace(layout, rows, {**meta, "ended": "fault", "reason": "cut off"})
+        return make_trace(layout, rows, {**meta, "ended": "fault", "reason": "cut off"}, robot_archive=robot)

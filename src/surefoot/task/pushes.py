@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.configuration import Within, check_bounds
+from surefoot.configuration import NoOption, Within, check_bounds
 from surefoot.errors import SurefootError
 from surefoot.seeding import generators
 
@@ -18,7 +18,7 @@ from surefoot.seeding import generators
 class PushConfig:
     """Times and forces of pushes; defaults from Tan et al. 2018, section V-B."""
 
-    enabled: bool = False
+    enabled: NoOption[bool] = False
     """Whether robots are pushed at all."""
     period: Annotated[float, Within(0, 3600, above=True)] = 1.2
     """Time from one push to the next [s]; the first comes after one period."""

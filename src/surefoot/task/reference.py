@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.configuration import Within, check_bounds
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, suggest
 from surefoot.files import check_readable
 from surefoot.npz import read_npz
 from surefoot.robot import GRAVITY, RobotDescription
@@ -249,7 +249,7 @@ def _check_names(table: Mapping[str, Any], names: tuple[str, ...], where: str) -
     """Refuse a table whose keys are not exactly `names`."""
     for key in table:
         if key not in names:
-            raise SurefootError(f"{where}.{key} is not a key; choices: {choices(names)}")
+            raise SurefootError(f"{where}.{key} is not a key; {suggest(key, names)}")
     missing = [name for name in names if name not in table]
     if missing:
         raise SurefootError(f"{where} lacks {choices(missing)}; it needs {choices(names)}")

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, suggest
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.rotations import in_heading_frame
 from surefoot.task.gait import HybridGait
@@ -112,6 +112,12 @@ class StepMotion:
         return self._rates[1] / self.scales.rate
 
     @property
+    def command_error(self) -> Array:
+        """Mean speeds forward and to the left and yaw rate less the command (N, 3) [m/s, m/s, rad/s]."""
+        velocity, turn = self._rates
+        return np.column_stack([velocity[:, :2], turn[:, 2]]) - self.command
+
+    @property
     def velocity_error(self) -> Array:
         """Mean velocity less the command (N, 2) [sqrt(g l)]."""
         return (self._rates[0][:, :2] - self.command[:, :2]) / self.scales.speed
@@ -193,14 +199,16 @@ def check_reward(weights: Mapping[str, float], limits: Mapping[str, float], key:
         raise SurefootError(f"{key} has no term; choices: {choices(TERMS)}")
     for name in weights:
         if name not in TERMS:
-            raise SurefootError(f"{key}.{name} is not a term; choices: {choices(TERMS)}")
+            raise SurefootError(f"{key}.{name} is not a term; {suggest(name, TERMS)}")
     for name in limits:
         if name not in weights:
-            raise SurefootError(f"reward_limits.{name} is not a term of {key}; choices: {choices(weights)}")
+            raise SurefootError(f"reward_limits.{name} is not a term of {key}; {suggest(name, weights)}")
 
 
-def step_reward(weights: Mapping[str, float], limits: Mapping[str, float], motion: StepMotion) -> Array:
-    """Return the reward (N,) of a control step.
+def step_reward(
+    weights: Mapping[str, float], limits: Mapping[str, float], motion: StepMotion
+) -> tuple[Array, dict[str, Array]]:
+    """Return the reward (N,) of a control step, and the part of each term in it (N,) by name.
 
     Args:
         weights: of terms by name.
@@ -208,24 +216,28 @@ def step_reward(weights: Mapping[str, float], limits: Mapping[str, float], motio
         motion: of the step.
     """
     totals = {True: np.zeros(len(motion.duration)), False: np.zeros(len(motion.duration))}
+    parts = {}
     for name, weight in weights.items():
         term = TERMS[name]
         value = term.value(motion)
         if name in limits:
             value = np.minimum(value, limits[name] * motion.duration if term.is_sum else limits[name])
-        totals[term.is_sum] += weight * value
-    return totals[True] + motion.duration * totals[False]
+        part = weight * value
+        totals[term.is_sum] += part
+        parts[name] = part if term.is_sum else motion.duration * part
+    return totals[True] + motion.duration * totals[False], parts
 
 
-def energy_weight(weights: Mapping[str, float], weight: float) -> float:
-    """Return w [m/J] of the paper's reward, which measures returns of traces: cost of energy over weight of progress.
+def energy_weight(weights: Mapping[str, float], limits: Mapping[str, float], weight: float) -> float | None:
+    """Return w [m/J] if the reward is the paper's, progress less w times energy; None for any other.
 
-    The paper's own w if the reward has no progress.
+    Positions and energy give the return of such a reward, in a robot's trace too. Progress may have a limit.
 
     Args:
         weights: of terms by name.
+        limits: greatest values that count, by term.
         weight: the robot's m g [N].
     """
-    if not (progress := weights.get("progress", 0.0)) > 0:
-        return ENERGY_WEIGHT
-    return max(-weights.get("energy", 0.0) - weights.get("transport_cost", 0.0) / weight, 0.0) / progress
+    cost = -weights.get("energy", 0.0) - weights.get("transport_cost", 0.0) / weight
+    own = weights.get("progress") == 1.0 and weights.keys() <= {"progress", "energy", "transport_cost"}
+    return cost if own and cost >= 0 and limits.keys() <= {"progress"} else None

@@ -16,8 +16,10 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.configuration import Within, from_mapping, to_mapping
-from surefoot.errors import SurefootError, choices, prefix_errors
+from surefoot.errors import SurefootError, choices, prefix_errors, quote
 from surefoot.npz import pop_meta, read_npz, write_npz
+from surefoot.robot import RobotDescription
+from surefoot.robot.archive import unpack_robot
 
 ENERGY_WEIGHT = 0.008  # w of the paper's reward, the same in all its experiments
 
@@ -39,8 +41,10 @@ class TraceMeta:
     seed: int | None = None
     params: dict[str, Any] = field(default_factory=dict)
     """Physical parameters: each a number, or a list where motors or axes have their own."""
-    energy_weight: Annotated[float, Within(0, 1e6)] = ENERGY_WEIGHT
-    """Weight of energy in returns [m/J]."""
+    energy_weight: Annotated[float, Within(0, 1e6)] | None = ENERGY_WEIGHT
+    """Weight w of energy [m/J] of a task of the paper's reward, progress less w times energy; None: another reward."""
+    progress_limit: Annotated[float, Within(-1e6, 1e6)] | None = None
+    """Speed up to which progress counts [m/s]; None: any."""
     max_steps: Annotated[int, Within(1, 1e9)] = 1000
     gait_period: Annotated[float, Within(1e-3, 1e3)] | None = None
     """Of the reference [s]; None: it has none."""
@@ -55,8 +59,11 @@ class TraceMeta:
 LOG = "log"
 """World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
 time of their row, readings are taken right after, times may repeat, and everything but time and target may be NaN."""
-_OPTIONAL = ("command", "push_force_world")
+_OPTIONAL = ("command", "push_force_world", "reward", "motor_saturation")
 """Arrays that are not in the file where all is NaN."""
+_ROBOT = "robot"
+"""Array of bytes in the file of a trace that carries its robot."""
+_NO_ARRAYS = {"meta", "robot_archive"}
 # Arrays that may be NaN: a robot without motion capture or foot switches does not measure them.
 _MAY_BE_NAN = frozenset(
     {"base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle", *_OPTIONAL}
@@ -111,8 +118,16 @@ class EpisodeTrace:
     push_force_world: Array = field(default_factory=_absent)
     """(T, 3) N that pushed the base during the control step; all NaN where pushes are unknown or there are none, and
     then not in the file."""
+    reward: Array = field(default_factory=_absent)
+    """(T,) reward of the control step by the task's own terms; all NaN where it is not known, as on a robot, and then
+    not in the file."""
+    motor_saturation: Array = field(default_factory=_absent)
+    """(T, M) fraction of the control step's servo steps in which the motor was at its limit, 0 to 1: DC motors at full
+    duty, joint actuators at the torque that there is at their speed. NaN as above."""
     meta: dict[str, Any] = field(default_factory=dict)
     """The entries of `TraceMeta`, and others that JSON can hold."""
+    robot_archive: bytes = b""
+    """The robot's folder as `RobotDescription.archive` has it; empty for a robot that ships."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "meta", _checked_meta(self.meta))
@@ -129,8 +144,9 @@ class EpisodeTrace:
             raise SurefootError("trace: time must be above 0 s at the first step and strictly increasing")
         if np.any(self.energy < 0.0):
             raise SurefootError(f"trace: energy {self.energy.min():.3g} J must be 0 or above: it sums |tau . qdot|")
-        if np.any((self.foot_contact < 0.0) | (self.foot_contact > 1.0)):
-            raise SurefootError("trace: foot_contact is a fraction of the control step: 0 to 1")
+        for name in ("foot_contact", "motor_saturation"):
+            if np.any((getattr(self, name) < 0.0) | (getattr(self, name) > 1.0)):
+                raise SurefootError(f"trace: {name} is a fraction of the control step: 0 to 1")
         norms = np.linalg.norm(self.base_quat_world, axis=1)
         if np.any(np.abs(norms - 1.0) > 1e-3):
             raise SurefootError("trace: base_quat_world must hold unit quaternions w, x, y, z (or NaN)")
@@ -165,10 +181,12 @@ class EpisodeTrace:
         path = Path(path)
         if path.suffix != ".npz":
             raise SurefootError(f"trace file {path}: the name must end in .npz")
-        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meta"}
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _NO_ARRAYS}
         for name in _OPTIONAL:
             if np.isnan(arrays[name]).all():
                 del arrays[name]
+        if self.robot_archive:
+            arrays[_ROBOT] = np.frombuffer(self.robot_archive, np.uint8)
         write_npz(path, arrays, self.meta)
         return path
 
@@ -184,9 +202,25 @@ class EpisodeTrace:
                 meta = _checked_meta(meta)  # Another schema may have other arrays.
             except RecursionError:
                 raise SurefootError("not an episode trace: its meta is nested too deep") from None
-            if odd := {f.name for f in fields(cls)} - {"meta"} ^ {*arrays, *_OPTIONAL}:
+            robot = arrays.pop(_ROBOT, np.empty(0, np.uint8))
+            if robot.dtype != np.uint8 or robot.ndim != 1:
+                raise SurefootError(f"not an episode trace: {_ROBOT} must hold bytes")
+            if odd := {f.name for f in fields(cls)} - _NO_ARRAYS ^ {*arrays, *_OPTIONAL}:
                 raise SurefootError(f"not an episode trace: missing or unknown {choices(sorted(odd))}")
-            return cls(meta=meta, **arrays)
+            return cls(meta=meta, robot_archive=robot.tobytes(), **arrays)
+
+    def load_robot(self) -> RobotDescription:
+        """Return the robot that the trace carries, else the one of its name that ships.
+
+        Raises:
+            SurefootError: neither is there, or the robot is invalid.
+        """
+        if self.robot_archive:
+            return RobotDescription.load(unpack_robot(self.robot_archive))
+        name = str(self.meta["robot"])
+        if name not in RobotDescription.available():
+            raise SurefootError(f"is of robot {quote(name)}, which does not ship; give its folder with --robot")
+        return RobotDescription.load(name)
 
 
 def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
@@ -205,7 +239,10 @@ def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict
         "foot_contact": (steps, legs),
         "foot_position_world": (steps, legs, 3),
         "true_motor_angle": (steps, motors),
-        **dict.fromkeys(_OPTIONAL, (steps, 3)),
+        "command": (steps, 3),
+        "push_force_world": (steps, 3),
+        "reward": (steps,),
+        "motor_saturation": (steps, motors),
     }
 
 

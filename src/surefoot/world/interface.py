@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.ground import FLAT, Ground
 
@@ -62,6 +62,9 @@ class Truth:
     which are known by their limits, `HEAT_LOSS` says of what; 0 for constraint motors, which have no current."""
     foot_contact: Array
     """Fraction of the last control step's servo steps in which each foot touched the ground, (N, L)."""
+    motor_saturation: Array
+    """Fraction of these servo steps in which each motor was at its limit, (N, M): DC motors at full duty, joint
+    actuators at the torque that there is at their speed."""
     diverged: NDArray[np.bool_]
     """Robots whose state stopped being finite in the last control step; they wait for a reset, (N,)."""
 
@@ -90,7 +93,7 @@ class WorldConfig:
     def __post_init__(self) -> None:
         """Refuse contradictions and values out of bounds."""
         if self.actuator not in ACTUATORS:
-            raise SurefootError(f"actuator is '{self.actuator}'; choices: {choices(ACTUATORS)}")
+            raise SurefootError(f"actuator is '{self.actuator}'; {suggest(self.actuator, ACTUATORS)}")
         if self.threads < 0:
             raise SurefootError(f"threads is {self.threads}; it must be 0 (one a core) or more")
         if self.actuator == "constraint" and self.thermal_protection:

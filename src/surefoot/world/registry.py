@@ -13,7 +13,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
@@ -69,7 +69,7 @@ def find_entry(name: str) -> WorldEntry:
         ModuleNotFoundError: its physics engine is not installed.
     """
     if name not in WORLDS:
-        raise SurefootError(f"world '{name}' does not exist; choices: {choices(WORLDS)}")
+        raise SurefootError(f"world '{name}' does not exist; {suggest(name, WORLDS)}")
     entry = WORLDS[name]
     # Engines are imported in other processes too, where it would be too late for a message.
     if find_spec(entry.package) is None:
@@ -114,7 +114,8 @@ def make_world(
 def check_takes_params(name: str) -> None:
     """Raise `SurefootError` for a world whose robots have parameters of their own; else as `find_entry`."""
     if find_entry(name).draw_params:
-        raise SurefootError(f"world is '{name}'; choices: {choices(k for k, e in WORLDS.items() if not e.draw_params)}")
+        names = [other for other, entry in WORLDS.items() if not entry.draw_params]
+        raise SurefootError(f"world is '{name}'; {suggest(name, names)}")
 
 
 def check_modelled(name: str, params: PhysicalParams) -> None:

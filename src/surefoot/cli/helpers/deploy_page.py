@@ -1,4 +1,4 @@
-"""The page of `surefoot deploy --drive`: the robot's own state in a browser, and commands from there.
+"""The page of `surefoot deploy --browser`: the robot's own state in a browser, and commands from there.
 
 The page runs in a process of its own, so that it never makes the control loop wait. It receives the robot's state by
 the pipe of the live display and sends commands by the command channel (`deploy.command_sources`). So the robot stands

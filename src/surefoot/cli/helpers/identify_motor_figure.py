@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
-from surefoot.cli.helpers.options import Json, Settings, World, check_suffix
+from surefoot.cli.helpers.options import Json, Settings, World, files_by_suffix
 from surefoot.cli.helpers.output import print_json
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration, Within
@@ -24,8 +24,8 @@ class MotorFigureCommand:
 
     log: Path | None = None
     """Recording: a CSV file with the columns time [s], target [rad], angle [rad]."""
-    out: Path = Path("motor_figure.png")
-    """Figure to write (.png)."""
+    out: tuple[Path, ...] = (Path("motor_figure.png"),)
+    """Files to write: the figure (.png), and what the DC motor did as a log (.csv), for a model of it elsewhere."""
     motor: str | None = None
     """Name of the motor; the robot's first one, if not given."""
     amplitude: Annotated[float, Within(-10, 10)] = 0.3
@@ -34,8 +34,6 @@ class MotorFigureCommand:
     """Frequency of the sine [Hz], if no log is given."""
     duration: Duration = 1.0
     """Length of the sine [s], if no log is given."""
-    record: Path | None = None
-    """Write what the DC motor did as a log (.csv), for a model of it somewhere else."""
     settings: Settings = ()
     """Physical parameters that differ from the robot's, such as resistance=0.2."""
     robot: str = DEFAULT_ROBOT
@@ -47,8 +45,9 @@ class MotorFigureCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(MotorFigureCommand, argv, "surefoot identify motor-figure")
-    check_suffix("figure", command.out, ".png")
-    import_module("matplotlib")
+    files = files_by_suffix(command.out, (".png", ".csv"))
+    if ".png" in files:
+        import_module("matplotlib")
     from surefoot.identify.motor_figure import MotorLog, motor_index, run_motor_experiment
     from surefoot.report.figures.runs import STYLES, motor_figure
     from surefoot.robot import RobotDescription, parse_settings
@@ -68,15 +67,15 @@ def main(argv: list[str]) -> int:
     errors = {name: log.error(angle) for name, angle in angles.items()}
     title = f"{motor} of {robot.name} on the rack, in {command.world}"
     against = log.name if command.log is not None else "target"
-    motor_figure(command.out, log.time, log.target, log.angle, angles, errors, title)
-    files = [command.out]
-    if command.record is not None:
-        files.append(MotorLog(log.name, log.time, log.target, angles["dc"]).write(command.record))
+    if ".png" in files:
+        motor_figure(files[".png"], log.time, log.target, log.angle, angles, errors, title)
+    if ".csv" in files:
+        MotorLog(log.name, log.time, log.target, angles["dc"]).write(files[".csv"])
     if command.json:
         report = {"motor": motor, "robot": robot.name, "world": command.world, "against": against, "rms_error": errors}
-        print_json({**report, "files": files})
+        print_json({**report, "files": command.out})
         return 0
     for name, error in errors.items():
         print(f"{STYLES[name][1]}: {error:.4f} rad RMS from {against}")
-    print(f"wrote {', '.join(map(str, files))}")
+    print(f"wrote {', '.join(map(str, command.out))}")
     return 0

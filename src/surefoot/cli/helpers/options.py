@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -54,6 +55,16 @@ Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object.")]
 RobotName = Annotated[
     str | None, tyro.conf.arg(help="Name or folder of the robot; the one of the policy's task, if not given.")
 ]
+PluginNames = Annotated[
+    tuple[str, ...],
+    tyro.conf.UseAppendAction,
+    tyro.conf.arg(
+        name="plugin",
+        metavar="FILE",
+        help="Python file with reward terms and observations of your own, which is executed, or the name of an "
+        "installed plug-in; as often as you like.",
+    ),
+]
 PAGE_PORT = 8400
 """TCP port of a page in the browser, if none is given."""
 PagePort = Annotated[int, Within(0, 65535), tyro.conf.arg(help="TCP port of the page; 0 for a free one.")]
@@ -86,6 +97,17 @@ def check_suffix(what: str, path: Path | None, suffix: str) -> None:
     """Refuse the name of a file that does not end in `suffix`; `what` is the purpose of the file."""
     if path is not None and path.suffix.lower() != suffix:
         raise SurefootError(f"{what} {path}: the name must end in {suffix}")
+
+
+def files_by_suffix(paths: Sequence[Path], suffixes: Sequence[str]) -> dict[str, Path]:
+    """Return the files of `--out` by suffix, where each kind of file has one; refuse two of a kind, and other kinds."""
+    files: dict[str, Path] = {}
+    for path in paths:
+        suffix = path.suffix.lower()
+        if suffix not in suffixes or suffix in files:
+            raise SurefootError(f"out {path}: the name must end in {' or '.join(suffixes)}, with one file of each")
+        files[suffix] = path
+    return files
 
 
 def check_folder(path: Path | None) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from itertools import islice
@@ -12,7 +13,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
+
+
+def plugin_paths() -> list[str]:
+    """Return the plug-ins that this command was given, as other commands take them from any folder."""
+    module = sys.modules.get("surefoot.task.plugins")  # where it is not imported, there is none
+    plugins = [] if module is None else module.registered_plugins()
+    return [str(Path(plugin.path).absolute()) if plugin.source else plugin.name for plugin in plugins]
 
 
 def make_console(stderr: bool = False) -> Console:
@@ -36,11 +44,25 @@ def _plain(value: object) -> object:
 
 
 def next_command(purpose: str, *words: object) -> str:
-    """Return a line that names the command for a purpose, such as `to resume: surefoot train --resume RUN`."""
-    return f"to {purpose}: {shlex.join(['surefoot', *map(str, words)])}"
+    """Return a line that names the command for a purpose, such as `to resume: surefoot train --resume RUN`.
+
+    It works when it is pasted in another folder: of `words`, paths are written whole. A command that runs a policy or a
+    task names the plug-ins of this one too.
+    """
+    texts = [str(word.absolute() if isinstance(word, Path) else word) for word in words]
+    plugins = [] if words[0] == "show" else [word for path in plugin_paths() for word in ("--plugin", path)]
+    return f"to {purpose}: {shlex.join([*_program(), *texts, *plugins])}"
 
 
-def show_command(traces: Iterable[Path | str]) -> str:
+def _program() -> list[str]:
+    """Return the words that run this surefoot from any folder; its name alone, if the shell finds this one by it."""
+    script, on_path = Path(sys.executable).with_name("surefoot"), shutil.which("surefoot")
+    if on_path is not None and script.exists() and Path(on_path).samefile(script):
+        return ["surefoot"]
+    return [str(script)] if script.exists() else [sys.executable, "-m", "surefoot"]
+
+
+def show_command(traces: Iterable[Path]) -> str:
     """Return a line that names the command which shows traces in the browser, the first four of them."""
     return next_command("look at", "show", *islice(traces, 4))
 
@@ -68,5 +90,5 @@ def run_action(argv: list[str], command: str, actions: Mapping[str, tuple[str, C
         print(usage, file=sys.stdout if argv else sys.stderr)
         return 0 if argv else 2
     if argv[0] not in actions:
-        raise SurefootError(f"'{argv[0]}' is not an action; choices: {choices(actions)}")
+        raise SurefootError(f"'{argv[0]}' is not an action; {suggest(argv[0], actions)}")
     return actions[argv[0]][1](argv[1:])

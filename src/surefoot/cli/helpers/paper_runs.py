@@ -90,7 +90,7 @@ def train(task: str, steps: int) -> Stage:
             command(runs, "train", "--resume", started[-1].parent)
         else:
             source = runs.root / "examples" / f"{task}.yaml" if task in HYBRIDS else task
-            command(runs, "train", source, "--runs", "runs", *runs.quick_options("--steps", steps))
+            command(runs, "train", source, "--out", "runs", *runs.quick_options("--steps", steps))
         (run,) = (path.parent for path in runs.folder.glob(pattern))
         target = runs.make_folder(f"policies/{task}")
         for name in _PICTURES:
@@ -120,7 +120,7 @@ def motor_figure(runs: PaperRuns) -> None:
     runs.make_folder("results")
     runs.make_folder("docs")
     friction = ("--world", "bullet", "--set", "motor_friction=0.02")
-    command(runs, "identify", "motor-figure", "--record", log, *friction, "--out", "docs/motor.png")
+    command(runs, "identify", "motor-figure", *friction, "--out", "docs/motor.png", log)
     command(runs, "identify", "motor-figure", "--log", log, "--out", "docs/motor.png")
 
 

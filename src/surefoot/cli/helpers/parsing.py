@@ -7,15 +7,32 @@ import dataclasses
 import io
 import re
 import typing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import tyro
 
 from surefoot.configuration import check_bounds
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, nearest, suggest
 
 T = TypeVar("T")
+
+_QUOTED = "'([^']*)'"
+_FORMER = {
+    **dict.fromkeys(("html", "folder", "hidden-out", "motion-capture", "record"), ("out",)),
+    "runs": ("out", "episodes"),
+    "seconds": ("duration",),
+    "port": ("page-port",),
+    "drive": ("browser",),
+    "start": ("start-from",),
+    "from-trace": ("trace",),
+    "search": ("generations",),
+    "task.robot": ("robot",),
+    "task.params": ("set",),
+    "task.actuator": ("actuator",),
+    "task.pushes.enabled": ("pushes",),
+}
+"""Former names of options, and the present ones; of several the last that the command has."""
 
 
 def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = None) -> T:
@@ -26,7 +43,7 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
     Raises:
         SurefootError: invalid words, or numbers out of their fields' bounds; in one line, where tyro would draw a box.
     """
-    _check_lists(kind, words)
+    _check_words(options(kind, default), words, prog)
     output = io.StringIO()
     # A default may have flags that are on, and then each flag needs an option that turns it off.
     preset: dict[str, Any] = {"config": (tyro.conf.FlagCreatePairsOff,)} if default is None else {"default": default}
@@ -36,35 +53,66 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
-        text = " ".join(re.sub(r"[\u2500-\u257f]+", " ", output.getvalue()).split())
-        text = re.sub(r"^(Value error|Parsing error|Unrecognized options|Required options)\s+", "", text)
-        text = re.sub(rf"^Error parsing {kind.__name__}: ", "", text)
-        text = re.sub(r"\s*For full helptext, (see|run) ", f"; for every option: {prog} --help ", text)
-        raise SurefootError(re.sub(r"( --help) .*$", r"\1", text)) from None
+        text = " ".join(re.sub(r"[\u2500-\u257f]+|-{4,}", " ", output.getvalue()).split())
+        raise SurefootError(f"{_shorten(text, kind)}; for every option: {prog} --help") from None
     check_bounds(parsed)
+    if plugins := getattr(parsed, "plugin", ()):
+        from surefoot.task.plugins import load_plugins
+
+        load_plugins(plugins)
     return parsed
 
 
-def _check_lists(kind: type, words: Sequence[str]) -> None:
-    """Refuse an option of several values that has none: tyro would read an empty list."""
-    types = options(kind)
+def _shorten(text: str, kind: type) -> str:
+    """Return a message of tyro without headings, help of options and hints."""
+    headings = "Value error|Parsing error|Required options|Unrecognized options|Invalid choice|Missing argument"
+    text = re.sub(rf"^({headings}) +|Error parsing ({kind.__name__}: )?", "", text)
+    text = re.sub(r" *(For full helptext|Argument helptext:|Perhaps you meant|Arguments similar to).*", "", text)
+    text = re.sub(r"^Missing from [^:]*: (\S+).*", r"\1 is missing", text)
+    text = re.sub(r"^Missing value for argument '(\S+)'.*", r"\1 has no value", text)
+    text = re.sub(r"^Unrecognized options: ([^,]*).*", r"\1 is one word too many", text)
+    if choice := re.match(r"invalid choice '(.*)' for argument '(\S+)'. Expected one of \((.*)\)", text):
+        return f"{choice[2]} is '{choice[1]}'; {suggest(choice[1], re.findall(_QUOTED, choice[3]))}"
+    return text
+
+
+def _check_words(types: Mapping[str, Any], words: Sequence[str], prog: str) -> None:
+    """Refuse an unknown option, and an option of several values that has none: tyro would read an empty list."""
+    names = {name.removeprefix("--"): name for name in types}
+    off = {f"--{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in names)}
+    for former, news in _FORMER.items():
+        if former not in names and (present := [f"--{new}" for new in news if f"--{new}" in types]):
+            names[former] = present[-1]
     for word, after in zip(words, [*words[1:], "--"], strict=False):
+        name = word.partition("=")[0].replace("_", "-")
+        if name.startswith("--") and not (name in types or name in off or name in ("--", "--help")):
+            near = nearest(name[2:], names)
+            question = f"did you mean {names[near]}? " if near else ""
+            raise SurefootError(f"{name} is not an option; {question}for every option: {prog} --help")
         hint = types.get(word.replace("_", "-"))
         is_list = typing.get_origin(hint) is dict or typing.get_args(hint)[-1:] == (...,)
         if is_list and after.startswith("--"):
             raise SurefootError(f"{word} has no value; it takes one or more")
 
 
-def options(kind: type, prefix: str = "--") -> dict[str, Any]:
-    """Return the types of a dataclass's options, positional ones too, by tyro's names."""
+def options(kind: type, default: Any = None, prefix: str = "--") -> dict[str, Any]:
+    """Return the types of a dataclass's options, positional ones too, by tyro's names.
+
+    A table that is not empty in the instance `default` has an option a key.
+    """
     types: dict[str, Any] = {}
-    annotated = typing.get_type_hints(kind, include_extras=True)
-    for field, hint in typing.get_type_hints(kind).items():
-        marks = getattr(annotated[field], "__metadata__", ())
-        name = next((mark.name for mark in marks if getattr(mark, "name", None)), field.replace("_", "-"))
+    hints, annotated = typing.get_type_hints(kind), typing.get_type_hints(kind, include_extras=True)
+    for field in dataclasses.fields(kind):
+        hint, marks = hints[field.name], getattr(annotated[field.name], "__metadata__", ())
+        name = next((mark.name for mark in marks if getattr(mark, "name", None)), field.name.replace("_", "-"))
+        value = getattr(default, field.name, None)
+        if tyro.conf.Fixed in marks:
+            continue
         if dataclasses.is_dataclass(hint):
             is_flat = tyro.conf.OmitArgPrefixes in marks
-            types |= options(typing.cast("type", hint), prefix if is_flat else f"{prefix}{name}.")
+            types |= options(typing.cast("type", hint), value, prefix if is_flat else f"{prefix}{name}.")
         else:
             types[f"{prefix}{name}"] = hint
+            if isinstance(value, Mapping):
+                types |= dict.fromkeys((f"{prefix}{name}.{key.replace('_', '-')}" for key in value), float)
     return types

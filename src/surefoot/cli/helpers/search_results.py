@@ -102,7 +102,7 @@ def _fresh_runs(search: Search, path: Path) -> pd.DataFrame:
     def run(world: str) -> pd.DataFrame:
         def compute() -> Result:
             policy = PolicyRuntime.load(path)
-            task = replace(task_from_contract(policy.contract), reward=reward)
+            task = replace(task_from_contract(policy.contract, policy.load_robot()), reward=reward)
             task = replace(task, pushes=replace(task.pushes, enabled=False))
             task = task if world == "mujoco" else away_task(task)
             traces = run_episodes(policy, task, EPISODES, find_world(world), SEED, world_name=world)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,14 +9,13 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from surefoot.cli.helpers.options import Pushes, PushForce, RobotName, Seed, Settings, World
+from surefoot.api.simulator import change_simulator, evaluation_task
+from surefoot.cli.helpers.options import PluginNames, Pushes, PushForce, RobotName, Seed, Settings, World
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, parse_settings
-from surefoot.robot.params_file import ParamValue, find_params, read_params
+from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges
-from surefoot.task.commands import read_schedule
 from surefoot.task.config import TaskConfig
-from surefoot.world.interface import WorldConfig
 
 
 @dataclass(frozen=True)
@@ -51,35 +49,11 @@ class Simulator:
         if twice := sorted(set(settings) & set(self.latencies)):
             option = twice[0].replace("_", "-")
             raise SurefootError(f"{twice[0]} is given twice, by --{option} and as a parameter; give it once")
-        if self.params is not None:
-            task = _apply_file(task, self.params)
-        params = {**task.params, **self.latencies, **settings}
-        task = replace(task, actuator=self.actuator or task.actuator, params=params)
-        WorldConfig(actuator=task.actuator, thermal_protection=task.thermal_protection)  # checked early
-        return task
+        return change_simulator(task, self.actuator, self.params, {**self.latencies, **settings})
 
 
 SimulatorOptions = Annotated[Simulator, tyro.conf.OmitArgPrefixes]
 """The options as a field of a command."""
-
-
-def _apply_file(task: TaskConfig, path: Path) -> TaskConfig:
-    """Return the task on the robot of a file of parameters.
-
-    The file replaces all of the task's parameters, so that a policy that was trained on one identified robot does not
-    run on a mixture of two. Only the control step stays: it belongs to the policy and to no robot.
-    """
-    robot = RobotDescription.load(task.robot)
-    path = find_params(path, robot)
-    file, expected = read_params(path, robot), float(task.nominal(robot).control_step[0])
-    step = float(file.params.control_step[0])
-    if "control_step" in file.names and not math.isclose(step, expected, rel_tol=1e-9):
-        raise SurefootError(
-            f"{path}: control_step is {step:g}, and the task's is {expected:g}; "
-            "it belongs to the policy, not to the robot: leave it out of the file"
-        )
-    own = {name: value for name, value in task.params.items() if name == "control_step"}
-    return replace(task, params={**file.values, **own}, params_source=file.source)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +65,7 @@ class RunOptions:
     """Push the robot with forces from LOW to HIGH [N] in horizontal directions, as often as its task says."""
     settings: Settings = ()
     """Physical parameters that differ from the task's, such as motor_strength=0.8."""
+    plugin: PluginNames = ()
     seed: Seed = 1
     world: World = "mujoco"
     simulator: SimulatorOptions = Simulator()
@@ -98,7 +73,7 @@ class RunOptions:
     robot: RobotName = None
     commands: Path | None = None
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
-    drawn as in its training, if not given."""
+    drawn as in its training, if not given. The run lasts until two seconds after its last row, or longer."""
 
     def apply(
         self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None, thermal_protection: bool = False
@@ -117,20 +92,7 @@ class RunOptions:
         settings = parse_settings([word for group in self.settings for word in group])
         task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
         task = self.simulator.apply(task, settings)
-        task.nominal(robot)  # refuses parameters that the robot does not allow
-        commands = replace(task.commands, ramp=0)
-        if self.commands is not None:
-            if not task.commands.enabled:
-                raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
-            commands = replace(commands, schedule=read_schedule(self.commands))
-        pushes = task.pushes.for_evaluation(self.pushes, self.push_force)
-        return replace(task, randomize=ranges or {}, pushes=pushes, commands=commands)
-
-
-def with_duration(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:
-    """Return the task with episodes of a duration [s]."""
-    steps = round(duration / float(task.nominal(robot).control_step[0]))
-    return replace(task, max_steps=max(steps, 1))
+        return evaluation_task(task, robot, ranges or {}, self.pushes, self.push_force, self.commands)
 
 
 def describe_simulator(task: TaskConfig) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -15,9 +15,10 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.report.drawing.scene import poses, scene, trace_poses
+from surefoot.report.drawing.mesh import link_meshes
+from surefoot.report.drawing.scene import poses, trace_poses
 from surefoot.robot import RobotDescription
-from surefoot.robot.urdf import Shape
+from surefoot.robot.appearance import Appearance
 from surefoot.rotations import matrix_quat
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.ground import FLAT
@@ -25,11 +26,6 @@ from surefoot.world.ground import FLAT
 if TYPE_CHECKING:
     from surefoot.emulator.plant import Plant
 
-_KINDS = {
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-}
 _PERIOD = 33_000
 """Time between two poses of an emulated robot [us]."""
 _BASE = 7
@@ -40,23 +36,20 @@ def has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
-    """Return a model with ground, light and a mocap body for every body that has shapes."""
+def build_stage(appearance: Appearance) -> mujoco.MjModel:
+    """Return a model with ground, light and a mocap body for every link that has parts."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     visual: dict[str, Any] = {"contype": 0, "conaffinity": 0}
     level, plane = [0.0, 0.0, float(FLAT.height(np.zeros(2)))], mujoco.mjtGeom.mjGEOM_PLANE
     spec.worldbody.add_geom(rgba=[0.8, 0.82, 0.84, 1], type=plane, pos=level, size=[0, 0, 0.5], **visual)
-    bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in dict.fromkeys(s.link for s in shapes)}
-    for shape in shapes:
-        bodies[shape.link].add_geom(
-            type=_KINDS[shape.kind],
-            size=[*shape.size, 0, 0][:3],
-            pos=shape.position,
-            quat=matrix_quat(shape.rotation),
-            rgba=[*(channel / 255 for channel in shape.color), 1],
-            **visual,
-        )
+    links = dict.fromkeys(part.link for part in appearance.parts)
+    bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in links}
+    for number, (link, color, points, faces) in enumerate(link_meshes(appearance)):
+        mesh = spec.add_mesh(name=f"mesh{number}", uservert=points.ravel(), userface=faces.ravel())
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # open surfaces have no volume
+        rgba = [*(channel / 255 for channel in color), 1]
+        bodies[link].add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=rgba, **visual)
     return spec.compile()
 
 
@@ -85,7 +78,7 @@ def _show(robot: RobotDescription, now: Callable[[], tuple[Mapping[str, Array], 
     """Show a robot until the window is closed; `now` returns poses (T, 4, 4) by body, and the step to show."""
     import mujoco.viewer
 
-    model = build_stage(scene(robot))
+    model = build_stage(robot.appearance())
     data = mujoco.MjData(model)
     with mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as viewer:
         viewer.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING

@@ -175,6 +175,7 @@ def _trace(table: ColumnTable, columns: LogMapping, robot: RobotDescription, def
             "max_steps": steps,
             "source": name,
         },
+        robot_archive=robot.archive,
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, suggest
 from surefoot.identify.logs.errors import imu_channels
 from surefoot.identify.logs.robot_log import SKIPPED, RobotLog
 from surefoot.identify.model import Nuisance, Observations, ReplayModel, Unknown, candidate_params
@@ -103,7 +103,7 @@ def log_unknowns(robot: RobotDescription, prior: PhysicalParams, names: Sequence
         SurefootError: another name.
     """
     if bad := [name for name in names if name not in PRIORS]:
-        raise SurefootError(f"logs can't identify '{bad[0]}'; choices: {choices(PRIORS)}")
+        raise SurefootError(f"logs can't identify '{bad[0]}'; {suggest(bad[0], PRIORS)}")
     unknowns = []
     for name in dict.fromkeys(names):
         rule, values = PRIORS[name], _prior_values(prior, name)

@@ -22,7 +22,7 @@ import numpy as np
 
 from surefoot.actuator import motor_friction
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, suggest
 from surefoot.identify.fitting import Fit, fit_least_squares
 from surefoot.identify.ground.inverse_dynamics import InverseDynamics, Motion
 from surefoot.identify.model import GAIN_DEVIATION, ReplayModel, Unknown
@@ -105,7 +105,7 @@ def fit_traces(
     """
     names = tuple(dict.fromkeys(DEFAULT_NAMES if names is None else names))
     if bad := [name for name in names if name not in NAMES]:
-        raise SurefootError(f"traces can't identify '{bad[0]}'; choices: {choices(NAMES)}")
+        raise SurefootError(f"traces can't identify '{bad[0]}'; {suggest(bad[0], NAMES)}")
     if not names:
         raise SurefootError(f"no parameter is to be identified; choices: {choices(NAMES)}")
     check_traces(robot, traces)

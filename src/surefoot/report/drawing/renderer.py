@@ -1,32 +1,42 @@
-"""Solids drawn in software: no OpenGL and no window.
+"""A robot drawn in software: no OpenGL and no window.
 
-Boxes, cylinders and spheres are shaded flat, sorted back to front and filled with Pillow. World frame: x forward,
-y left, z up. Lengths in m.
+Triangles go through a depth buffer; the sun casts shadows on ground and robot. World frame: x forward, y left, z up.
+Lengths in m.
 """
 
 from __future__ import annotations
 
 import functools
-import itertools
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFilter
+from numpy.typing import NDArray
+from PIL import Image, ImageFilter
 
 from surefoot.arrays import Array
-from surefoot.robot.appearance import solid
-from surefoot.robot.urdf import Shape
+from surefoot.report.drawing.mesh import Mesh
+from surefoot.report.drawing.raster import Light, Surface, paint_faces, paint_ground, rasterize
 from surefoot.world.ground import FLAT
 
-SUPERSAMPLE = 2
-TILE = 0.25  # m, side of a square of the ground
-FAR = 6.0  # m from the camera where the squares have faded out
-NEAR = 0.1  # m from the camera; what is nearer is not drawn
-TO_LIGHT = np.array([-0.30, -0.42, 0.86]) / np.linalg.norm([-0.30, -0.42, 0.86])
-SKY, HAZE, GROUND, SQUARE = np.array([(150, 184, 216), (232, 238, 243), (208, 213, 216), (184, 191, 197)], float)
-SHADOW = (52, 58, 66)
-_EXTENT = 0.8856
+TILE = 0.25
+"""Side of a square of the ground [m]."""
+_PARTS = 2
+"""Parts of a pixel along each side in which edges are drawn."""
+_FAR = 6.0
+"""Distance from the camera at which squares have faded out [m]."""
+_NEAR = 0.1
+"""What is nearer to the camera is not drawn [m]."""
+_TO_SUN = np.array([0.24, -0.44, 0.86]) / np.linalg.norm([0.24, -0.44, 0.86])
+_SKY, _HAZE, _GROUND = np.array([(150, 184, 216), (232, 238, 243), (208, 213, 216)]) / 255.0
+_DARK = 0.24
+"""How much darker a dark square is, as a share of its linear color."""
+_SHADOW = 0.62
+"""How much darker the ground is in full shadow, as a share."""
+_TEXELS = 300
+"""Points of the shadow along its longer side."""
+_LEVEL = float(FLAT.height(np.zeros(2)))
+_EXTENT = 0.8737
 """Extent [m] of a robot that fills the picture of a camera as it stands."""
 
 
@@ -54,36 +64,8 @@ class Camera:
         return cls(offset=(x, y, z), height=scale * cls.height)
 
 
-class Mesh:
-    """All shapes as flat faces, in the frames of their bodies."""
-
-    def __init__(self, shapes: Sequence[Shape], bodies: list[str]) -> None:
-        solids = [solid(shape.kind, shape.size) for shape in shapes]
-        start = np.cumsum([0] + [len(points) for points, _ in solids])
-        corner = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-        self.half = np.array([np.abs(points).max(axis=0) for points, _ in solids])  # (S, 3) of the bounding boxes
-        self.axes = np.array([shape.rotation for shape in shapes])
-        self.place = np.array([shape.position for shape in shapes])
-        self.body = np.array([bodies.index(shape.link) for shape in shapes])
-        placed = zip(solids, self.axes, self.place, strict=True)
-        self.points = np.concatenate([points @ turn.T + place for (points, _), turn, place in placed])
-        self.point_body = np.repeat(self.body, np.diff(start))
-        self.corners = np.einsum("sij,skj->ski", self.axes, corner * self.half[:, None]) + self.place[:, None]
-        self.faces = [tuple(a + i for i in f) for (_, fs), a in zip(solids, start[:-1], strict=True) for f in fs]
-        self.owner = np.repeat(np.arange(len(shapes)), [len(faces) for _, faces in solids])
-        self.centres = np.array([self.points[list(face)].mean(axis=0) for face in self.faces])
-        self.normals = np.array([_normal(self.points[list(face)]) for face in self.faces])
-        self.color = np.array([shape.color for shape in shapes], float)[self.owner]
-
-    def place_points(self, poses: Array) -> Array:
-        """Return all points (P, 3) of bodies with these poses (B, 4, 4), in the poses' world."""
-        frames = poses[self.point_body]
-        points: Array = np.einsum("pij,pj->pi", frames[:, :3, :3], self.points) + frames[:, :3, 3]
-        return points
-
-
 class View:
-    """A pinhole camera: x right, y down, depth along its axis, in pixels of the picture to be drawn."""
+    """A pinhole camera: x right, y down, depth along its axis, in pixels."""
 
     def __init__(self, camera: Camera, aim: Array, size: tuple[int, int]) -> None:
         offset = np.array(camera.offset, dtype=np.float64)
@@ -92,146 +74,106 @@ class View:
         right = np.cross(axis, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
         self.axes = np.stack([right, np.cross(axis, right), axis])
-        self.width, self.height = size[0] * SUPERSAMPLE, size[1] * SUPERSAMPLE
+        self.width, self.height = size
         self.focal = 0.5 * self.height / np.tan(np.radians(camera.field_of_view) / 2)
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Return pixels (..., 2) and depth (...) in m of points (..., 3) in the world."""
         local = (points - self.eye) @ self.axes.T
         depth = local[..., 2]
-        pixel = self.focal * local[..., :2] / np.maximum(depth, NEAR)[..., None]
+        pixel = self.focal * local[..., :2] / np.maximum(depth, _NEAR)[..., None]
         return pixel + np.array([self.width / 2, self.height / 2]), depth
+
+    def rays(self, corner: Array, parts: int) -> Array:
+        """Return the matrix (3, 3) by which (column, row, 1) is a ray of depth 1.
+
+        Column and row count `parts` of a pixel from the pixel `corner`, which is a column and a row.
+        """
+        to_camera = np.zeros((3, 3))
+        to_camera[0, 0] = to_camera[1, 1] = 1.0 / (parts * self.focal)
+        to_camera[2] = [*(corner - np.array([self.width / 2, self.height / 2])) / self.focal, 1.0]
+        matrix: Array = to_camera @ self.axes
+        return matrix
 
 
 def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
-    """Draw sky, ground, shadows and shapes, back to front, and shrink the picture to its size."""
-    # Sky and ground depend only on the camera's height and direction, which are the same in every frame.
-    picture = _backdrop(view.width, view.height, view.focal, float(view.eye[2]), tuple(view.axes[:, 2])).copy()
-    pen = ImageDraw.Draw(picture)
-    for polygon, fill in _squares(view):
-        pen.polygon(polygon, fill=fill)
-
-    turn, place = poses[:, :3, :3], poses[:, :3, 3]
-    points = mesh.place_points(poses)
-    face_body = mesh.body[mesh.owner]
-    normals = np.einsum("fij,fj->fi", turn[face_body], mesh.normals)
-    centres = np.einsum("fij,fj->fi", turn[face_body], mesh.centres) + place[face_body]
-    lit = normals @ TO_LIGHT
-    _shadow(picture, view, points, [mesh.faces[i] for i in np.flatnonzero(lit > 0.0)])
-
+    """Draw sky, ground, shadows and the mesh, whose links have these poses (L, 4, 4)."""
+    points, normals = mesh.place(poses)
+    light = _light(mesh, points)
+    eye = view.eye.astype(np.float32)
+    sky, ground = _backdrop(view.width, view.height, view.focal, float(view.eye[2]) - _LEVEL, tuple(view.axes.flat))
+    picture = sky.copy()
+    paint_ground(picture, ground, eye, TILE, light, _SHADOW)
     pixels, depth = view.project(points)
-    shade = 0.62 + 0.42 * np.maximum(lit, 0.0) + 0.06 * normals[:, 2]
-    fills = np.clip(mesh.color * shade[:, None], 0.0, 255.0).astype(int)
-    facing = np.einsum("fi,fi->f", normals, view.eye - centres) > 0.0
-    rank = np.empty(len(mesh.body), dtype=int)
-    rank[_back_to_front(mesh, turn, place, view)] = np.arange(len(mesh.body))
-    corners, fills = list(map(tuple, pixels.tolist())), list(map(tuple, fills.tolist()))
-    hidden = set(np.flatnonzero(depth <= NEAR).tolist())
-    for i in sorted(np.flatnonzero(facing), key=lambda i: rank[mesh.owner[i]]):
-        if not hidden or not hidden.intersection(mesh.faces[i]):
-            pen.polygon([corners[j] for j in mesh.faces[i]], fill=fills[i])
-    return picture.reduce(SUPERSAMPLE)
+    seen = depth > _NEAR
+    if seen.any():
+        low = np.clip(np.floor(pixels[seen].min(axis=0)).astype(int), 0, [view.width, view.height])
+        high = np.clip(np.ceil(pixels[seen].max(axis=0)).astype(int), low, [view.width, view.height])
+        columns, rows = _PARTS * (high - low)
+        nearest, face_at = np.zeros((rows, columns), np.float32), np.full((rows, columns), -1, np.int32)
+        flat = np.column_stack([_PARTS * (pixels - low), np.where(seen, 1.0 / np.maximum(depth, _NEAR), 0.0)])
+        surface = Surface(flat.astype(np.float32), normals, mesh.faces, mesh.color**2)
+        rasterize(surface.pixels, mesh.faces, nearest, face_at)
+        rays = view.rays(low, _PARTS).astype(np.float32)
+        paint_faces(picture, low[::-1].copy(), face_at, _PARTS, surface, eye, rays, light)
+    return Image.fromarray(picture)
 
 
-def _back_to_front(mesh: Mesh, turn: Array, place: Array, view: View) -> list[int]:
-    """Order the shapes so that none is drawn over one that is in front of it.
-
-    Two convex solids are separated by a plane, mostly a face of a bounding box; the one on the camera's side
-    is in front. The face that separates them most decides, also for solids that overlap.
-    """
-    axes = turn[mesh.body] @ mesh.axes
-    centre = np.einsum("sij,sj->si", turn[mesh.body], mesh.place) + place[mesh.body]
-    corners = np.einsum("sij,skj->ski", turn[mesh.body], mesh.corners) + place[mesh.body][:, None]
-    # Along the axes of shape i: where the corners of j lie (i, j, 8, 3), and the camera.
-    along = np.einsum("ijkx,ixa->ijka", corners[None] - centre[:, None, None], axes)
-    gap = np.concatenate([along.min(axis=2), -along.max(axis=2)], axis=-1) - np.tile(mesh.half, 2)[:, None]
-    eye = np.einsum("ix,ixa->ia", view.eye - centre, axes)
-    beyond = np.concatenate([eye, -eye], axis=-1) > np.tile(mesh.half, 2)  # camera outside this face of i
-    best = gap.argmax(axis=-1)
-    width = np.take_along_axis(gap, best[..., None], axis=-1)[..., 0]
-    i_first = np.take_along_axis(beyond, best, axis=1)  # then j, beyond the face with the camera, hides i
-    behind = np.where(width >= width.T, i_first, ~i_first.T)  # behind[i, j]: i is drawn before j
-    flat, depth = view.project(corners)
-    low, high = flat.min(axis=1), flat.max(axis=1)
-    touch = np.all((low[:, None] < high[None]) & (low[None] < high[:, None]), axis=-1)
-    np.fill_diagonal(touch, False)
-    behind &= touch
-
-    far = np.argsort(-depth.mean(axis=1))
-    waiting = behind.sum(axis=0)
-    left = np.ones(len(far), dtype=bool)
-    order: list[int] = []
-    while len(order) < len(far):
-        ready = [i for i in far if left[i] and waiting[i] == 0]
-        chosen = ready or [next(i for i in far if left[i])]  # a circle of overlaps: start with the farthest
-        for i in chosen:
-            order.append(int(i))
-            left[i] = False
-            waiting -= behind[i]
-    return order
+def _light(mesh: Mesh, points: Array) -> Light:
+    """Return the sun with the shadow of a mesh with points (P, 3) in the world."""
+    height = points[:, 2] - _LEVEL
+    places = points[:, :2] - np.outer(height / _TO_SUN[2], _TO_SUN[:2])
+    span = float(np.ptp(places, axis=0).max())
+    texel = max(span, 0.01) / _TEXELS
+    # Soft edges reach beyond the shadow.
+    margin = 0.08 * span
+    low = places.min(axis=0) - margin
+    columns, rows = np.ceil((np.ptp(places, axis=0) + 2 * margin) / texel).astype(int) + 2
+    occluder, face_at = np.zeros((rows, columns), np.float32), np.full((rows, columns), -1, np.int32)
+    flat = np.column_stack([(places - low) / texel, np.maximum(height, 1e-6)]).astype(np.float32)
+    rasterize(flat, mesh.faces, occluder, face_at)
+    shadow = _soften(occluder, texel)
+    return Light(_TO_SUN.astype(np.float32), occluder, shadow, low.astype(np.float32), texel)
 
 
-def _squares(view: View) -> Iterator[tuple[list[tuple[float, float]], tuple[int, ...]]]:
-    """Yield the dark squares of the ground as polygons with their colours, faded with distance."""
-    reach = int(np.ceil(FAR / TILE))
-    near = np.floor(view.eye[:2] / TILE).astype(int)
-    column, row = np.meshgrid(*(np.arange(c - reach, c + reach) for c in near), indexing="ij")
-    dark = (column + row) % 2 == 0
-    low = np.stack([column[dark], row[dark]], axis=-1) * TILE
-    step = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * TILE
-    corners = low[:, None] + step
-    ground = np.concatenate([corners, FLAT.height(corners)[..., None]], axis=-1)
-    pixels, depth = view.project(ground)
-    distance = np.linalg.norm(ground.mean(axis=1) - view.eye, axis=-1)
-    inside = np.all((pixels.max(axis=1) > 0) & (pixels.min(axis=1) < [view.width, view.height]), axis=-1)
-    seen = inside & (depth.min(axis=1) > NEAR) & (distance < FAR)
-    strength = np.clip(1.0 - distance[seen] / FAR, 0.0, 1.0)[:, None] ** 0.8
-    fills = _ground_color(distance[seen]) - strength * (GROUND - SQUARE)
-    for corners, fill in zip(pixels[seen].tolist(), fills.astype(int).tolist(), strict=True):
-        yield list(map(tuple, corners)), tuple(fill)
+def _soften(occluder: NDArray[np.float32], texel: float) -> NDArray[np.float32]:
+    """Return the shadow (H, W), 0 to 1, of what stands at these heights: the higher, the softer."""
+    top = max(float(occluder.max()), 1e-6)
 
+    def blurred(values: NDArray[Any], radius: float) -> NDArray[np.float32]:
+        image = Image.fromarray(values.astype(np.uint8)).filter(ImageFilter.GaussianBlur(radius))
+        return np.asarray(image, np.float32) / np.float32(255.0)
 
-def _ground_color(distance: Array) -> Array:
-    """Return the colour (..., 3) of the bare ground at a distance (...) in m from the camera."""
-    haze = 1.0 - np.exp(-((distance / 7.0) ** 1.5))
-    return GROUND + haze[..., None] * (HAZE - GROUND)
+    cover, radius = 255.0 * (occluder > 0.0), 0.05 * top / texel
+    sharp, soft = blurred(cover, 1.0), blurred(cover, radius)
+    # Mean height of what is around a place, as a share of the greatest.
+    share = np.clip(1.6 * blurred(255.0 / top * occluder, radius) / np.maximum(soft, 0.02), 0.0, 1.0)
+    shadow: NDArray[np.float32] = (sharp + share * (soft - sharp)).astype(np.float32)
+    return shadow
 
 
 @functools.lru_cache(maxsize=4)
-def _backdrop(width: int, height: int, focal: float, above: float, slope: tuple[float, float, float]) -> Image.Image:
-    """Paint sky and bare ground, row by row; slope is the world's z along the view's axes."""
-    ray = (np.arange(height) + 0.5 - height / 2) / focal * slope[1] + slope[2]
-    length = np.sqrt(1.0 + ((np.arange(height) + 0.5 - height / 2) / focal) ** 2)
-    down = -ray / length
-    ground = _ground_color(above / np.maximum(down, 1e-3))
-    sky = HAZE + np.clip(-down * 2.2, 0.0, 1.0)[:, None] * (SKY - HAZE)
-    rows = np.where(down[:, None] > 1e-3, ground, sky).astype(np.uint8)
-    return Image.fromarray(np.ascontiguousarray(np.broadcast_to(rows[:, None], (height, width, 3))))
+def _backdrop(
+    width: int, height: int, focal: float, above: float, axes: tuple[float, ...]
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Return a picture (H, W, 3) of the sky alone, and the ground in its last rows, as `paint_ground` takes it.
 
-
-def _shadow(picture: Image.Image, view: View, points: Array, faces: list[tuple[int, ...]]) -> None:
-    """Draw a soft shadow of the faces on the ground."""
-    above = points[:, 2:] - FLAT.height(points[:, :2])[:, None]
-    ground = points - TO_LIGHT * (np.maximum(above, 0.0) / TO_LIGHT[2])
-    ground[:, 2] = FLAT.height(ground[:, :2])
-    pixels, depth = view.project(ground)
-    margin = 24
-    low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - margin, 0)
-    high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + margin, [view.width, view.height])
-    if np.any(high <= low) or depth.min() <= NEAR:
-        return
-    # A soft shadow needs only a quarter of the pixels.
-    small = ((high - low) // 2 + 1).tolist()
-    mask = Image.new("L", tuple(small), 0)
-    pen = ImageDraw.Draw(mask)
-    corners = list(map(tuple, ((pixels - low) / 2).tolist()))
-    for face in faces:
-        pen.polygon([corners[i] for i in face], fill=105)
-    mask = mask.filter(ImageFilter.GaussianBlur(0.004 * view.height)).resize((small[0] * 2, small[1] * 2))
-    picture.paste(SHADOW, tuple(low.tolist()), mask)
-
-
-def _normal(corners: Array) -> Array:
-    """Return the unit normal of a flat face (K, 3) of counter-clockwise corners (Newell's method)."""
-    normal: Array = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
-    return normal / np.linalg.norm(normal)
+    All depend only on the camera's height [m], direction and focal length [px], which are the same in every frame.
+    """
+    matrix = np.array(axes).reshape(3, 3)
+    column, row = np.meshgrid(np.arange(width) + 0.5 - width / 2, np.arange(height) + 0.5 - height / 2)
+    rays = (np.stack([column, row, np.full_like(row, focal)], axis=-1) / focal) @ matrix
+    length = np.linalg.norm(rays, axis=-1)
+    up = rays[..., 2] / length
+    sky = _HAZE + np.clip(2.2 * up, 0.0, 1.0)[..., None] * (_SKY - _HAZE)
+    first = int(np.argmax((up < -1e-3).all(axis=1))) if (up[-1] < -1e-3).all() else height
+    rays, length, up = rays[first:], length[first:], up[first:]
+    distance = above / -up
+    place = (distance / length)[..., None] * rays[..., :2]
+    # How far a pixel reaches: along its row and its column, as the ground's places differ there.
+    reach = np.maximum(*(np.abs(np.gradient(place, axis=k)) for k in (0, 1))) if len(rays) > 1 else place * 0 + 1.0
+    haze = 1.0 - np.exp(-((distance / 7.0) ** 1.5))
+    color = 255.0 * (_GROUND + haze[..., None] * (_HAZE - _GROUND))
+    dark = _DARK * np.clip(1.0 - distance / _FAR, 0.0, 1.0) ** 0.8
+    ground = np.concatenate([place, np.maximum(reach, 1e-4), color, dark[..., None]], axis=-1)
+    return (255.0 * sky).astype(np.uint8), np.ascontiguousarray(ground, np.float32)

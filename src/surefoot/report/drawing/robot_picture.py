@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 from PIL import ImageDraw
 
-from surefoot.report.drawing.renderer import SUPERSAMPLE, Camera, Mesh, View, draw
-from surefoot.report.drawing.scene import poses, scene
+from surefoot.report.drawing.mesh import Mesh
+from surefoot.report.drawing.renderer import Camera, View, draw
+from surefoot.report.drawing.scene import poses
 from surefoot.report.drawing.video import INK, label_font
 from surefoot.robot import RobotDescription
 
@@ -32,12 +33,12 @@ def save_robot_picture(robot: RobotDescription, path: Path) -> None:
     size = 4.6 * max(length, robot.body_length)
     camera = Camera(offset=(0.55 * size, -0.7 * size, 0.42 * size), height=0.5 * height)
     view = View(camera, np.array([0.0, 0.0, camera.height]), SIZE)
-    picture = draw(Mesh(scene(robot), bodies), np.array([placed[name][0] for name in bodies]), view)
+    picture = draw(Mesh(robot.appearance(), bodies), np.array([placed[name][0] for name in bodies]), view)
     pen, font = ImageDraw.Draw(picture), label_font(20)
 
     def at(point: np.ndarray) -> tuple[float, float]:
         pixel, _ = view.project(np.asarray(point, float))
-        return float(pixel[0] / SUPERSAMPLE), float(pixel[1] / SUPERSAMPLE)
+        return float(pixel[0]), float(pixel[1])
 
     start = np.array([0.0, 0.0, height + 0.2 * length])
     for name, (vector, color) in _AXES.items():

@@ -1,4 +1,4 @@
-"""A robot as shapes that move: the URDF's visuals, placed by base pose and motor angles, no engine needed."""
+"""Where the parts of a robot are: placed by base pose and motor angles, no engine needed."""
 
 from __future__ import annotations
 
@@ -7,24 +7,17 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.report.drawing.renderer import Mesh
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import visual_shapes
-from surefoot.robot.urdf import Shape
 from surefoot.rotations import quat_matrix
 from surefoot.task.trace import EpisodeTrace
 
 
-def scene(robot: RobotDescription) -> list[Shape]:
-    """Return the shapes that are drawn; see `visual_shapes`."""
-    return visual_shapes(robot.urdf, robot.legs)
-
-
 def extent(robot: RobotDescription) -> float:
-    """Return how large a robot is [m]: the diagonal of the box around its shapes in the resting pose."""
+    """Return how large a robot is [m]: the diagonal of the box around its parts in the resting pose."""
     frames = robot.link_frames(robot.resting_angles)
-    points = Mesh(scene(robot), list(frames)).place_points(np.array(list(frames.values())))
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
+    parts = robot.appearance().parts
+    points = [part.vertices @ frames[part.link][:3, :3].T + frames[part.link][:3, 3] for part in parts]
+    return float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0)))
 
 
 def poses(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,18 @@ from PIL import Image, ImageDraw, ImageFont
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.report.drawing.renderer import Camera, Mesh, View, draw
-from surefoot.robot.urdf import Shape
+from surefoot.report.drawing.mesh import Mesh
+from surefoot.report.drawing.renderer import Camera, View, draw
+from surefoot.robot.appearance import Appearance
 from surefoot.world.ground import FLAT
 
+_THREADS, _BATCH = 2, 16
+"""Threads that draw, and how many pictures they draw before these are encoded."""
 INK, PANEL = (34, 39, 46), (255, 255, 255, 190)
 
 
 def render_video(
-    shapes: Sequence[Shape],
+    appearance: Appearance,
     poses: Mapping[str, Array],
     times: ArrayLike,
     path: str | Path,
@@ -36,7 +40,7 @@ def render_video(
     """Write an MP4 (H.264, yuv420p) of links' motion in real time.
 
     Args:
-        shapes: what to draw.
+        appearance: what to draw.
         poses: by link, frames (T, 4, 4) in the world at `times`.
         times: (T,) s, strictly increasing.
         path: .mp4 to write; it appears whole or not at all.
@@ -51,9 +55,18 @@ def render_video(
     path, times = Path(path), np.asarray(times, float)
     if path.suffix.lower() != ".mp4":
         raise SurefootError(f"video {path}: the name must end in .mp4")
-    mesh, stack = Mesh(shapes, list(poses)), np.stack(list(poses.values()), axis=1)
+    mesh, stack = Mesh(appearance, list(poses)), np.stack(list(poses.values()), axis=1)
     track_times, track = _smooth_track(times, poses[follow][:, :2, 3], camera.smoothing)
     clock = times[0] + np.arange(max(int((times[-1] - times[0]) * fps + 1e-6), 1)) / fps
+
+    def frame(now: float) -> bytes:
+        place = np.array([np.interp(now, track_times, part) for part in track.T])
+        aim = np.array([*place, FLAT.level(place) + camera.height])
+        picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, aim, size))
+        _write(picture, overlay[int(np.abs(times - now).argmin())])
+        content: bytes = picture.tobytes()
+        return content
+
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.mp4")
     writer = imageio_ffmpeg.write_frames(
@@ -71,12 +84,11 @@ def render_video(
         # Where no file can be made, ffmpeg would report its whole command.
         temporary.touch()
         writer.send(None)
-        for now in clock:
-            place = np.array([np.interp(now, track_times, part) for part in track.T])
-            aim = np.array([*place, FLAT.level(place) + camera.height])
-            picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, aim, size))
-            _write(picture, overlay[int(np.abs(times - now).argmin())])
-            writer.send(picture.tobytes())
+        # Pictures are drawn without Python's lock: two threads, as ffmpeg has a third.
+        with ThreadPoolExecutor(_THREADS) as pool:
+            for start in range(0, len(clock), _BATCH):
+                for picture in pool.map(frame, clock[start : start + _BATCH]):
+                    writer.send(picture)
         writer.close()
         os.replace(temporary, path)
     except OSError as error:

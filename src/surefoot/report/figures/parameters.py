@@ -22,6 +22,7 @@ from surefoot.report.figures.style import (
     scattered,
     spoken,
 )
+from surefoot.tables import with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +34,7 @@ _BAND = "band: least to greatest seed, of a single policy one standard error"
 
 
 def parameter_figure(
-    row: str, groups: Groups, path: str | Path, trained_ranges: Mapping[str, Ranges] | None = None
+    row: str, groups: Groups, path: str | Path, trained_ranges: Mapping[str, Ranges] | None = None, unit: str = "m"
 ) -> Path:
     """Draw returns and falls against a row's value, with a band for each group.
 
@@ -45,6 +46,7 @@ def parameter_figure(
         groups: those whose sensitivities lack the row are left out.
         path: PNG to write.
         trained_ranges: by name, the ranges trained with, by row. Without this nothing is drawn of training.
+        unit: of returns.
     """
     if not any(row in one.rows for results in groups.values() for one in results):
         raise SurefootError(f"parameter figure: row '{row}' is in no test world of {', '.join(groups) or 'nothing'}")
@@ -58,7 +60,7 @@ def parameter_figure(
             _band(right, worlds[0].value, falls, number, label)
             if trained_ranges is not None:
                 _training(left, results[0], row, number, trained_ranges.get(label, {}).get(row))
-        left.set_title("Return (m)")
+        left.set_title(with_unit("Return", unit))
         left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))
         right.set_title("Episodes with a fall (%)")
         right.set_ylim(-3.0, 103.0)
@@ -90,10 +92,10 @@ def parameters_figure(groups: Groups, path: str | Path) -> Path:
     return Path(path)
 
 
-def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path) -> Path:
+def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path, unit: str = "m") -> Path:
     """Draw a bar for each policy: the mean over all its test worlds, with the standard deviation.
 
-    Dots are the mean returns of single test worlds, a diamond is that of the nominal world.
+    Dots are the mean returns of single test worlds, a diamond is that of the nominal world. `unit` is that of returns.
     """
     with new_figure(path, (7.6, 1.2 + 0.62 * len(sensitivities))) as (_, (ax,)):
         for place, result in enumerate(sensitivities):
@@ -103,13 +105,14 @@ def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path) -> 
             ax.plot(means, across, "o", color=color, alpha=0.55, markersize=2.8, markeredgewidth=0)
             ax.errorbar(result.mean, place, xerr=result.std, color=INK, linewidth=1.3, capsize=4.0)
             ax.plot(result.nominal["return"].mean(), place, "D", color="white", markeredgecolor=INK, markersize=5.5)
-            text = f"{result.mean:.2f} ± {result.std:.2f} m\n{100 * result.fall_rate:.1f} % fall"
+            text = f"{result.mean:.2f} ± {result.std:.2f} {unit}\n{100 * result.fall_rate:.1f} % fall"
             ax.text(1.02, place, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8.5, color=INK)
         ax.axvline(0.0, color=QUIET, linewidth=0.8)
         place_labels(ax, [result.policy for result in sensitivities], vertical=True)
         ax.set_ylim(len(sensitivities) - 0.5, -0.5)
         ax.set_title("Return over test worlds", fontweight="bold")
-        ax.set_xlabel("return (m): mean and standard deviation; dots: test worlds; diamond: nominal world")
+        legend = "mean and standard deviation; dots: test worlds; diamond: nominal world"
+        ax.set_xlabel(f"{with_unit('return', unit)}: {legend}")
     return Path(path)
 
 
@@ -147,5 +150,4 @@ def _training(ax: Axes, result: Sensitivity, row: str, number: int, trained: tup
 
 def _titled(row: str) -> str:
     """Return a parameter's name with its unit, as a title."""
-    unit = row_unit(row)
-    return capital(spoken(row)) + (f" ({unit})" if unit else "")
+    return with_unit(capital(spoken(row)), row_unit(row))

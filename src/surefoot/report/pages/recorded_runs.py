@@ -11,7 +11,7 @@ import contextlib
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import metadata
 from typing import Any
 
@@ -23,9 +23,9 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.evaluation.foot_forces import foot_forces
 from surefoot.evaluation.tracking import motion
-from surefoot.report.drawing.scene import extent, poses, scene
+from surefoot.report.drawing.scene import extent, poses
 from surefoot.report.pages.html import document
-from surefoot.report.pages.view import add_path, add_shape, add_world, bare_viewer, quiet_server
+from surefoot.report.pages.view import add_path, add_robot, add_world, bare_viewer, quiet_server
 from surefoot.robot import RobotDescription
 from surefoot.robot.urdf import GREY
 from surefoot.rotations import in_heading_frame, matrix_quat, quat_yaw, rpy_quat
@@ -288,11 +288,7 @@ def _add_robot(
     for link, frame in frames.items():
         offset = offsets[link]
         stage.add_frame(frame, show_axes=False, position=offset[:3, 3], wxyz=matrix_quat(offset[:3, :3]))
-    for number, shape in enumerate(scene(robot)):
-        if tint is not None:
-            red, green, blue = ((own + other) // 2 for own, other in zip(shape.color, tint, strict=True))
-            shape = replace(shape, color=(red, green, blue))
-        add_shape(stage, f"{frames[shape.link]}/s{number}", shape)
+    add_robot(stage, robot.appearance(), frames, tint)
     arrows = [(f"base/force{leg}", _FORCE_COLOR) for leg in range(len(robot.legs)) if "force" in run["columns"]]
     for name, color in [*arrows, *([("push", _PUSH_COLOR)] if "push" in run["columns"] else [])]:
         up = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])

@@ -1,4 +1,4 @@
-"""A robot in 3D in a browser, by viser's server: shapes, ground and trail.
+"""A robot in 3D in a browser, by viser's server: parts, ground and trail.
 
 All is in one frame that follows the robot over the ground, so that a browser's camera stays with it.
 """
@@ -8,8 +8,8 @@ from __future__ import annotations
 import contextlib
 import io
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import viser
@@ -17,9 +17,11 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.report.drawing.scene import extent, poses, scene
+from surefoot.report.drawing.mesh import link_meshes
+from surefoot.report.drawing.scene import extent, poses
 from surefoot.robot import RobotDescription
-from surefoot.robot.urdf import GREY, Shape
+from surefoot.robot.appearance import Appearance
+from surefoot.robot.urdf import GREY, Color
 from surefoot.rotations import matrix_quat
 from surefoot.world.ground import FLAT
 
@@ -64,16 +66,15 @@ def add_path(scene: viser.SceneApi, name: str, points: Array, color: tuple[int, 
         scene.add_line_segments(name, np.stack([points[:-1], points[1:]], axis=1), color, thickness=0.008)
 
 
-def add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
-    """Add a solid in the frame of its body."""
-    place: dict[str, Any] = {"position": shape.position, "wxyz": matrix_quat(shape.rotation)}
-    if shape.kind == "box":
-        x, y, z = shape.size
-        scene.add_box(name, shape.color, (2 * x, 2 * y, 2 * z), **place)
-    elif shape.kind == "cylinder":
-        scene.add_cylinder(name, shape.size[0], 2 * shape.size[1], shape.color, **place)
-    else:
-        scene.add_icosphere(name, shape.size[0], shape.color, subdivisions=2, **place)
+def add_robot(
+    scene: viser.SceneApi, appearance: Appearance, frames: Mapping[str, str], tint: Color | None = None
+) -> None:
+    """Add a robot's parts in the frames of their links, by name; their colors are mixed with a tint, if given."""
+    for number, (link, color, points, faces) in enumerate(link_meshes(appearance)):
+        if tint is not None:
+            red, green, blue = ((own + other) // 2 for own, other in zip(color, tint, strict=True))
+            color = (red, green, blue)
+        scene.add_mesh_simple(f"{frames[link]}/m{number}", points, faces, color=color, side="double")
 
 
 class RobotView:
@@ -88,16 +89,15 @@ class RobotView:
     def show(self, robot: RobotDescription) -> None:
         """Show another robot, at the start of a new trail."""
         self._robot, size, server = robot, extent(robot), self._server
-        self._links: dict[str, viser.FrameHandle] = {}
         self._trail: deque[Array] = deque(maxlen=_TRAIL_POINTS)
         self._at, self._size = np.zeros(2), size
         with server.atomic():
             server.scene.reset()
             self._world = add_world(server.scene, size)
-            for k, shape in enumerate(scene(robot)):
-                if shape.link not in self._links:
-                    self._links[shape.link] = server.scene.add_frame(f"/world/{shape.link}", show_axes=False)
-                add_shape(server.scene, f"/world/{shape.link}/{k}", shape)
+            appearance = robot.appearance()
+            frames = {part.link: f"/world/{part.link}" for part in appearance.parts}
+            self._links = {link: server.scene.add_frame(name, show_axes=False) for link, name in frames.items()}
+            add_robot(server.scene, appearance, frames)
             server.initial_camera.position = (1.1 * size, -1.5 * size, 0.7 * size)
             server.initial_camera.look_at = (0.0, 0.0, 0.2 * size)
 

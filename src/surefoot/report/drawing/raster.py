@@ -1,0 +1,240 @@
+"""Compiled loops of the renderer: triangles to pixels, light on surfaces, and the ground.
+
+Pixels are counted from the top left; a pixel's centre is at a half. Colors are linear: squares of those of a picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar, cast
+
+import numpy as np
+from numba import njit
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+_SKY, _UP, _SUN = 0.34, 0.16, 0.72
+"""Light on a surface: from all sides, more from above than from below, and from the sun."""
+_SHINE, _RIM = 0.22, 0.10
+"""Reflections: of the sun on a glossy surface, and of the sky where a surface is seen at a slant."""
+
+
+def _compile(function: Function) -> Function:
+    # Without numba's runtime it counts no references to the arrays in tuples; see actuator/compiled.py.
+    options = {"cache": True, "nogil": True, "forceinline": True, "error_model": "numpy", "fastmath": True}
+    return cast(Function, njit(**options, _nrt=False)(function))
+
+
+@_compile
+def rasterize(points: Any, faces: Any, nearest: Any, face_at: Any) -> None:
+    """Write for each pixel the face in front, and how near it is.
+
+    Args:
+        points: (P, 3), column and row in pixels, and a number that is greater for what is in front and linear over a
+            triangle of the picture. Faces with a corner where it is not over 0 are left out.
+        faces: (F, 3) indices of points.
+        nearest: (H, W) numbers in front so far; overwritten.
+        face_at: (H, W) faces in front; overwritten.
+    """
+    height, width = nearest.shape
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        xa, ya, za = points[a, 0], points[a, 1], points[a, 2]
+        xb, yb, zb = points[b, 0], points[b, 1], points[b, 2]
+        xc, yc, zc = points[c, 0], points[c, 1], points[c, 2]
+        area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
+        if area == 0.0 or not (za > 0.0 and zb > 0.0 and zc > 0.0):
+            continue
+        top = max(int(np.ceil(min(ya, yb, yc) - 0.5)), 0)
+        bottom = min(int(np.floor(max(ya, yb, yc) - 0.5)), height - 1)
+        # Shares of corners b and c, which sum to 1 with that of a, grow evenly along a row.
+        step_b, step_c = (yc - ya) / area, (ya - yb) / area
+        step_a = -step_b - step_c
+        step = step_b * (zb - za) + step_c * (zc - za)
+        per_a = 1.0 / step_a if step_a != 0.0 else 0.0
+        per_b = 1.0 / step_b if step_b != 0.0 else 0.0
+        per_c = 1.0 / step_c if step_c != 0.0 else 0.0
+        row_b, row_c = -(xc - xa) / area, (xb - xa) / area
+        first, last = min(xa, xb, xc) - xa, max(xa, xb, xc) - xa
+        for row in range(top, bottom + 1):
+            y = row + 0.5 - ya
+            start_b, start_c = y * row_b, y * row_c
+            low, high = first, last
+            for start, per in ((1.0 - start_b - start_c, per_a), (start_b, per_b), (start_c, per_c)):
+                if per > 0.0:
+                    low = max(low, -start * per)
+                elif per < 0.0:
+                    high = min(high, -start * per)
+            left, right = max(int(np.ceil(xa + low - 0.5)), 0), min(int(np.floor(xa + high - 0.5)), width - 1)
+            x = left + 0.5 - xa
+            z = za + (start_b + x * step_b) * (zb - za) + (start_c + x * step_c) * (zc - za)
+            for column in range(left, right + 1):
+                if z > nearest[row, column]:
+                    nearest[row, column] = z
+                    face_at[row, column] = f
+                z += step
+
+
+class Light(NamedTuple):
+    """The sun, and where it does not reach; places on the ground are those to which it casts shadows."""
+
+    direction: Any
+    """Unit vector (3,) to the sun."""
+    occluder: Any
+    """Greatest height (H, W) of what stands in the light's way to places on the ground [m], rows along y."""
+    shadow: Any
+    """How dark the ground is there (H, W), 0 to 1."""
+    low: Any
+    """Place (2,) of the first corner [m]."""
+    texel: float
+    """Distance of two places [m]."""
+
+
+@_compile
+def light_share(light: Light, x: float, y: float, z: float) -> float:
+    """Return the share of the sun that reaches a point at height z [m] on the ray to (x, y) on the ground."""
+    height, width = light.occluder.shape
+    column, row = (x - light.low[0]) / light.texel - 1.0, (y - light.low[1]) / light.texel - 1.0
+    if not (column >= 0.0 and row >= 0.0 and column < width - 2 and row < height - 2):
+        return 1.0
+    j, i = int(column), int(row)
+    u, v = column - j, row - i
+    # Mean over a square of two texels around the place: what is above the point takes its light.
+    share = 0.0
+    for di in range(3):
+        tall = 1.0 - v if di == 0 else (v if di == 2 else 1.0)
+        for dj in range(3):
+            if light.occluder[i + di, j + dj] <= z:
+                share += tall * (1.0 - u if dj == 0 else (u if dj == 2 else 1.0))
+    return 0.25 * share
+
+
+@_compile
+def paint_ground(picture: Any, ground: Any, eye: Any, tile: float, light: Light, dim: float) -> None:
+    """Paint the ground, which fills the last rows of a picture.
+
+    Args:
+        picture: (H, W, 3) uint8.
+        ground: (R, W, 8), for each pixel of the last R rows: where its ray meets the ground, from below the eye, and
+            how far it reaches there, both along x and y [m]; color of a bright square, 0 to 255, and how much darker a
+            dark one is, as a share of its linear color.
+        eye: (3,) m.
+        tile: side of a square [m].
+        light: the sun.
+        dim: how much darker the ground is in full shadow, as a share of its linear color.
+    """
+    first = len(picture) - len(ground)
+    rows, columns = light.shadow.shape
+    for i in range(ground.shape[0]):
+        for j in range(ground.shape[1]):
+            x, y = eye[0] + ground[i, j, 0], eye[1] + ground[i, j, 1]
+            # A wave of +1 and -1 along x times one along y, each averaged over the pixel.
+            wide_x, wide_y = 0.5 * ground[i, j, 2] / tile, 0.5 * ground[i, j, 3] / tile
+            ax, ay = 0.5 * (x / tile - wide_x), 0.5 * (y / tile - wide_y)
+            bx, by = ax + wide_x, ay + wide_y
+            wave_x = (abs(ax - np.floor(ax) - 0.5) - abs(bx - np.floor(bx) - 0.5)) / wide_x
+            wave_y = (abs(ay - np.floor(ay) - 0.5) - abs(by - np.floor(by) - 0.5)) / wide_y
+            share = 1.0 - ground[i, j, 7] * (0.5 + 0.5 * wave_x * wave_y)
+            column, row = (x - light.low[0]) / light.texel - 0.5, (y - light.low[1]) / light.texel - 0.5
+            if column >= 0.0 and row >= 0.0 and column < columns - 1 and row < rows - 1:
+                c, r = int(column), int(row)
+                u, v = column - c, row - r
+                above = (1.0 - u) * light.shadow[r, c] + u * light.shadow[r, c + 1]
+                below = (1.0 - u) * light.shadow[r + 1, c] + u * light.shadow[r + 1, c + 1]
+                share *= 1.0 - dim * ((1.0 - v) * above + v * below)
+            share = np.sqrt(share)
+            for k in range(3):
+                picture[first + i, j, k] = np.uint8(ground[i, j, 4 + k] * share)
+
+
+class Surface(NamedTuple):
+    """Triangles to be painted."""
+
+    pixels: Any
+    """Column, row and inverse depth (P, 3) of points in the region, in parts of pixels."""
+    normals: Any
+    """Normals (P, 3) at points."""
+    faces: Any
+    """Indices (F, 3) of points."""
+    colors: Any
+    """Linear colors (F, 3)."""
+
+
+@_compile
+def _color(
+    x: float, y: float, f: int, surface: Surface, eye: Any, rays: Any, light: Light
+) -> tuple[float, float, float]:
+    """Return the linear color of face f where the ray through (x, y) meets it."""
+    a, b, c = surface.faces[f, 0], surface.faces[f, 1], surface.faces[f, 2]
+    xa, ya, za = surface.pixels[a, 0], surface.pixels[a, 1], surface.pixels[a, 2]
+    xb, yb, zb = surface.pixels[b, 0] - xa, surface.pixels[b, 1] - ya, surface.pixels[b, 2]
+    xc, yc, zc = surface.pixels[c, 0] - xa, surface.pixels[c, 1] - ya, surface.pixels[c, 2]
+    area = xb * yc - xc * yb
+    share_b, share_c = ((x - xa) * yc - (y - ya) * xc) / area, ((y - ya) * xb - (x - xa) * yb) / area
+    share_a = 1.0 - share_b - share_c
+    depth = 1.0 / (share_a * za + share_b * zb + share_c * zc)
+    rx = rays[0, 0] * x + rays[1, 0] * y + rays[2, 0]
+    ry = rays[0, 1] * x + rays[1, 1] * y + rays[2, 1]
+    rz = rays[0, 2] * x + rays[1, 2] * y + rays[2, 2]
+    nx = share_a * surface.normals[a, 0] + share_b * surface.normals[b, 0] + share_c * surface.normals[c, 0]
+    ny = share_a * surface.normals[a, 1] + share_b * surface.normals[b, 1] + share_c * surface.normals[c, 1]
+    nz = share_a * surface.normals[a, 2] + share_b * surface.normals[b, 2] + share_c * surface.normals[c, 2]
+    ray, length = np.sqrt(rx * rx + ry * ry + rz * rz), max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-9)
+    facing = -(nx * rx + ny * ry + nz * rz) / (ray * length)
+    if facing < 0.0:  # a surface that is seen from behind is lit as one that faces the eye
+        facing, length = -facing, -length
+    nx, ny, nz = nx / length, ny / length, nz / length
+    lx, ly, lz = light.direction[0], light.direction[1], light.direction[2]
+    lit, sun = nx * lx + ny * ly + nz * lz, 0.0
+    if lit > 0.0:
+        # Off the surface by two texels, else it would shade itself where the light is slanted.
+        off = 2.0 * light.texel
+        z = eye[2] + depth * rz + off * nz
+        slant = z / lz
+        sun = light_share(
+            light, eye[0] + depth * rx + off * nx - lx * slant, eye[1] + depth * ry + off * ny - ly * slant, z
+        )
+    # Between the directions to sun and eye: a glossy surface with this normal shines.
+    hx, hy, hz = lx - rx / ray, ly - ry / ray, lz - rz / ray
+    shine = max(nx * hx + ny * hy + nz * hz, 0.0) / max(np.sqrt(hx * hx + hy * hy + hz * hz), 1e-9)
+    for _ in range(5):
+        shine *= shine
+    diffuse = _SKY + _UP * nz + _SUN * max(lit, 0.0) * sun
+    gloss = _SHINE * shine * sun + _RIM * (0.6 + 0.4 * nz) * (1.0 - facing) ** 3
+    red, green, blue = surface.colors[f, 0], surface.colors[f, 1], surface.colors[f, 2]
+    return red * diffuse + gloss, green * diffuse + gloss, blue * diffuse + gloss
+
+
+@_compile
+def paint_faces(
+    picture: Any, corner: Any, face_at: Any, parts: int, surface: Surface, eye: Any, rays: Any, light: Light
+) -> None:
+    """Paint the faces in front over a region of a picture; at edges they are mixed with what is behind.
+
+    Args:
+        picture: (H, W, 3) uint8.
+        corner: row and column of the region's first pixel.
+        face_at: (parts R, parts C) face in front at each part of a pixel; -1 for none.
+        parts: of a pixel along each side.
+        surface: the faces.
+        eye: (3,) m.
+        rays: (3, 3); column and row in parts, and 1, times this is the ray with a depth of 1.
+        light: the sun.
+    """
+    for i in range(face_at.shape[0] // parts):
+        for j in range(face_at.shape[1] // parts):
+            red, green, blue, count, last = 0.0, 0.0, 0.0, 0, -1
+            color = (0.0, 0.0, 0.0)
+            for row in range(i * parts, (i + 1) * parts):
+                for column in range(j * parts, (j + 1) * parts):
+                    f = face_at[row, column]
+                    if f >= 0:
+                        if f != last:
+                            color = _color(column + 0.5, row + 0.5, f, surface, eye, rays, light)
+                            last = f
+                        red, green, blue, count = red + color[0], green + color[1], blue + color[2], count + 1
+            if count > 0:
+                share = count / (parts * parts)
+                for k, total in enumerate((red, green, blue)):
+                    behind = picture[corner[0] + i, corner[1] + j, k]
+                    own = 255.0 * np.sqrt(min(max(total / count, 0.0), 1.0))
+                    picture[corner[0] + i, corner[1] + j, k] = np.uint8(behind + share * (own - behind))

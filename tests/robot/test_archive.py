@@ -1,0 +1,159 @@
+"""Robots carried as bytes: the same robot comes back, and nothing of a hostile archive is written."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import zipfile
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.robot import archive as module
+from surefoot.robot.archive import pack_robot, read_archive, unpack_robot
+
+MINITAUR = RobotDescription.load("minitaur").folder
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    folder = tmp_path / "my robots" / "mine"
+    shutil.copytree(MINITAUR, folder)
+    (folder / "robot.png").write_bytes(b"a picture is not carried")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "surefoot" / "robots"
+
+
+def zipped(*members: tuple[str | zipfile.ZipInfo, bytes], kind: int = zipfile.ZIP_DEFLATED) -> bytes:
+    buffer = BytesIO()
+    with zipfile.ZipFile(buffer, "w", kind) as archive:
+        for name, content in members:
+            archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+def test_a_robot_comes_back_with_its_tasks_and_ranges_and_the_same_bytes(mine: Path, cache: Path):
+    os.utime(mine / "robot.toml", (1, 1))
+    data = pack_robot(mine)
+    assert data == pack_robot(MINITAUR)
+    folder = unpack_robot(data)
+    assert folder.parent == cache
+    assert unpack_robot(data) == folder
+    names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    expected = {path.relative_to(MINITAUR).as_posix() for path in MINITAUR.rglob("*") if path.is_file()}
+    assert names == expected
+    assert all((folder / name).read_bytes() == (MINITAUR / name).read_bytes() for name in names)
+    assert RobotDescription.load(folder).name == "minitaur"
+
+
+def test_robots_that_ship_are_not_carried(mine: Path):
+    assert RobotDescription.load("minitaur").archive == b""
+    assert RobotDescription.load(MINITAUR).location == "minitaur"
+    own = RobotDescription.load(mine)
+    assert own.archive == pack_robot(mine)
+    assert own.location == str(mine)
+
+
+def test_a_file_of_the_cache_that_was_edited_or_removed_is_written_again(mine: Path):
+    folder = unpack_robot(pack_robot(mine))
+    (folder / "robot.toml").write_text("name = 'another'")
+    (folder / "minitaur.urdf").unlink()
+    assert RobotDescription.load(unpack_robot(pack_robot(mine))).name == "minitaur"
+
+
+def test_processes_that_unpack_at_once_all_read_the_whole_robot(mine: Path, tmp_path: Path):
+    file = tmp_path / "archive"
+    file.write_bytes(pack_robot(mine))
+    code = (
+        "import sys; from surefoot.robot import RobotDescription; from surefoot.robot.archive import unpack_robot\n"
+        "print(RobotDescription.load(unpack_robot(open(sys.argv[1], 'rb').read())).name)"
+    )
+    running = [subprocess.Popen([sys.executable, "-c", code, file], stdout=subprocess.PIPE) for _ in range(4)]
+    assert [process.communicate()[0] for process in running] == [b"minitaur\n"] * 4
+
+
+def test_without_a_cache_that_can_be_written_a_temporary_folder_serves(
+    mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "cache").write_text("a file where the folder should be")
+    folder = unpack_robot(pack_robot(mine))
+    assert not folder.is_relative_to(tmp_path / "cache")
+    assert RobotDescription.load(folder).name == "minitaur"
+
+
+def test_a_cache_of_another_user_is_not_used(mine: Path, cache: Path, monkeypatch: pytest.MonkeyPatch):
+    own = unpack_robot(pack_robot(mine))
+    user = os.geteuid()
+    monkeypatch.setattr(module.os, "geteuid", lambda: user + 1)
+    # The temporary folder is of the same user, so nothing can be written for this one.
+    with pytest.raises(SurefootError, match="temporary folder: can't be written"):
+        unpack_robot(pack_robot(mine))
+    assert stat.S_IMODE(own.stat().st_mode) == 0o700
+
+
+SHEET = ("robot.toml", b"")
+LINK = zipfile.ZipInfo("link.urdf")
+LINK.external_attr = (stat.S_IFLNK | 0o777) << 16
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "damaged"),
+        (b"PK\x03\x04 and no more", "damaged"),
+        (pack_robot(MINITAUR)[:-40], "damaged"),
+        (zipped(("other.urdf", b"")), "it has no robot.toml"),
+        (zipped(SHEET, ("../robot.urdf", b"")), "'../robot.urdf' is none of a robot's folder"),
+        (zipped(SHEET, ("/etc/robot.urdf", b"")), "is none of a robot's folder"),
+        (zipped(SHEET, ("tasks/../../robot.urdf", b"")), "is none of a robot's folder"),
+        (zipped(SHEET, ("tasks\\x.yaml", b"")), "is none of a robot's folder"),
+        (zipped(SHEET, (".hidden.toml", b"")), "is none of a robot's folder"),
+        (zipped(SHEET, ("a/b/c.yaml", b"")), "is none of a robot's folder"),
+        (zipped(SHEET, ("run.py", b"")), "is none of a robot's folder"),
+        (zipped(SHEET, ("tasks/", b"")), "is none of a robot's folder"),
+        (zipped(SHEET, *((f"tasks/{k}.yaml", b"") for k in range(200))), "it has 201 files; at most 200"),
+        (zipped(SHEET, ("bomb.urdf", bytes(9 << 20))), "over 8 MiB"),
+        (zipped(SHEET, ("robot.urdf", b"x"), kind=zipfile.ZIP_LZMA), "is packed in another way"),
+        (os.urandom(9 << 20), "over 8 MiB"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_hostile_archive_is_refused_and_nothing_is_written(data: bytes, message: str, cache: Path):
+    with pytest.raises(SurefootError, match="its robot") as error:
+        unpack_robot(data)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+    assert not cache.exists()
+
+
+def test_a_size_that_an_archive_understates_is_refused():
+    data = bytearray(zipped(SHEET, ("bomb.urdf", bytes(9 << 20))))
+    place = data.rindex(b"PK\x01\x02") + 24
+    data[place : place + 4] = (100).to_bytes(4, "little")
+    with pytest.raises(SurefootError, match="its robot"):
+        read_archive(bytes(data))
+
+
+def test_a_link_becomes_a_plain_file(cache: Path):
+    folder = unpack_robot(zipped(SHEET, (LINK, b"/etc/passwd")))
+    assert not (folder / "link.urdf").is_symlink()
+    assert (folder / "link.urdf").read_bytes() == b"/etc/passwd"
+
+
+def test_a_sheet_that_names_a_file_elsewhere_is_refused(mine: Path):
+    sheet = (mine / "robot.toml").read_text()
+    for name in ("../minitaur.urdf", "/etc/passwd"):
+        (mine / "robot.toml").write_text(sheet.replace('"minitaur.urdf"', f'"{name}"'))
+        with pytest.raises(SurefootError, match="it must be a file in the robot's folder"):
+            RobotDescription.load(mine)
