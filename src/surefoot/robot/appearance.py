@@ -36,8 +36,8 @@ _SEGMENTS = 20
 """Sides of a circle."""
 _HIP = 0.35
 """Radius of a hip that is drawn, over its length."""
-_ARRAYS = {"counts": (("u4",), 2), "color": (("u1",), 3), "low": (("f4",), 3), "span": (("f4",), 3)}
-_POINT_ARRAYS = {"vertices": (("u2",), 3), "faces": (("u2", "u4"), 3)}
+_ARRAYS = {"counts": ("u4", 2), "color": ("u1", 3), "low": ("f4", 3), "span": ("f4", 3)}
+_POINT_ARRAYS = {"vertices": ("u2", 3), "faces": ("u4", 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,14 +89,13 @@ class Appearance:
             np.rint(scale[k] * (part.vertices - low[k])).clip(0, _STEPS).astype(np.uint16)
             for k, part in enumerate(self.parts)
         ]
-        faces = np.concatenate([part.faces for part in self.parts])
         arrays = {
             "counts": np.array([(len(part.vertices), len(part.faces)) for part in self.parts], np.uint32),
             "color": np.array([np.rint(255 * np.array(part.color)) for part in self.parts], np.uint8),
             "low": low,
             "span": span,
             "vertices": np.concatenate(vertices),
-            "faces": faces.astype(np.uint16 if faces.max() < 1 << 16 else np.uint32),
+            "faces": np.concatenate([part.faces for part in self.parts]).astype(np.uint32),
         }
         write_npz(path, arrays, {"links": [part.link for part in self.parts]})
 
@@ -166,10 +165,10 @@ def _hips(urdf: Urdf, legs: Sequence[Leg], drawn: set[str]) -> list[Shape]:
 
 
 def _read_parts(links: list[str], arrays: dict[str, NDArray[Any]]) -> tuple[Part, ...]:
-    for name, (kinds, width) in {**_ARRAYS, **_POINT_ARRAYS}.items():
+    for name, (kind, width) in {**_ARRAYS, **_POINT_ARRAYS}.items():
         array = arrays.get(name)
-        if array is None or array.dtype not in map(np.dtype, kinds) or array.ndim != 2 or array.shape[1] != width:
-            raise SurefootError(f"has no array '{name}' of type {' or '.join(kinds)} with {width} columns")
+        if array is None or array.dtype != np.dtype(kind) or array.ndim != 2 or array.shape[1] != width:
+            raise SurefootError(f"has no array '{name}' of type {kind} with {width} columns")
         if name in _ARRAYS and len(array) != len(links):
             raise SurefootError(f"'{name}' has {len(array)} rows; it must have one for each of {len(links)} parts")
     counts, low, span = arrays["counts"].astype(np.int64), arrays["low"].astype(float), arrays["span"].astype(float)
