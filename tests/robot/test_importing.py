@@ -282,7 +282,7 @@ BAD = [
         mjcf()
         .replace('type="box"', 'type="mesh" mesh="m"')
         .replace("<worldbody>", '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'),
-        "MuJoCo can't read it: Error opening file 'none.stl'",
+        "names the file 'none.stl', which is not there; put it where it is named",
     ),
     (
         "dog.xml",

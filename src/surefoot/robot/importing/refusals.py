@@ -64,6 +64,8 @@ def explain_mujoco(message: str, path: Path) -> SurefootError:
     message = " ".join(message.split("The visual elements of the spec")[0].split())
     match = _MUJOCO.fullmatch(message)
     what, name, line = (match["what"], match["name"], match["line"]) if match else (message, None, None)
+    if missing := re.search(r"Error opening file '([^']*)'", what):
+        return SurefootError(f"{path}: names the file '{missing[1]}', which is not there; put it where it is named")
     for words, reason in _REASONS.items():
         if name is not None and words in what:
             return SurefootError(f"{path}: '{name}' {reason}")
