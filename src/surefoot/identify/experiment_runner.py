@@ -195,7 +195,7 @@ class _ExperimentRunner:
             "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             "digest": digest_of(arrays),
         }
-        return Recording(**arrays, meta=meta)
+        return Recording(**arrays, meta=meta, robot_archive=self.robot.archive)
 
 
 def run_plan(link: RobotLink, plan: Plan, robot: RobotDescription, monitor: RunMonitor) -> Recording:
