@@ -79,6 +79,7 @@ class ScriptedWorld:
             energy=self.energy.copy(),
             heat=motors,
             foot_contact=np.ones((self.num_envs, 4)),
+            motor_saturation=motors,
             diverged=self.diverged.copy(),
         )
 

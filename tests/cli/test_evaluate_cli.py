@@ -27,7 +27,7 @@ KEYS = {
 }
 EXTRAS = {
     *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "push_force", "set", "robot", "policy_file"),
-    *("config_hash", "randomize", "actuator", "params", "params_source"),
+    *("config_hash", "randomize", "actuator", "params", "params_source", "saturation"),
 }
 LEGS = {"front_left", "back_left", "front_right", "back_right"}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,23 @@ def test_check_reports_a_placeholder_torque_and_unequal_legs(tmp_path: Path) -> 
     assert "placeholder" in wrong["torque limits"]["message"]
     assert "front_left, front_right" in wrong["left and right"]["message"]
     assert all(item["remedy"] for item in wrong.values())
+
+
+def test_check_names_the_motor_that_is_too_weak_and_the_torque_that_is_asked_for(tmp_path: Path) -> None:
+    folder = tmp_path / "weak"
+    shutil.copytree(SOLO.folder, folder)
+    sheet = (folder / "robot.toml").read_text()
+    # Standing takes .7 N m of a knee, a trot 1.8.
+    (folder / "robot.toml").write_text(sheet.replace("torque_limit = 2.7", "torque_limit = 0.5"))
+    result = surefoot("robot", "check", str(folder), "--json", cwd=tmp_path)
+    assert result.returncode == 3, result.stderr
+    wrong = {item["name"]: item for item in json.loads(result.stdout)["checks"] if item["passed"] is False}
+    assert set(wrong) == {"stands", "torque to stand", "torque to trot"}
+    for item in wrong.values():
+        assert "0.5 N m are there" in item["message"]
+        assert "KFE is asked for 0.7" in item["message"] or item["name"] == "torque to trot"
+        assert "stronger motors" in item["remedy"]
+        assert "stiffer gains" not in item["remedy"]
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())

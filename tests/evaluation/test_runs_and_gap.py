@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from run_tables import policy_gap
 
+from surefoot.api.episodes import saturation_note
 from surefoot.errors import SurefootError
 from surefoot.evaluation.footfalls import FEET
 from surefoot.evaluation.gap import PolicyGap, away_task, gap_text, home_task
@@ -179,3 +180,23 @@ def test_summary_of_a_robot_without_a_measured_position(make_trace: MakeRun) -> 
 def test_summary_refuses_traces_of_several_policies(make_trace: MakeRun) -> None:
     with pytest.raises(SurefootError, match="more than one policy: gallop, trot"):
         summarize([make_trace(), make_trace(policy="gallop")], MASS)
+
+
+def test_saturation_is_the_share_of_time_of_each_motor(make_run: MakeRun) -> None:
+    at_limit = np.zeros((100, 8))
+    at_limit[::4, 2], at_limit[:10, 5] = 1.0, 0.5
+    shares = (at_limit, np.full((100, 8), np.nan))
+    traces = [make_run(steps=100, arrays={"motor_saturation": share}) for share in shares]
+    assert measure_runs(traces).saturation.tolist() == pytest.approx([0.25, math.nan], nan_ok=True)
+    summary = summarize(traces[:1] * 2, MASS)
+    assert summary["saturation"] == pytest.approx({f"m{k}": {2: 0.25, 5: 0.05}.get(k, 0.0) for k in range(8)})
+    assert saturation_note(summary) == (
+        "motors limit this gait: m2 is at its limit in 25% of the time; "
+        "surefoot robot check says what torque a trot asks for"
+    )
+    at_limit[0, 2] = 0.9
+    assert saturation_note(summarize([make_run(steps=100, arrays={"motor_saturation": at_limit})], MASS)) is None
+    # A robot's trace does not know it.
+    unknown = summarize(traces[1:], MASS)
+    assert set(unknown["saturation"].values()) == {None}
+    assert saturation_note(unknown) is None

@@ -62,7 +62,7 @@ def test_the_reader_returns_the_files_values(tmp_path: Path) -> None:
     assert imported.joints[0] == ("FL_abduction", "FL_hip", "FL_knee")
     np.testing.assert_array_equal(imported.limits[0], [(-1.0, 1.0), (np.nan, np.nan), (-2.6, -0.5)])
     np.testing.assert_allclose(imported.base_box, ([0, 0, 0], [0.2, 0.1, 0.05]), atol=1e-12)
-    assert imported.knee_signs(None) == ([-1] * 4, True)
+    assert imported.guess_knees() == ("backward", "the knees' limits", False)
     assert "feet: the last link's sphere, radius 0.02 m" in imported.notes
     toe = '<body name="FL_toe" pos="0 0 -.2"/>'
     text = mjcf().replace('<geom type="sphere" size=".02" pos="0 0 -.2"/>', toe, 1)
@@ -148,8 +148,48 @@ def test_a_meshless_urdf_with_two_motors_a_leg(tmp_path: Path) -> None:
     robot = SHIPPED["solo8"]
     imported = read_robot(robot.urdf.path)
     assert [len(leg) for leg in imported.joints] == [2] * 4
-    assert imported.knee_signs("inward") == ([-1, -1, 1, 1], True)
-    assert imported.knee_signs(None) == ([-1] * 4, False)
+    # Its joints have the names of ANYmal's and Solo's, and no limits.
+    assert imported.guess_knees()[::2] == ("inward", True)
+
+
+FREE = mjcf().replace(' range="-2.6 -.5"', "")
+"""A quadruped whose knees have no limits."""
+
+
+def write_srdf(path: Path, **states: Sequence[float]) -> None:
+    """Write an SRDF with the knees' angles in the order FL, FR, RL, RR for each state."""
+    groups = "".join(
+        f'<group_state name="{state}">'
+        + "".join(f'<joint name="{leg}_knee" value="{angle}"/>' for leg, angle in zip(CORNERS, angles, strict=True))
+        + "</group_state>"
+        for state, angles in states.items()
+    )
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f'<robot name="dog">{groups}</robot>')
+
+
+def test_without_limits_a_pose_of_the_file_shows_where_knees_point(tmp_path: Path) -> None:
+    assert read_robot(write(tmp_path, FREE)).guess_knees()[::2] == ("backward", True)
+    # Straight legs show nothing, nor does a keyframe of another model.
+    legs_at = {"zero": (0, 0), "home": (-1.2, 1.2)}
+    keys = "".join(
+        f'<key name="{name}" qpos="0 0 .3 1 0 0 0 {f"0 .6 {front} " * 2} {f"0 -.6 {back} " * 2}"/>'
+        for name, (front, back) in legs_at.items()
+    )
+    text = FREE.replace("</mujoco>", f"<keyframe>{keys}</keyframe></mujoco>")
+    assert read_robot(write(tmp_path, text)).guess_knees() == ("inward", "keyframe 'home'", False)
+
+
+def test_states_of_an_srdf_near_the_file_show_it_too_those_that_stand_first(tmp_path: Path) -> None:
+    write_srdf(tmp_path / "srdf/dog.srdf", folded=[-1, -1, -1, -1], straight_standing=[0] * 4, standing=[1, 1, -1, -1])
+    path = tmp_path / "robots"
+    path.mkdir()
+    imported = read_robot(write(path, FREE))
+    assert imported.guess_knees() == ("outward", "state 'standing' of dog.srdf", False)
+    # Limits go first; a file that can't be read is none.
+    assert read_robot(write(path, mjcf())).guess_knees() == ("backward", "the knees' limits", False)
+    (tmp_path / "srdf/dog.srdf").write_text("<robot")
+    assert read_robot(write(path, FREE)).guess_knees()[2]
 
 
 def urdf(body: str) -> str:

@@ -111,6 +111,8 @@ def test_arrays_are_copies_and_read_only() -> None:
         ("base_position_world", np.full((6, 3), np.inf), "finite or NaN"),
         ("base_quat_world", np.ones((6, 4)), "unit quaternions"),
         ("foot_contact", np.full((5, 4), 1.5), "0 to 1"),
+        ("motor_saturation", np.full((5, 8), 1.5), "0 to 1"),
+        ("motor_saturation", np.zeros((5, 3)), r"must have \(5, 8\)"),
         ("energy", np.full(5, "x"), "energy holds <U1, but must hold numbers"),
     ],
 )

@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from surefoot.robot import RobotDescription
+from surefoot.world.interface import WorldConfig
+from surefoot.world.sim_world import SimWorld
+
 START = {"start_linear_speed": 0.05, "start_angular_speed": 0.1}
 
 
@@ -100,3 +104,31 @@ def test_on_the_rack_the_base_is_still_and_its_readings_zero(make_world, trot, e
     assert truth.base_quat_world.tolist() == [[1.0, 0.0, 0.0, 0.0]]
     assert not truth.foot_contact.any()
     assert np.abs(truth.motor_velocity).max() > 0.5
+
+
+@pytest.mark.parametrize("actuator", ["dc", "constraint"])
+def test_only_a_motor_that_is_asked_for_more_than_it_has_is_at_its_limit(make_world, engine, actuator):
+    world = make_world(1, config={"rack": True, "actuator": actuator}, engine=engine)
+    target = world.resting_angles.copy()
+    for _ in range(20):
+        world.step(target)
+    assert not world.truth().motor_saturation.any()
+    target[1] += 1.5
+    world.step(target)
+    (first,) = world.truth().motor_saturation
+    assert first[1] == 1.0
+    assert first[4:].max() == 0.0  # other legs
+    world.reset()
+    assert not world.truth().motor_saturation.any()
+
+
+@pytest.mark.parametrize(("share", "at_limit"), [(0.5, False), (20.0, True)])
+def test_a_joint_actuator_is_at_its_limit_where_its_controller_asks_for_more(engine, share, at_limit):
+    robot = RobotDescription.load("solo8")
+    world = SimWorld(robot, 1, config=WorldConfig(rack=True), engine=engine)
+    target = world.resting_angles.copy()
+    target[1] += share * robot.actuator.torque_limit / robot.actuator.kp
+    world.step(target)
+    (saturation,) = world.truth().motor_saturation
+    assert saturation[1] == at_limit
+    assert saturation[2:].max() == 0.0

@@ -26,12 +26,30 @@ def draw_episode(folder: Path, trace: EpisodeTrace, robot: RobotDescription) -> 
 
 
 def print_summaries(summaries: dict[str, dict[str, Any]]) -> None:
-    """Print the figures of evaluations, a column for each."""
+    """Print the figures of evaluations, a column for each; and a line, if a motor limits the first one's gait."""
     from surefoot.tables import print_table
 
     columns = {name: _summary_texts(summary) for name, summary in summaries.items()}
     measures = next(iter(columns.values()))
     print_table([{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures])
+    if note := saturation_note(next(iter(summaries.values()))):
+        print(note)
+
+
+def saturation_note(summary: dict[str, Any]) -> str | None:
+    """Return a line that names the motor that is longest at its limit, if that limits the gait."""
+    from surefoot.evaluation.runs import SATURATION
+
+    shares = {name: share for name, share in summary["saturation"].items() if share is not None}
+    worst = max(shares, key=lambda name: shares[name], default=None)
+    if worst is None or shares[worst] < SATURATION:
+        return None
+    count = sum(share >= SATURATION for share in shares.values()) - 1
+    others = f", {count} more in over {SATURATION:.0%}" if count else ""
+    return (
+        f"motors limit this gait: {worst} is at its limit in {shares[worst]:.0%} of the time{others}; "
+        "surefoot robot check says what torque a trot asks for"
+    )
 
 
 def _tracking_texts(summary: dict[str, Any]) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,7 +17,7 @@ from surefoot.cli.helpers.output import make_console, print_json, run_action
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import check_name
 from surefoot.robot import RobotDescription
-from surefoot.robot.importing.imported import ImportedRobot, Knees
+from surefoot.robot.importing.imported import KNEE_SIGNS, ImportedRobot, Knees
 from surefoot.robot.importing.writer import set_servo_step, write_robot
 
 PICTURE = "robot.png"
@@ -40,7 +41,7 @@ class NewCommand:
     forward: Literal["+x", "-x", "+y", "-y"] | None = None
     """Direction in the file's frame that is forward; by the names and axes of the joints, if not given."""
     knees: Knees | None = None
-    """Where knees point; by the limits of the knees, if not given."""
+    """Where knees point; by the knees' limits or a pose of the file, if not given."""
     meshes: bool = True
     """Read meshes; without them the base is a box with its inertia."""
 
@@ -77,7 +78,7 @@ def _new(argv: list[str]) -> int:
         f"{name}: {imported.mass:.2f} kg, {imported.torque.size} motors, legs of {imported.length:.3f} m, "
         f"forward is {imported.forward} of the file"
     )
-    guesses = write_robot(imported, folder, name, command.knees or _ask_knees(imported))
+    guesses = write_robot(imported, folder, name, command.knees or _find_knees(imported))
     robot = RobotDescription.load(folder)
     if (step := longest_servo_step(robot)) < robot.timing.servo_step:
         guesses = [line for line in guesses if not line.startswith("servo_step")] + [set_servo_step(folder, step)]
@@ -89,13 +90,18 @@ def _new(argv: list[str]) -> int:
     return _run_checks(robot)
 
 
-def _ask_knees(robot: ImportedRobot) -> Knees | None:
-    """Ask where knees point, if limits do not show it and there is somebody to ask."""
-    _, certain = robot.knee_signs(None)
-    if certain or not sys.stdin.isatty():
-        return None
-    answer = Prompt.ask("Where do the knees point?", choices=["forward", "backward", "inward", "outward"])
-    return answer  # type: ignore[return-value]
+def _find_knees(robot: ImportedRobot) -> Knees | None:
+    """Print where knees point and what shows it; ask, if nothing shows it and there is somebody to ask."""
+    knees, reason, uncertain = robot.guess_knees()
+    if uncertain and sys.stdin.isatty():
+        answer = Prompt.ask(f"Where do the knees point? {reason}", choices=list(KNEE_SIGNS), default=knees)
+        return answer  # type: ignore[return-value]
+    if uncertain:
+        others = "|".join(other for other in KNEE_SIGNS if other != knees)
+        print(f"guessed  knees: {knees}; {reason}; --knees {others} changes it")
+    else:
+        print(f"knees point {knees}, by {reason}")
+    return None
 
 
 def _check(argv: list[str]) -> int:
@@ -104,10 +110,11 @@ def _check(argv: list[str]) -> int:
 
 
 def _run_checks(robot: RobotDescription, as_json: bool = False) -> int:
+    from surefoot.evaluation.trot_check import check_trot
     from surefoot.world.description_checks import run_description_checks
 
     console, results = make_console(), []
-    for result in run_description_checks(robot):
+    for result in chain(run_description_checks(robot), (check_trot(one) for one in [robot])):
         results.append(result)
         if not as_json:
             print_result(console, result)

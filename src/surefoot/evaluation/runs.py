@@ -21,6 +21,10 @@ from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
 
+SATURATION = 0.25
+"""Share of time at its limit from which a motor is said to limit a gait. A trotting leg stands for half of the time, so
+this is half of every stance; trots that have enough torque stay below .04."""
+
 
 def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd.DataFrame:
     """Measure one run or more in one world.
@@ -34,8 +38,8 @@ def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd
 
     Returns:
         a row a run with columns world, run, return, distance forward [m], mean speed [m/s] and mechanical power [W],
-        control steps, whether it fell, and whether it kept its balance to the end, which is
-        what the paper counts as a success. NaN for what was not measured.
+        control steps, whether it fell, whether it kept its balance to the end, which is what the paper counts as a
+        success, and the share of time for which the worst motor was at its limit. NaN for what was not measured.
 
     Raises:
         SurefootError: traces of several worlds.
@@ -57,6 +61,7 @@ def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd
                 "steps": trace.num_steps,
                 "fell": trace.fell,
                 "balanced": trace.meta["ended"] == "time",
+                "saturation": float(trace.motor_saturation.mean(axis=0).max()),
             }
         )
     return pd.DataFrame(rows)
@@ -99,13 +104,15 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         a dict that JSON can hold (None for NaN): episodes, falls, steps_mean, distance_mean (m), speed_mean and
         speed_std (m/s), power_mean (W), return_mean, return_std, drift_mean (m to either side), cost_of_transport_mean
         (of episodes that went forward), with commands rmse and rmse_stride by command, gait, and by leg name
-        duty_factor, phases (strides after front_left) and stance (s), world, policy.
+        duty_factor, phases (strides after front_left) and stance (s), by motor name saturation (share of time at the
+        motor's limit), world, policy.
 
     Raises:
         SurefootError: episodes of several worlds or policies.
     """
     runs, policy = measure_runs(traces), common_value(traces, "policy")
     feet = [analyze_footfalls(trace) for trace in traces]
+    saturation = np.concatenate([trace.motor_saturation for trace in traces]).mean(axis=0).tolist()
     gait = Counter(one.gait for one in feet).most_common(1)[0][0]
     feet = [one for one in feet if one.gait == gait]
     commanded = [trace for trace in traces if np.isfinite(trace.command).any()]
@@ -126,6 +133,7 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         "duty_factor": _by_leg(feet, "duty_factor"),
         "phases": _phases(feet),
         "stance": _by_leg(feet, "stance"),
+        "saturation": dict(zip(traces[0].meta["motor_names"], map(plain_value, saturation), strict=True)),
         "world": runs.world.iloc[0],
         "policy": policy,
         **(tracking.to_mapping() if tracking else {}),

@@ -58,7 +58,7 @@ class TraceMeta:
 LOG = "log"
 """World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
 time of their row, readings are taken right after, times may repeat, and everything but time and target may be NaN."""
-_OPTIONAL = ("command", "push_force_world", "reward")
+_OPTIONAL = ("command", "push_force_world", "reward", "motor_saturation")
 """Arrays that are not in the file where all is NaN."""
 _NO_ARRAYS = {"meta", "robot_archive"}
 # Arrays that may be NaN: a robot without motion capture or foot switches does not measure them.
@@ -118,6 +118,9 @@ class EpisodeTrace:
     reward: Array = field(default_factory=_absent)
     """(T,) reward of the control step by the task's own terms; all NaN where it is not known, as on a robot, and then
     not in the file."""
+    motor_saturation: Array = field(default_factory=_absent)
+    """(T, M) fraction of the control step's servo steps in which the motor was at its limit, 0 to 1: DC motors at full
+    duty, joint actuators at the torque that there is at their speed. NaN as above."""
     meta: dict[str, Any] = field(default_factory=dict)
     """The entries of `TraceMeta`, and others that JSON can hold."""
     robot_archive: bytes = b""
@@ -138,8 +141,9 @@ class EpisodeTrace:
             raise SurefootError("trace: time must be above 0 s at the first step and strictly increasing")
         if np.any(self.energy < 0.0):
             raise SurefootError(f"trace: energy {self.energy.min():.3g} J must be 0 or above: it sums |tau . qdot|")
-        if np.any((self.foot_contact < 0.0) | (self.foot_contact > 1.0)):
-            raise SurefootError("trace: foot_contact is a fraction of the control step: 0 to 1")
+        for name in ("foot_contact", "motor_saturation"):
+            if np.any((getattr(self, name) < 0.0) | (getattr(self, name) > 1.0)):
+                raise SurefootError(f"trace: {name} is a fraction of the control step: 0 to 1")
         norms = np.linalg.norm(self.base_quat_world, axis=1)
         if np.any(np.abs(norms - 1.0) > 1e-3):
             raise SurefootError("trace: base_quat_world must hold unit quaternions w, x, y, z (or NaN)")
@@ -226,6 +230,7 @@ def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict
         "command": (steps, 3),
         "push_force_world": (steps, 3),
         "reward": (steps,),
+        "motor_saturation": (steps, motors),
     }
 
 

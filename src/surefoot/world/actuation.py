@@ -49,6 +49,8 @@ RACK_HEIGHT = 1.0
 """Height [m] of the base on a rack."""
 SPEED_LIMIT = 1e5
 """A generalized speed beyond this [m/s, rad/s] counts as diverged, before an engine itself would complain."""
+_AT_LIMIT = 0.999
+"""Share of its greatest torque from which a constraint motor is at its limit: engines solve for torques."""
 SHARED_ARRAYS = ("table_current", "table_torque", "constants", "constraint", "joint", "joint_limits")
 """Arrays of `ActuationState` that have no row for each robot."""
 CONTACT = ("contact_friction", "contact_stiffness", "contact_spinning_friction", "contact_shear_ratio")
@@ -73,7 +75,7 @@ _ROBOTS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_f
 _MOTORS = (
     *("strength", "friction", "viscous", "kp", "kd", "load_friction", "target", "duty", "torque", "constraint_speed"),
     *("constraint_torque", "motor_torque", "heat", "overheated_time", "filtered_speed"),
-    *("max_torque", "presliding", "friction_stretch", "motor_offset"),
+    *("max_torque", "presliding", "friction_stretch", "motor_offset", "limit_ticks"),
 )
 """Arrays of `ActuationState` with a number for each motor."""
 IMU_WIDTH = 6
@@ -124,6 +126,7 @@ class ActuationState(NamedTuple):
     friction_stretch: Array  # (N, M) rad, of joint actuators that stick
     switched_off: NDArray[np.bool_]  # (N, M)
     contact_ticks: Array  # (N, L) servo steps with the foot on the ground since it was set to zero
+    limit_ticks: Array  # (N, M) servo steps with the motor at its limit since it was set to zero
 
 
 def new_actuation(robot: RobotDescription, num_envs: int, history: int, config: WorldConfig) -> ActuationState:
@@ -250,7 +253,11 @@ def compute_joint_torque(state: ActuationState, i: int) -> None:
         )
         full, none, hot_torque = state.joint_limits[:, m]
         limit = state.max_torque[i, m]
-        torque = joint_limit_kernel(desired + state.duty[i, m] * limit, speed, limit, full, none) * state.strength[i, m]
+        desired += state.duty[i, m] * limit
+        torque = joint_limit_kernel(desired, speed, limit, full, none)
+        if torque != desired:
+            state.limit_ticks[i, m] += 1.0
+        torque *= state.strength[i, m]
         torque = protect_motor(state, i, m, torque, hot_torque)
         power += torque * speed
         state.heat[i, m] += dt * HEAT_LOSS * full * torque * torque / limit
@@ -312,7 +319,9 @@ def compute_torque(state: ActuationState, i: int) -> None:
             state.kd[i, m],
         )
         duty += state.duty[i, m]
-        duty = 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
+        if abs(duty) >= 1.0:
+            state.limit_ticks[i, m] += 1.0
+            duty = math.copysign(1.0, duty)
         current = motor_current_kernel(
             duty, speed, state.voltage[i], state.torque_constant[i], state.resistance[i], voltage_clip
         )
@@ -336,6 +345,8 @@ def add_constraint_work(state: ActuationState, i: int) -> None:
     power = 0.0
     for m in range(motors):
         power += state.motor_torque[i, m] * state.sample[i, motors + m]
+        if abs(state.motor_torque[i, m]) >= _AT_LIMIT * state.constraint_torque[i, m]:
+            state.limit_ticks[i, m] += 1.0
     state.energy[i] += state.constants[3] * abs(power)
 
 

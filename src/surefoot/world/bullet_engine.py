@@ -112,6 +112,7 @@ class BulletEngine:
         actuation.energy[servo_steps > 0] = 0.0
         actuation.heat[servo_steps > 0] = 0.0
         actuation.contact_ticks[servo_steps > 0] = 0.0
+        actuation.limit_ticks[servo_steps > 0] = 0.0
         remaining = np.where(self.diverged, 0, servo_steps)
         rows = np.flatnonzero(remaining).tolist()
         constraint = bool(actuation.constraint[0])

@@ -62,6 +62,9 @@ class Truth:
     which are known by their limits, `HEAT_LOSS` says of what; 0 for constraint motors, which have no current."""
     foot_contact: Array
     """Fraction of the last control step's servo steps in which each foot touched the ground, (N, L)."""
+    motor_saturation: Array
+    """Fraction of these servo steps in which each motor was at its limit, (N, M): DC motors at full duty, joint
+    actuators at the torque that there is at their speed."""
     diverged: NDArray[np.bool_]
     """Robots whose state stopped being finite in the last control step; they wait for a reset, (N,)."""
 

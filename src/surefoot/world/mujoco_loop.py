@@ -180,6 +180,7 @@ def _run(
     state.energy[i] = 0.0
     state.heat[i] = 0.0
     state.contact_ticks[i] = 0.0
+    state.limit_ticks[i] = 0.0
     applied, data = doubles(native.qfrc_applied[i]), native.data[i]
     for _ in range(servo_steps):
         compute_torque(state, i)

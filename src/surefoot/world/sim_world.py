@@ -22,7 +22,7 @@ SETTLE_TIME = 0.5
 _NOISE_BLOCK = 256
 _ZERO_AT_START = (
     *("ticks", "duty", "torque", "motor_torque", "energy", "heat", "overheated_time", "switched_off", "contact_ticks"),
-    *("filtered_speed", "friction_stretch"),
+    *("limit_ticks", "filtered_speed", "friction_stretch"),
 )
 
 
@@ -197,6 +197,7 @@ class SimWorld:
             energy=self.actuation.energy.copy(),
             heat=self.actuation.heat.copy(),
             foot_contact=np.minimum(self.actuation.contact_ticks / ticks[:, None], 1.0),
+            motor_saturation=np.minimum(self.actuation.limit_ticks / ticks[:, None], 1.0),
             diverged=self._diverged.copy(),
         )
 

@@ -16,12 +16,15 @@ LEGS = ("front_left", "front_right", "back_left", "back_right")
 """Names of the legs, in order."""
 Knees = Literal["forward", "backward", "inward", "outward"]
 """Where knees point: all forward or backward, or front and back ones towards each other or apart."""
-_KNEE_SIGNS = {
+KNEE_SIGNS: dict[Knees, list[int]] = {
     "forward": [1, 1, 1, 1],
     "backward": [-1, -1, -1, -1],
     "inward": [-1, -1, 1, 1],
     "outward": [1, 1, -1, -1],
 }
+"""1 for each leg, in the order of `LEGS`, whose knee points forward, -1 backward."""
+_MIN_BEND = 0.1
+"""Bend [rad] of a knee from which a pose shows where it points."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,8 @@ class ImportedRobot:
     """Centres of the feet (4, 3) [m]."""
     foot_radius: Array
     """Radii of the feet (4,) [m]."""
+    poses: tuple[tuple[str, Array], ...] = ()
+    """Poses that the file or one beside it names: where from, and the knees' angles (4,) [rad], NaN where unknown."""
     notes: tuple[str, ...] = ()
     """What was guessed or left out."""
 
@@ -85,17 +90,29 @@ class ImportedRobot:
     @property
     def knee_bends(self) -> Array:
         """Ranges of the bends beta (4, 2) [rad] of the knees (see `serial_leg`); NaN without limits."""
+        limits = np.where(np.ptp(self.limits[:, -1:], axis=-1) <= 2 * math.pi, self.limits[:, -1], np.nan)
+        return np.sort(self._bends(limits.T).T)
+
+    def _bends(self, angles: Array) -> Array:
+        """Return the bends beta (..., 4) [rad] of the knees at angles (..., 4) [rad]."""
         upper, lower = np.arctan2(-self.links[..., 0], -self.links[..., 1])
         at_zero = (lower - upper + math.pi) % (2 * math.pi) - math.pi
-        limits = np.where(np.ptp(self.limits[:, -1:], axis=-1) <= 2 * math.pi, self.limits[:, -1], np.nan)
-        return np.sort(self.axes[:, -1, 1:2] * limits + at_zero[:, None])
+        bends: Array = self.axes[:, -1, 1] * angles + at_zero
+        return bends
 
-    def knee_signs(self, knees: Knees | None) -> tuple[list[int], bool]:
-        """Return 1 for each leg whose knee points forward, -1 backward; and whether that is certain.
+    def guess_knees(self) -> tuple[Knees, str, bool]:
+        """Return where knees point, what shows it, and whether that is a guess.
 
-        Without `knees`, the middles of the joints' ranges decide; knees whose limits do not show it point backward.
+        The middles of the joints' ranges decide, then a pose of the file's in which all knees are bent. If neither
+        shows it, names decide: robots with the joint names HAA, HFE, KFE (ANYmal, HyQ, Solo) have knees that point
+        inward, most others backward.
         """
-        if knees is not None:
-            return _KNEE_SIGNS[knees], True
-        middle = np.nan_to_num(self.knee_bends.mean(axis=1))
-        return np.where(middle >= 0.1, 1, -1).tolist(), bool((np.abs(middle) >= 0.1).all())
+        shown = [("the knees' limits", self.knee_bends.mean(axis=1))]
+        shown += [(source, self._bends(angles)) for source, angles in self.poses]
+        for source, bends in shown:
+            for knees, signs in KNEE_SIGNS.items():
+                if (bends * signs >= _MIN_BEND).all():
+                    return knees, source, False
+        if all("KFE" in leg[-1].upper() for leg in self.joints):
+            return "inward", "joints named KFE, as ANYmal's and Solo's, whose knees point inward", True
+        return "backward", "neither the knees' limits nor a pose in the file show it", True

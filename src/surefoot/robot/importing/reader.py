@@ -7,7 +7,7 @@ import itertools
 import math
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
 from surefoot.robot.importing.imported import ImportedRobot
+from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
 from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
 from surefoot.robot.urdf_file import attribute, read_inertia, read_number, read_xml
 
@@ -56,10 +57,20 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
             spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
         spec.compiler.discardvisual = True
         spec.compiler.fusestatic = False
+        keys = {key.name: list(key.qpos) for key in spec.keys}
         for key in list(spec.keys):
             spec.delete(key)
         model = spec.compile()
-    return _Reader(path, model, speeds, notes).read(forward)
+    poses = order_poses(itertools.chain(_keyframe_poses(keys, model), srdf_poses(path)))
+    return _Reader(path, model, speeds, poses, notes).read(forward)
+
+
+def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iterator[tuple[str, Pose]]:
+    """Yield the poses of an MJCF's keyframes, `qpos` by name."""
+    hinges = np.flatnonzero(model.jnt_type == mjtJoint.mjJNT_HINGE)
+    for name, qpos in keys.items():
+        if len(qpos) == model.nq:
+            yield f"keyframe '{name}'", {model.joint(k).name: qpos[model.jnt_qposadr[k]] for k in hinges}
 
 
 def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: list[str]) -> dict[str, float]:
@@ -140,8 +151,15 @@ class _Foot(NamedTuple):
 class _Reader:
     """Reader of a compiled model, at zero angles and with the base at the origin."""
 
-    def __init__(self, path: Path, model: mujoco.MjModel, speeds: dict[str, float], notes: list[str]) -> None:
-        self.path, self.model, self.speeds, self.notes = path, model, speeds, notes
+    def __init__(
+        self,
+        path: Path,
+        model: mujoco.MjModel,
+        speeds: dict[str, float],
+        poses: Sequence[tuple[str, Pose]],
+        notes: list[str],
+    ) -> None:
+        self.path, self.model, self.speeds, self.poses, self.notes = path, model, speeds, poses, notes
         self.data = mujoco.MjData(model)
         self.group = self._groups()
 
@@ -196,6 +214,7 @@ class _Reader:
             **self._hinges(chains),
             feet=np.array([foot.centre for foot in feet]),
             foot_radius=np.array([foot.radius for foot in feet]),
+            poses=tuple((source, np.array([pose.get(name, np.nan) for name in knees])) for source, pose in self.poses),
             notes=tuple(self.notes),
         )
 

@@ -15,7 +15,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, check_name, describe_os_errors
 from surefoot.files import atomic_write
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE
-from surefoot.robot.importing.imported import LEGS, ImportedRobot, Knees
+from surefoot.robot.importing.imported import KNEE_SIGNS, LEGS, ImportedRobot, Knees
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.sheet import GRAVITY
 from surefoot.robot.urdf import Joint, Link, Shape, Urdf
@@ -35,7 +35,7 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
         robot: the robot.
         folder: an empty or new one.
         name: name of the robot.
-        knees: where knees point; None: by the joints' limits.
+        knees: where knees point; None: what the file shows, see `ImportedRobot.guess_knees`.
 
     Returns:
         The guesses, a line each.
@@ -70,14 +70,15 @@ def _write(path: Path, text: str) -> None:
 
 def _sheet(robot: ImportedRobot, name: str, knees: Knees | None) -> str:
     """Return the text of a `robot.toml`."""
-    signs, certain = robot.knee_signs(knees)
+    guess, reason, uncertain = robot.guess_knees()
+    comment = f"{_GUESSED}{reason}" if uncertain and knees is None else ""
     legs = [
         f"""
 [legs.{leg}]
 motors = {json.dumps(joints)}
 foot = "{leg}_foot"
-knee = "{"forward" if sign > 0 else "backward"}"{"" if certain else f"{_GUESSED}the knees' limits do not show it"}"""
-        for leg, joints, sign in zip(LEGS, robot.joints, signs, strict=True)
+knee = "{"forward" if sign > 0 else "backward"}"{comment}"""
+        for leg, joints, sign in zip(LEGS, robot.joints, KNEE_SIGNS[knees or guess], strict=True)
     ]
     return f"""\
 # {name}: made from {robot.path.name}, whose {robot.forward} is forward. SI units, radians.

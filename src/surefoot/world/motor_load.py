@@ -1,0 +1,101 @@
+"""What a motion asks of motors, and what they have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from surefoot.actuator import motor_current, motor_torque
+from surefoot.actuator.motor import joint_limit_kernel
+from surefoot.arrays import Array
+from surefoot.robot import RobotDescription
+from surefoot.robot.actuator import DcMotorData, JointActuatorData
+from surefoot.world.interface import Truth, WorldConfig
+from surefoot.world.sim_world import SimWorld
+
+_UNLIMITED = 1e6
+"""Torque [N m] and speed [rad/s] that no motor reaches."""
+
+
+@dataclass(frozen=True)
+class MotorLoad:
+    """Motors over T control steps of a simulated robot with M motors."""
+
+    torque: Array
+    """At the end of each control step (T, M) [N m]."""
+    speed: Array
+    """At the end of each control step (T, M) [rad/s]."""
+    saturation: Array
+    """Share of each control step at the limit (T, M)."""
+    end: Truth
+    """The state at the end."""
+    finished: bool
+    """Whether the motion ran to its end: the robot neither tilted too far nor diverged."""
+
+
+def measure_load(
+    robot: RobotDescription, target: Callable[[float], Array], duration: float, config: WorldConfig, max_tilt: float
+) -> MotorLoad:
+    """Simulate a robot until `duration` [s], or until it tilts by more than `max_tilt` [rad] or diverges.
+
+    Args:
+        robot: what is simulated.
+        target: gives the motor angles (M,) or (1, M) [rad] to command at a time [s].
+        duration: how long.
+        config: of the simulated world.
+        max_tilt: greatest roll or pitch.
+
+    Raises:
+        SurefootError: a robot that does not settle.
+    """
+    world, rows, finished = SimWorld(robot, 1, config=config), [], True
+    for k in range(max(round(duration / robot.timing.control_step), 1)):
+        world.step(np.reshape(target(k * robot.timing.control_step), (1, -1)))
+        truth = world.truth()
+        rows.append((truth.motor_torque[0], truth.motor_velocity[0], truth.motor_saturation[0]))
+        if truth.diverged[0] or np.abs(truth.roll_pitch_yaw[0, :2]).max() > max_tilt:
+            finished = False
+            break
+    torque, speed, saturation = (np.array(column) for column in zip(*rows, strict=True))
+    return MotorLoad(torque, speed, saturation, truth, finished)
+
+
+def unlimited(robot: RobotDescription) -> RobotDescription:
+    """Return a robot whose joint actuators have any torque at any speed; DC motors stay as they are."""
+    if not isinstance(robot.actuator, JointActuatorData):
+        return robot
+    limits = {"torque_limit": _UNLIMITED, "full_torque_speed": _UNLIMITED, "speed_limit": 2 * _UNLIMITED}
+    return replace(robot, actuator=replace(robot.actuator, **limits))
+
+
+def available_torque(robot: RobotDescription, motor: int, speed: float = 0.0) -> float:
+    """Return the torque [N m] with which a motor can drive at a speed [rad/s]."""
+    data = robot.actuator
+    if isinstance(data, DcMotorData):
+        current = motor_current(1.0, abs(speed), data.voltage, data.torque_constant, data.resistance, data.voltage_clip)
+        return float(motor_torque(max(current, 0.0), 1.0, *robot.torque_table))
+    limit, full, none = (
+        float(np.broadcast_to(values, robot.num_motors)[motor])
+        for values in (data.torque_limit, data.full_torque_speed, data.speed_limit)
+    )
+    return float(joint_limit_kernel(math.inf, abs(speed), limit, full, none))
+
+
+def continuous_torque(robot: RobotDescription, motor: int) -> float:
+    """Return the torque [N m] that a motor can give for long; infinite, if the sheet does not say."""
+    torque = float(np.broadcast_to(robot.actuator.overheat_torque, robot.num_motors)[motor])
+    return torque if torque < _UNLIMITED else math.inf
+
+
+def describe_torque(robot: RobotDescription, motor: int, speed: float = 0.0) -> str:
+    """Return in words the torque that a motor has at rest, at a speed [rad/s], and for long."""
+    rest, moving, long = (
+        available_torque(robot, motor),
+        available_torque(robot, motor, speed),
+        continuous_torque(robot, motor),
+    )
+    at_speed = f", {moving:.3g} at {abs(speed):.2g} rad/s" if moving < 0.995 * rest else ""
+    return f"{rest:.3g} N m are there{at_speed}{f', {long:.3g} for long' if long < rest else ''}"
