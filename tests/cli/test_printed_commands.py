@@ -110,7 +110,6 @@ def test_other_commands_take_what_carries_its_robot(printed: object, folder: Pat
     for words in (
         ("evaluate", "--trace", folder / "my figures"),
         ("replay", folder / "my log.npz"),
-        ("sensitivity", run, "--episodes", "1", "--parameters", "contact_friction", "--values", "2"),
         ("play", run, "--duration", "0.1", "--out", tmp_path / "x.mp4"),
     ):
         done = surefoot(*words, cwd=tmp_path)
