@@ -78,7 +78,10 @@ def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) 
         (["--trace", "none"], "trace folder none does not exist"),
         (["--trace=none"], "trace folder none does not exist"),
         (["motor-figure", "--motor", "tail"], "motor 'tail' does not exist"),
-        (["motor-figure", "--out", "motor.pdf"], "must end in .png"),
+        (
+            ["motor-figure", "--out", "motor.pdf"],
+            "out motor.pdf: the name must end in .png or .csv, with one file of each",
+        ),
         (["motor-figure", "--frequency", "0"], "frequency is 0; it must be over 0"),
         (["motor-figure", "--log", "none.csv"], "none.csv: can't be read"),
         (["motor-figure", "--set", "mass=2"], "'mass' is not a physical parameter"),
@@ -363,7 +366,7 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
         blank = RobotLog(name, time, command, read, np.full((71, 12), np.nan), np.full((71, 4), np.nan))
         output = replayer.run(segment_from_log(blank, pupper), truth)
         np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=output.motor_angle[0])
-    refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick'; logs: fast, slow")
+    refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick', which is no log; choices: fast, slow")
     refused(identify("--trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
     how = ("--rack", "fast", "slow", "--hold-out", "fast", "--fit", "control_latency", "--out", out)
     done = identify(*words, *how, "--json")

@@ -15,6 +15,8 @@ onnx = pytest.importorskip("onnx")
 pytest.importorskip("rsl_rl")
 pytest.importorskip("mujoco")
 
+from torch import nn  # noqa: E402
+
 from surefoot.errors import SurefootError  # noqa: E402
 from surefoot.learn.config import PPOConfig, load_train_config  # noqa: E402
 from surefoot.learn.ppo_learner import PpoLearner  # noqa: E402
@@ -152,8 +154,8 @@ def test_feedback_that_is_not_finite_is_refused(policy_file: Path, tmp_path: Pat
 
 def test_a_network_that_could_not_be_loaded_is_not_written(learner: PpoLearner, tmp_path: Path, monkeypatch):
     monkeypatch.setattr("surefoot.policy.network.MAX_WIDTH", 15)
-    with pytest.raises(SurefootError, match=r"p\.onnx: constant 'weight_0' has shape \(16, 4\).*it is not written"):
-        export_policy(learner.policy, "elu", make_contract(learner.env), tmp_path / "p.onnx")
+    with pytest.raises(SurefootError, match=r"p\.onnx: constant 'constant_2' has shape \(16, 4\).*it is not written"):
+        learner.export(tmp_path / "p.onnx")
     assert not list(tmp_path.iterdir())
 
 
@@ -170,12 +172,78 @@ def test_a_failed_export_leaves_the_old_file(policy_file: Path, tmp_path: Path):
 
 
 def test_an_export_that_does_not_fit_is_refused(learner: PpoLearner, tmp_path: Path):
-    contract = make_contract(learner.env)
-    for activation, fitting, name, message in (
-        ("sine", contract, "p.onnx", "activation is 'sine'; choices: elu, relu"),
-        ("elu", replace(contract, history=2), "p.onnx", "takes 4 and gives 8; its contract says 8 and 8"),
-        ("elu", contract, "p.pt", "must end in .onnx"),
+    contract, network = make_contract(learner.env), nn.Linear(4, 8)
+    for module, fitting, name, message in (
+        (network, replace(contract, history=2), "p.onnx", r"can't take observations \(N, 8\)"),
+        (nn.Linear(4, 7), contract, "p.onnx", r"the network gives \(N, 7\) for \(N, 4\); its contract says \(N, 8\)"),
+        (network, contract, "p.pt", "must end in .onnx"),
+        (nn.Sequential(network, nn.GELU()), contract, "p.onnx", "operator gelu, .*allowed are linear layers, ELU"),
+        (nn.Sequential(nn.LayerNorm(4, eps=1e-3), network), contract, "p.onnx", "operator native_layer_norm"),
+        (Decides(), contract, "p.onnx", "can't take observations .*control flow"),
+        (nn.Sequential(network, MixesRows()), contract, "p.onnx", "operator mean"),
+        (Changes(), contract, "p.onnx", "would give other actions than the network"),
     ):
         with pytest.raises(SurefootError, match=message):
-            export_policy(learner.policy, activation, fitting, tmp_path / name)
+            export_policy(module, fitting, tmp_path / name)
     assert not list(tmp_path.iterdir())
+
+
+class Decides(nn.Module):
+    def forward(self, x: Any) -> Any:
+        return x.repeat(1, 2) if x.sum() > 0 else -x.repeat(1, 2)
+
+
+class MixesRows(nn.Module):
+    def forward(self, x: Any) -> Any:
+        return x - x.mean(dim=0)
+
+
+class Changes(nn.Module):
+    """Another network at each call."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer, self.calls = nn.Linear(4, 8), 0
+
+    def forward(self, x: Any) -> Any:
+        self.calls += 1
+        return self.layer(x) * self.calls
+
+
+class Normalizes(nn.Module):
+    """A normalizer with its numbers in buffers, written with functions."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.tensor([0.1, -0.2, 0.3, 0.0]))
+        self.register_buffer("variance", torch.tensor([1.0, 0.5, 2.0, 0.1]))
+
+    def forward(self, x: Any) -> Any:
+        return 1.0 - torch.clamp((x - self.mean) / torch.sqrt(self.variance + 1e-8), max=5.0)
+
+
+NETWORKS = {
+    "layer_norm": [nn.Linear(4, 16), nn.LayerNorm(16), nn.SiLU(), nn.Linear(16, 8)],
+    "batch_norm": [nn.Linear(4, 16), nn.BatchNorm1d(16), nn.ReLU(inplace=True), nn.Dropout(), nn.Linear(16, 8)],
+    "no_bias": [nn.Flatten(), nn.Linear(4, 16, bias=False), nn.LeakyReLU(0.2), nn.Linear(16, 8), nn.Tanh()],
+    "functions": [Normalizes(), nn.Linear(4, 16), nn.ELU(alpha=0.5), nn.Linear(16, 8), nn.Hardtanh(-0.5, 0.9)],
+    "selu": [nn.Linear(4, 16), nn.SELU(), nn.Linear(16, 16), nn.Sigmoid(), nn.Linear(16, 8)],
+}
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+@pytest.mark.parametrize("output", ["action", "feedback"])
+def test_any_module_gives_the_same_feedback_in_its_file(
+    name: str, output: str, learner: PpoLearner, tmp_path: Path, rng: np.random.Generator
+):
+    torch.manual_seed(3)
+    network = nn.Sequential(*NETWORKS[name])
+    observation = rng.normal(scale=3.0, size=(200, 4)).astype(np.float32)
+    network(torch.from_numpy(observation))  # batch norm has statistics of its own
+    path = export_policy(network, make_contract(learner.env), tmp_path / "p.onnx", output)
+    assert network.training
+    with torch.no_grad():
+        raw = network.eval()(torch.from_numpy(observation)).numpy()
+    expected = np.clip(raw, -0.25, 0.25) if output == "feedback" else learner.env.gait.feedback(raw)
+    assert np.ptp(expected) > 0.1
+    np.testing.assert_allclose(PolicyRuntime.load(path).feedback(observation), expected, rtol=0, atol=2e-6)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import runpy
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.npz import read_npz, write_npz
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import LOOKS, Appearance, Part
+from surefoot.robot.appearance import LOOKS, Appearance, Part, visual_shapes
 from surefoot.robot.urdf import Link, Shape, Urdf
 
 SOLO = RobotDescription.load("solo8")
@@ -57,18 +59,47 @@ def test_a_shape_is_a_closed_surface_in_its_frame(kind: str, size: tuple[float, 
 
 
 def test_a_robot_without_looks_has_the_parts_of_its_urdf():
-    robot = RobotDescription.load("minitaur")
+    robot = replace(RobotDescription.load("minitaur"), looks=None)
     visuals = [shape for link in robot.urdf.links.values() for shape in link.visuals]
     parts = robot.appearance().parts
     assert [part.link for part in parts] == [shape.link for shape in visuals]
     assert parts[0].color == tuple(value / 255 for value in visuals[0].color)
 
 
+@pytest.mark.parametrize("name", ["go2", "pupper_v2"])
+def test_hips_without_visuals_are_cylinders_between_the_joints(name: str):
+    robot = RobotDescription.load(name)
+    shapes, frames = visual_shapes(robot.urdf, robot.legs), robot.link_frames(robot.resting_angles)
+    for leg in robot.legs:
+        abduction, upper = (robot.urdf.joints[motor].child for motor in leg.motors[:2])
+        (hip,) = (shape for shape in shapes if shape.link == abduction)
+        assert np.allclose(hip.rotation @ hip.rotation.T, np.eye(3))
+        assert np.linalg.det(hip.rotation) == pytest.approx(1.0)
+        ends = [hip.position + side * hip.size[1] * hip.rotation[:, 2] for side in (-1.0, 1.0)]
+        places = [(frames[abduction] @ [*end, 1.0])[:3] for end in ends]
+        assert np.allclose(places, [frames[link][:3, 3] for link in (abduction, upper)], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", RobotDescription.available())
+def test_looks_of_robots_that_ship_are_those_of_their_script(name: str, tmp_path: Path) -> None:
+    script = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "looks.py"))
+    robot = RobotDescription.load(name)
+    script["appearance"](script["ROBOTS"][name]).save(tmp_path / LOOKS)
+    assert (tmp_path / LOOKS).read_bytes() == (robot.folder / LOOKS).read_bytes()
+    parts = robot.appearance().parts
+    # Feet reach the ground where the robot's sheet has them do so, to a millimetre.
+    frames = robot.link_frames(robot.resting_angles)
+    for leg in robot.legs:
+        points = np.concatenate([part.vertices for part in parts if part.link == leg.foot])
+        (shape,) = (shape for shape in robot.urdf.links[leg.foot].collisions if shape.kind == "sphere")
+        sole = (frames[leg.foot] @ [*shape.position, 1.0])[2] - shape.size[0]
+        lowest = (points @ frames[leg.foot][2, :3] + frames[leg.foot][2, 3]).min()
+        assert lowest == pytest.approx(sole, abs=1e-3)
+
+
 def write_looks(folder: Path, change: Callable[[dict[str, Any], dict[str, Any]], None] | None = None) -> Path:
     """Write a robot's folder with two parts, and change the arrays and meta of their file."""
     shutil.copytree(SOLO.folder, folder)
-    sheet = folder / "robot.toml"
-    sheet.write_text(f'looks = "{LOOKS}"\n{sheet.read_text()}')
     corners = np.array([(0, 0, 0), (0.3, 0, 0), (0, 0.2, 0), (0, 0, 0.1)], np.float32)
     faces = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], np.int32)
     parts = (
@@ -116,8 +147,8 @@ HOSTILE = {
     "a link that is a list": (lambda arrays, meta: meta.update(links=["base", [1]]), r"has a part on \[1\]"),
     "too few rows": (lambda arrays, meta: meta.update(links=["base"]), "must have one for each of 1 parts"),
     "a missing array": (lambda arrays, meta: arrays.pop("faces"), "has no array 'faces'"),
-    "floats": (replacer("faces", np.zeros((5, 3))), "has no array 'faces' of type u2 with 3 columns"),
-    "one dimension": (replacer("faces", np.zeros(15, np.uint16)), "has no array 'faces' of type u2"),
+    "floats": (replacer("faces", np.zeros((5, 3))), "has no array 'faces' of type u4 with 3 columns"),
+    "one dimension": (replacer("faces", np.zeros(15, np.uint32)), "has no array 'faces' of type u4"),
     "a wide array": (replacer("color", np.zeros((2, 4), np.uint8)), "has no array 'color'"),
     "counts over what is there": (setter("counts", (1, 0), 4), "does not sum to"),
     "counts that overflow": (setter("counts", slice(None), 0xFFFFFFFF), "does not sum to"),
@@ -128,7 +159,7 @@ HOSTILE = {
     "a negative span": (setter("span", (0, 0), -1), "a span is negative"),
     "too many triangles": (
         lambda arrays, meta: arrays.update(
-            faces=np.zeros((200_002, 3), np.uint16), counts=np.array([(4, 200_001), (3, 1)], np.uint32)
+            faces=np.zeros((200_002, 3), np.uint32), counts=np.array([(4, 200_001), (3, 1)], np.uint32)
         ),
         "has 200002 triangles; at most 200000",
     ),

@@ -2,6 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+from surefoot.errors import SurefootError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
 _EXTRAS = {
     "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas"),
     "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
@@ -10,6 +19,7 @@ _EXTRAS = {
     "tune": ("cma",),
     "bags": ("rosbags",),
     "page": ("viser", "websockets"),
+    "wandb": ("wandb",),
 }
 
 
@@ -23,3 +33,18 @@ def describe_missing(error: ModuleNotFoundError) -> str | None:
         if module in modules:
             return f"this needs {module}, which is not installed: pip install 'surefoot[{extra}]'"
     return None
+
+
+def report_missing_extras(function: Callable[P, T]) -> Callable[P, T]:
+    """Return a function that says which extra to install where a package is missing, as the commands do."""
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            return function(*args, **kwargs)
+        except ModuleNotFoundError as error:
+            if hint := describe_missing(error):
+                raise SurefootError(hint) from error
+            raise
+
+    return call

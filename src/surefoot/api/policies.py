@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +19,7 @@ from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription
 from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.task.config import TaskConfig
-from surefoot.task.contract_mapping import task_from_contract
+from surefoot.task.contract_mapping import plugin_notes, task_from_contract
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 
@@ -73,6 +74,8 @@ def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, Ro
     policy = PolicyRuntime.load(path)
     description = policy.load_robot(robot)
     check_policy(policy.contract, description)
+    for line in plugin_notes(policy.contract):
+        print(f"surefoot: {policy.contract.name}: {line}", file=sys.stderr)
     return policy, description
 
 

@@ -13,7 +13,7 @@ from rich.text import Text
 from surefoot.api.policies import find_policy, open_policy
 from surefoot.check_result import CheckResult
 from surefoot.cli.helpers.link_options import LinkOptions
-from surefoot.cli.helpers.options import Json, PolicyName, Port, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.options import Json, PluginNames, PolicyName, Port, Yes, ask_to_move, check_terminal
 from surefoot.cli.helpers.output import make_console, print_json
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
@@ -49,6 +49,7 @@ class DoctorCommand(LinkOptions):
     steps: Annotated[int, Within(10, 100_000)] = STEPS
     """Control steps and inferences that this computer is measured with."""
     json: Json = False
+    plugin: PluginNames = ()
 
 
 def main(argv: list[str]) -> int:

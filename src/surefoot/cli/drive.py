@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, RobotName, World
+from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PluginNames, PolicyName, RobotName, World
 from surefoot.cli.helpers.parsing import parse
 
 
@@ -20,6 +20,7 @@ class DriveCommand:
     """What steers in place of the page: a file (CSV: time, forward, sideways, yaw_rate), keyboard or gamepad at this
     terminal, or the number of a UDP port on this computer."""
     host: Host = None
+    plugin: PluginNames = ()
 
 
 def main(argv: list[str]) -> int:

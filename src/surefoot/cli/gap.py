@@ -13,6 +13,7 @@ from surefoot.api.simulator import with_duration
 from surefoot.cli.helpers.options import (
     Count,
     Json,
+    PluginNames,
     PolicyNames,
     Pushes,
     Repeated,
@@ -131,6 +132,7 @@ class GapCommand:
     """Folder for traces (.npz), tables (.csv) and the figure (.png)."""
     json: Json = False
     threads: Threads = 0
+    plugin: PluginNames = ()
 
 
 def main(argv: list[str]) -> int:

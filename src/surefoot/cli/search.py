@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from surefoot.cli.helpers.options import Ray, Seed, Workers, check_folder
+from surefoot.cli.helpers.options import PluginNames, Ray, Seed, Workers, check_folder
 from surefoot.cli.helpers.output import make_console
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
@@ -40,6 +40,7 @@ class SearchCommand:
     """YAML file of what is searched: fields of the training's configuration with their ranges or choices; the space
     that ships, if not given."""
     ray: Ray = None
+    plugin: PluginNames = ()
     out: Path | None = None
     """Folder for everything; searches/NAME if not given."""
     seed: Seed = 0

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from surefoot.cli.helpers.options import (
     Count,
     Json,
+    PluginNames,
     PolicyNames,
     Pushes,
     PushForce,
@@ -56,6 +57,7 @@ class SensitivityCommand:
     simulator: SimulatorOptions = Simulator()
     """Another simulator than the policies' own, as the nominal world."""
     threads: Threads = 0
+    plugin: PluginNames = ()
 
 
 def main(argv: list[str]) -> int:

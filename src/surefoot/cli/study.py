@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from surefoot.cli.helpers.options import Ray, Workers
+from surefoot.cli.helpers.options import PluginNames, Ray, Workers
 from surefoot.cli.helpers.output import make_console
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
@@ -38,6 +38,7 @@ class StudyCommand:
     given."""
     workers: Workers = 0
     ray: Ray = None
+    plugin: PluginNames = ()
     seeds: tuple[Seed, ...] = ()
     """Seeds in place of the file's."""
     steps: Steps | None = None

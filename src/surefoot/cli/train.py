@@ -10,16 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from surefoot.cli.helpers.options import PAGE_PORT, PagePort, Settings
+from surefoot.cli.helpers.options import PAGE_PORT, PagePort, PluginNames, Settings
 from surefoot.cli.helpers.output import make_console, next_command, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
 from surefoot.errors import SurefootError, choices, suggest
-from surefoot.learn.config import Steps, TrainConfig, load_train_config
+from surefoot.learn.config import LoggerName, Steps, TrainConfig, load_train_config
 from surefoot.robot import parse_settings
 from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
+from surefoot.task.plugins import load_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -52,18 +53,22 @@ def main(argv: list[str]) -> int:
     from surefoot.api.training import check_config
 
     check_config(config)
+    options = command.page, command.logger_name
     from surefoot.learn.run_folder import RunFolder
 
-    return _train(RunFolder.create(config, command.out), False, command.page)
+    return _train(RunFolder.create(config, command.out), False, *options)
 
 
 @dataclass(frozen=True)
-class PageOptions:
-    """Options for the page of a training."""
+class ViewOptions:
+    """Options for where a training is watched."""
 
+    logger: LoggerName = "tensorboard"
+    """Log to TensorBoard's files in the run folder; wandb: to Weights & Biases as well."""
     browser: bool = False
     """Show the newest policy on a page in the browser while it learns."""
     page_port: PagePort = PAGE_PORT
+    plugin: PluginNames = ()
 
     @property
     def page(self) -> int | None:
@@ -72,9 +77,16 @@ class PageOptions:
             import_module("viser")  # a missing package is reported before there is a run
         return self.page_port if self.browser else None
 
+    @property
+    def logger_name(self) -> LoggerName:
+        """The logger, whose package is there."""
+        if self.logger == "wandb":
+            import_module("wandb")  # as above
+        return self.logger
+
 
 @dataclass(frozen=True, kw_only=True)
-class ResumeCommand(PageOptions):
+class ResumeCommand(ViewOptions):
     """Resume a run exactly where it stopped; the run's own options hold."""
 
     resume: Path
@@ -84,7 +96,7 @@ class ResumeCommand(PageOptions):
 
 
 @dataclass(frozen=True)
-class TrainCommand(PageOptions, TrainConfig):
+class TrainCommand(ViewOptions, TrainConfig):
     """Learn a gait."""
 
     simulator: SimulatorOptions = Simulator()
@@ -100,7 +112,9 @@ class TrainCommand(PageOptions, TrainConfig):
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     """Return the configuration of the arguments, with the task's values as defaults, and the command."""
-    base = load_train_config(argv[0], _robot_name(argv))
+    # The defaults of the other options depend on these two.
+    load_plugins(_option_values(argv, "--plugin"))
+    base = load_train_config(argv[0], next(reversed(_option_values(argv, "--robot")), None))
     words, range_options = take_ranges(argv[1:])
     ranges = range_options.apply(base.task.robot, base.task.randomize)
     # Ranges have options of their own: tyro's would take any count of numbers.
@@ -113,13 +127,10 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
 
 
-def _robot_name(argv: list[str]) -> str | None:
-    """Return the value of `--robot`, on which the defaults of the other options depend; None without it."""
-    for word, after in zip(argv, [*argv[1:], ""], strict=True):
-        name, _, value = word.partition("=")
-        if name == "--robot":
-            return value or after
-    return None
+def _option_values(argv: list[str], option: str) -> list[str]:
+    """Return the values of an option, as often as it is given."""
+    pairs = [(*word.partition("="), after) for word, after in zip(argv, [*argv[1:], ""], strict=True)]
+    return [value or after for name, _, value, after in pairs if name == option]
 
 
 def _resume(command: ResumeCommand) -> int:
@@ -134,7 +145,7 @@ def _resume(command: ResumeCommand) -> int:
             if command.steps <= (done := folder.load()["steps"]):
                 raise SurefootError(f"steps is {command.steps}, and {folder.path} has done {done}; give more")
             set_steps(folder.path, command.steps)
-    return _train(folder, True, command.page)
+    return _train(folder, True, command.page, command.logger_name)
 
 
 def _print_next_commands(console: Console, folder: RunFolder) -> None:
@@ -146,7 +157,7 @@ def _print_next_commands(console: Console, folder: RunFolder) -> None:
         console.print(next_command("resume", "train", "--resume", folder.path))
 
 
-def _train(folder: RunFolder, resume: bool, page_port: int | None) -> int:
+def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: LoggerName) -> int:
     """Train in a run's folder, from its beginning or on from its last checkpoint; return the exit code."""
     from surefoot.api.episodes import print_summaries
     from surefoot.api.training import EPISODE, TrainingProgress, finish_run
@@ -165,7 +176,7 @@ def _train(folder: RunFolder, resume: bool, page_port: int | None) -> int:
         console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
 
     with folder_lock(folder.path):
-        loop = TrainingLoop(config, folder, find_world(config.world), resume=resume)
+        loop = TrainingLoop(config, folder, find_world(config.world), resume=resume, logger=logger)
         console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}")
         with ExitStack() as stack:
             progress = stack.enter_context(TrainingProgress(config, console, loop.learner.steps))

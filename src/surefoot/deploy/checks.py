@@ -12,7 +12,7 @@ from surefoot.deploy.messages import Handshake
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
-from surefoot.task.contract_mapping import task_from_contract
+from surefoot.task.contract_mapping import check_plugins, task_from_contract
 from surefoot.task.observation import PARTS, Observer
 
 Gains = float | Sequence[float] | Array
@@ -33,6 +33,7 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
     Raises:
         SurefootError: another robot, other motors, legs or observations, or a gait that the legs do not allow.
     """
+    check_plugins(contract)
     with prefix_errors(f"policy '{contract.name}' must not run on {robot.name}"):
         if contract.robot != robot.name:
             raise SurefootError(f"it is for robot '{contract.robot}'")

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -20,10 +21,15 @@ import numpy as np
 import torch
 
 from surefoot import __version__
-from surefoot.errors import SurefootError, describe_os_errors
+from surefoot.configuration import from_mapping, to_mapping
+from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors, quote
 from surefoot.files import atomic_write, read_configuration, read_json_lines
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.run_config import read_run_config, write_run_config
+from surefoot.policy.contract import PluginRecord
+from surefoot.task.observation import PARTS
+from surefoot.task.plugins import changed_plugins, used_plugins
+from surefoot.task.reward import TERMS
 
 FORMAT = 4
 _MAGIC = b"surefoot checkpoint 1\n"
@@ -90,6 +96,29 @@ def _git_revision() -> str | None:
     return result.stdout.strip() or None
 
 
+@dataclass(frozen=True)
+class _Plugins:
+    """Part of `run.json`."""
+
+    plugins: tuple[PluginRecord, ...] = ()
+
+
+def _check_plugins(path: Path, about: dict[str, Any]) -> None:
+    """Refuse a run with terms of a plug-in that is not registered; print a line if one has changed."""
+    with prefix_errors(path / "run.json"):
+        data = {"plugins": about.get("plugins", [])}
+        records = from_mapping(_Plugins, data).plugins
+    for record in records:
+        missing = [name for name in (*record.rewards, *record.observations) if name not in {**TERMS, **PARTS}]
+        if missing:
+            raise SurefootError(
+                f"{path}: was trained with {choices(map(quote, missing))} of a plug-in; name the file: "
+                f"--plugin {quote(record.name)}"
+            )
+    for line in changed_plugins(records):
+        print(f"surefoot: {line}", file=sys.stderr)
+
+
 class RunFolder:
     """The folder of one run: configuration, versions, figures, TensorBoard log, checkpoints and policy."""
 
@@ -136,6 +165,9 @@ class RunFolder:
             "command": ["surefoot", *sys.argv[1:]],
             "started": time.strftime(_TIME),
             "seed": config.seed,
+            "plugins": to_mapping(
+                used_plugins({**config.task.reward, **config.evaluation_reward}, config.task.observations)
+            ),
             "python": platform.python_version(),
             "packages": {name: metadata.version(name) for name in _PACKAGES},
             "machine": {"processor": platform.machine(), "cores": os.cpu_count()},
@@ -164,6 +196,7 @@ class RunFolder:
                 f"{path}: is of run format {format_}, by surefoot {about.get('surefoot')}; "
                 f"this is surefoot {__version__}, which reads format {FORMAT}"
             )
+        _check_plugins(path, about)
         return cls(path), read_run_config(path)
 
     def save(self, state: dict[str, Any]) -> None:

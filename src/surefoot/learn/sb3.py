@@ -7,9 +7,12 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+import torch
 from gymnasium import Wrapper
 from numpy.typing import NDArray
+from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import VecEnv
+from torch import nn
 
 from surefoot.errors import SurefootError
 from surefoot.task.env import LocomotionEnv
@@ -88,3 +91,47 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
     def env_is_wrapped(self, wrapper_class: type[Wrapper], indices: Indices = None) -> list[bool]:
         """Return False for every robot: none is wrapped."""
         return [False] * self._count(indices)
+
+
+class Actor(nn.Module):
+    """The deterministic actor of a model, raw observations (N, O) to actions (N, A), with its normalizer.
+
+    Args:
+        model: PPO, A2C, SAC, TD3 or DDPG; statistics are those of its `VecNormalize`, if it has one.
+
+    Raises:
+        SurefootError: a model of another kind.
+    """
+
+    def __init__(self, model: Any) -> None:
+        super().__init__()
+        self.mean: torch.Tensor
+        self.scale: torch.Tensor
+        self.policy = getattr(model, "policy", None)
+        self.is_actor_critic = isinstance(self.policy, ActorCriticPolicy)
+        if not self.is_actor_critic and not hasattr(self.policy, "actor"):
+            raise SurefootError(
+                f"model is a {type(model).__name__}; it must be a torch module, or PPO, A2C, SAC, TD3 or DDPG of "
+                "Stable-Baselines3"
+            )
+        normalizer = model.get_vec_normalize_env()
+        self.clip = None
+        if normalizer is not None and normalizer.norm_obs:
+            statistics, self.clip = normalizer.obs_rms, float(normalizer.clip_obs)
+            scale = np.sqrt(statistics.var + normalizer.epsilon)
+            self.register_buffer("mean", torch.tensor(statistics.mean, dtype=torch.float32))
+            self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """Return the actions, which may lie outside of [-1, 1]."""
+        policy: Any = self.policy
+        if self.clip is not None:
+            observation = torch.clamp((observation - self.mean) / self.scale, -self.clip, self.clip)
+        if self.is_actor_critic:
+            features = policy.extract_features(observation, policy.pi_features_extractor)
+            mean: torch.Tensor = policy.action_net(policy.mlp_extractor.forward_actor(features))
+            return torch.tanh(mean) if policy.squash_output else mean
+        if hasattr(policy.actor, "get_action_dist_params"):
+            return torch.tanh(policy.actor.get_action_dist_params(observation)[0])
+        action: torch.Tensor = policy.actor(observation)
+        return action

@@ -18,6 +18,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, SerialLegs
 from surefoot.task.commands import CommandState
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.observation import PARTS
 
 _FLIPPED = (
     *("roll", "roll_rate", "yaw", "yaw_rate", "velocity_y", "push_y", "imu_bias.roll"),
@@ -53,7 +54,10 @@ def mirror_motors(robot: RobotDescription) -> dict[str, tuple[str, float]]:
 
 
 def mirror_columns(
-    columns: Sequence[str], half_period: bool = False, motors: Mapping[str, tuple[str, float]] | None = None
+    columns: Sequence[str],
+    half_period: bool = False,
+    motors: Mapping[str, tuple[str, float]] | None = None,
+    more_flipped: Sequence[str] = (),
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Return each column's source column in the mirror image, and its sign; (C,) each.
 
@@ -61,6 +65,7 @@ def mirror_columns(
         columns: their names.
         half_period: whether the mirrored reference gait is the reference half a period later.
         motors: as of `mirror_motors`, for columns NAME.MOTOR.
+        more_flipped: columns of plug-ins that change their sign.
 
     Raises:
         SurefootError: a column without a counterpart.
@@ -78,7 +83,7 @@ def mirror_columns(
         raise SurefootError(
             f"symmetry: column {error} has no counterpart; legs must be called left and right"
         ) from None
-    flipped = _FLIPPED + _PHASE if half_period else _FLIPPED
+    flipped = {*_FLIPPED, *more_flipped, *(_PHASE if half_period else ())}
     sign = [-1.0 if name in flipped else 1.0 for name in columns]
     for place, name in enumerate(columns):
         prefix, _, motor = name.partition(".")
@@ -130,8 +135,9 @@ class MirrorSamples:
             "actions": (env.gait.action_names, 1),
         }
         self._mirrors, motors = {}, mirror_motors(env.robot)
+        flipped = [column for name in env.observer.names for column in PARTS[name].flipped]
         for group, (names, times) in columns.items():
-            source, sign = mirror_columns(names, half_period, motors)
+            source, sign = mirror_columns(names, half_period, motors, flipped)
             sources = np.concatenate([source + k * len(names) for k in range(times)])
             self._mirrors[group] = (torch.from_numpy(sources), torch.from_numpy(np.tile(sign, times)))
 

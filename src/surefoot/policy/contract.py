@@ -36,6 +36,20 @@ class ObservationPart:
 
 
 @dataclass(frozen=True)
+class PluginRecord:
+    """A plug-in whose terms a policy uses."""
+
+    name: str
+    """Name of its file, or of its entry point."""
+    sha256: str
+    """Digest of its source."""
+    rewards: tuple[str, ...]
+    """Reward terms of the policy's task that are its."""
+    observations: tuple[str, ...]
+    """Observations of the policy that are its."""
+
+
+@dataclass(frozen=True)
 class Contract:
     """What a policy needs to run on a robot. Written as JSON at full precision. Each fact stands in one place.
 
@@ -90,6 +104,8 @@ class Contract:
     """Figures of the run that made the policy."""
     commands: CommandLimits | None = None
     """Limits of the commands that the policy follows; None: it follows none."""
+    plugins: tuple[PluginRecord, ...] = ()
+    """Plug-ins whose terms it uses. The observations must be there to run it, the reward terms need not."""
     version: str = ""
     """Version of surefoot that wrote it."""
     created: str = ""
@@ -122,6 +138,8 @@ class Contract:
     def to_json(self) -> str:
         """Return the contract as JSON; `from_json` returns an equal contract."""
         data = {"kind": KIND, "schema": SCHEMA, **to_mapping(self)}
+        if not self.plugins:
+            del data["plugins"]  # so that earlier versions read it
         return json.dumps(data, ensure_ascii=False, allow_nan=False)
 
     @classmethod

@@ -1,104 +1,96 @@
-"""A trained actor as one ONNX file: normalizer, network, squashing, bounds, contract and digest in it."""
+"""A policy as one ONNX file: normalizer, network, bounds, contract and digest in it."""
 
 from __future__ import annotations
 
 import base64
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import onnx
-from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
+import torch
+from onnx import TensorProto, helper
 
-from surefoot.errors import SurefootError, suggest
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError
 from surefoot.files import atomic_write
 from surefoot.policy.contract import METADATA_KEY, Contract
 from surefoot.policy.digest import ROBOT_KEY, add_digest, read_parts
 from surefoot.policy.network import INPUT, OPSET, OUTPUT, check_network
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.policy.torch_graph import Graph, trace_module
+
+if TYPE_CHECKING:
+    from torch import nn
 
 IR_VERSION = 8
-ACTIVATIONS = {"elu": "Elu", "relu": "Relu", "tanh": "Tanh", "selu": "Selu", "swish": "swish"}
-
-Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
-
-
-class _Graph:
-    """Nodes and constants of a graph; `value` is the name of the last result."""
-
-    def __init__(self) -> None:
-        self.nodes: list[onnx.NodeProto] = []
-        self.constants: list[onnx.TensorProto] = []
-        self.value = INPUT
-
-    def constant(self, name: str, array: Any) -> str:
-        self.constants.append(numpy_helper.from_array(np.asarray(array, np.float32), name))
-        return name
-
-    def apply(self, kind: str, *others: str, result: str = "", **attributes: Any) -> None:
-        """Apply an operator to the last result and other values."""
-        result = result or f"{kind.lower()}_{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, [self.value, *others], [result], **attributes))
-        self.value = result
-
-    def activate(self, activation: str) -> None:
-        before = self.value
-        if activation == "swish":
-            self.apply("Sigmoid")
-            self.apply("Mul", before)
-        else:
-            self.apply(ACTIVATIONS[activation])
+_SAMPLES = 64
+_TOLERANCE = 1e-4
+"""Greatest difference between network and file, in half widths of the bounds."""
 
 
-def build_model(
-    layers: list[Layer],
-    mean: NDArray[np.float32],
-    scale: NDArray[np.float32],
-    activation: str,
+def export_policy(
+    network: nn.Module,
     contract: Contract,
+    path: str | Path,
+    output: Literal["action", "feedback"] = "action",
     robot: bytes = b"",
-) -> onnx.ModelProto:
-    """Return the ONNX model of a multilayer perceptron.
+) -> Path:
+    """Write a network as a policy file; the file appears whole or not at all.
 
-    feedback = low + (clip(mlp((observation - mean) / scale), -1, 1) + 1) / 2 (high - low)
+    With a = clip(network(observation), -1, 1) the file computes feedback = low + (a + 1) / 2 (high - low). With an
+    output of feedback it computes clip(network(observation), low, high).
 
     Args:
-        layers: weight (out, in) and bias (out,) of each layer; the activation stands between two of them.
-        mean: subtracted from the observation, (O * history,), raw SI units.
-        scale: divisor of the observation, (O * history,).
-        activation: one of `ACTIVATIONS`.
-        contract: written into the metadata; its bounds are constants of the graph.
-        robot: archive of a robot that does not ship, written beside it.
+        network: takes raw observations (N, O * history) in SI units as 32-bit numbers; gives (N, A).
+        contract: the policy's; its bounds are constants of the file.
+        path: .onnx to write.
+        output: what the network gives: actions, as environments take them, or feedback in leg space.
+        robot: archive of a robot that does not ship (`RobotDescription.archive`), which the file is to carry.
 
     Raises:
-        SurefootError: an unknown activation, or layers that do not fit the contract.
+        SurefootError: another ending, a network that does not fit its contract or can't be written, or numbers that
+            are not finite.
     """
-    if activation not in ACTIVATIONS:
-        raise SurefootError(f"activation is '{activation}'; {suggest(activation, ACTIVATIONS)}")
-    inputs, outputs = contract.width, len(contract.action_names)
-    widths = (layers[0][0].shape[1], layers[-1][0].shape[0])
-    if widths != (inputs, outputs):
-        raise SurefootError(
-            f"the network takes {widths[0]} and gives {widths[1]}; its contract says {inputs} and {outputs}"
-        )
+    path = Path(path)
+    if path.suffix != ".onnx":
+        raise SurefootError(f"policy file {path}: the name must end in .onnx")
+    modes = {module: module.training for module in network.modules()}
+    network.eval()
+    try:
+        data = _build_model(network, contract, output, robot)
+        check_network(read_parts(data).graph)
+        signed = add_digest(data)
+        _compare(network, PolicyRuntime.parse(signed), output)
+    except SurefootError as error:
+        raise SurefootError(f"policy file {path}: {error}; it is not written") from error
+    finally:
+        for module, mode in modes.items():
+            module.training = mode
+    path.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(path, signed)
+    return path
+
+
+def _build_model(network: nn.Module, contract: Contract, output: str, robot: bytes) -> bytes:
+    """Return the ONNX model of a network, without digest."""
     low, high = np.array(contract.low), np.array(contract.high)
-    graph = _Graph()
-    graph.apply("Sub", graph.constant("observation_mean", np.reshape(mean, (1, inputs))))
-    graph.apply("Div", graph.constant("observation_scale", np.reshape(scale, (1, inputs))))
-    for index, (weight, bias) in enumerate(layers):
-        if index:
-            graph.activate(activation)
-        names = (graph.constant(f"weight_{index}", weight), graph.constant(f"bias_{index}", bias))
-        graph.apply("Gemm", *names, transB=1)
-    graph.apply("Clip", graph.constant("minus_one", -1.0), graph.constant("one", 1.0))
-    graph.apply("Mul", graph.constant("half_width", (high - low)[None] / 2))
-    graph.apply("Add", graph.constant("middle", (high + low)[None] / 2), result=OUTPUT)
+    half, middle = (high - low)[None] / 2, (high + low)[None] / 2
+    graph = Graph()
+    value = trace_module(network, graph, INPUT, contract.width, len(contract.action_names))
+    offset = graph.constant(middle, "middle")
+    if output == "feedback":
+        value = graph.apply("Sub", value, offset)
+        value = graph.apply("Div", value, graph.constant(np.where(half > 0, half, 1.0)))
+    value = graph.apply("Clip", value, graph.constant(-1.0, "minus_one"), graph.constant(1.0, "one"))
+    value = graph.apply("Mul", value, graph.constant(half, "half_width"))
+    graph.apply("Add", value, offset, result=OUTPUT)
     model = helper.make_model(
         helper.make_graph(
             graph.nodes,
             "policy",
-            [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["N", inputs])],
-            [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["N", outputs])],
+            [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["N", contract.width])],
+            [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["N", len(contract.action_names)])],
             graph.constants,
         ),
         opset_imports=[helper.make_opsetid("", OPSET)],
@@ -111,42 +103,21 @@ def build_model(
         properties[ROBOT_KEY] = base64.b64encode(robot).decode()
     helper.set_model_props(model, properties)
     onnx.checker.check_model(model, full_check=True)
-    return model
+    data: bytes = model.SerializeToString()
+    return data
 
 
-def export_policy(actor: Any, activation: str, contract: Contract, path: str | Path, robot: bytes = b"") -> Path:
-    """Write an actor as a policy file; the file appears whole or not at all.
-
-    Args:
-        actor: rsl_rl's `MLPModel`; its deterministic output is the action in [-1, 1].
-        activation: of its hidden layers, one of `ACTIVATIONS`.
-        contract: the policy's.
-        path: .onnx to write.
-        robot: archive of a robot that does not ship (`RobotDescription.archive`), which the file is to carry.
-
-    Raises:
-        SurefootError: another ending, or an actor that does not fit its contract or is not finite.
-    """
-    path = Path(path)
-    if path.suffix != ".onnx":
-        raise SurefootError(f"policy file {path}: the name must end in .onnx")
-    linear = [layer for layer in actor.mlp if hasattr(layer, "weight")]
-    layers = [(_array(layer.weight), _array(layer.bias)) for layer in linear]
-    width = layers[0][0].shape[1]
-    mean, scale = np.zeros(width, np.float32), np.ones(width, np.float32)
-    if hasattr(actor.obs_normalizer, "_mean"):
-        normalizer = actor.obs_normalizer
-        mean, scale = _array(normalizer._mean)[0], _array(normalizer._std)[0] + np.float32(normalizer.eps)
-    data = build_model(layers, mean, scale, activation, contract, robot).SerializeToString()
-    try:
-        check_network(read_parts(data).graph)
-    except SurefootError as error:
-        raise SurefootError(f"policy file {path}: {error}; it is not written") from error
-    path.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(path, add_digest(data))
-    return path
-
-
-def _array(tensor: Any) -> NDArray[np.float32]:
-    array: NDArray[np.float32] = tensor.detach().cpu().numpy().astype(np.float32)
-    return array
+def _compare(network: nn.Module, policy: PolicyRuntime, output: str) -> None:
+    """Refuse a file that computes something else than its network, for example of one that mixes rows."""
+    low, high = np.array(policy.contract.low), np.array(policy.contract.high)
+    observation = np.random.default_rng(0).normal(size=(_SAMPLES, policy.contract.width)).astype(np.float32)
+    device = next((one.device for one in network.parameters()), torch.device("cpu"))
+    with torch.no_grad():
+        raw: Array = network(torch.from_numpy(observation).to(device)).cpu().numpy()
+    expected = np.clip(raw, low, high) if output == "feedback" else low + (np.clip(raw, -1, 1) + 1) / 2 * (high - low)
+    difference = np.abs(policy.feedback(observation) - expected) / np.where(high > low, (high - low) / 2, 1.0)
+    if not difference.max() <= _TOLERANCE:
+        raise SurefootError(
+            f"the file would give other actions than the network, by up to {difference.max():.2g}: does it mix the "
+            "robots of a batch, or change from call to call?"
+        )

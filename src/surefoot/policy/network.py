@@ -20,6 +20,7 @@ INPUT, OUTPUT = "observation", "feedback"
 OPERATORS = {
     **{"Sub": 2, "Div": 2, "Mul": 2, "Add": 2, "Gemm": 3, "Clip": 3},
     **{"Elu": 1, "Relu": 1, "Tanh": 1, "Selu": 1, "Sigmoid": 1},
+    "LayerNormalization": 3,
 }
 """Operators that a network may have, and how many inputs each takes."""
 MAX_BYTES = 64 * 2**20
@@ -27,6 +28,8 @@ MAX_BYTES = 64 * 2**20
 MAX_NODES = 128
 MAX_WIDTH = 16384
 """Rows or columns of a constant."""
+_CONSTANT_OPERANDS = ("Gemm", "LayerNormalization")
+"""Operators that take constants besides their first input."""
 _GRAPH = {1: MANY, 2: BYTES, 5: MANY, 11: MANY, 12: MANY}
 _NODE = {1: MANY, 2: MANY, 3: BYTES, 4: BYTES, 5: MANY}
 _ATTRIBUTE = {1: BYTES, 3: NUMBER, 20: NUMBER}
@@ -88,7 +91,7 @@ def _node(node: bytes, shapes: dict[bytes, tuple[int, ...]], results: set[bytes]
         raise SurefootError(f"its network has a {kind} that surefoot could not have written: see its inputs")
     weights = inputs[1:2] if kind == "Gemm" else []
     for name in inputs[1:]:
-        if name not in shapes and (name not in results or kind == "Gemm"):
+        if name not in shapes and (name not in results or kind in _CONSTANT_OPERANDS):
             raise SurefootError(f"its network has a {kind} of {_quoted(name)}, which is not a value that it can take")
         # More than one row beside the batch would make the result as large as both together.
         if math.prod(shapes.get(name, ())[:-1]) > 1 and name not in weights:

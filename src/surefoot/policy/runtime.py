@@ -44,26 +44,35 @@ class PolicyRuntime:
         with describe_os_errors(f"policy file {path}"), path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
         with prefix_errors(f"policy file {path}"):
-            if not data:
-                raise SurefootError("is empty; a policy is an ONNX file that surefoot exported")
-            try:
-                # Nothing of a file is run before all of this has passed.
-                parts = check_digest(data)
-                check_network(parts.graph)
-                contract = Contract.from_json(parts.contract.decode())
-            except (UnicodeDecodeError, OverflowError, RecursionError) as error:
-                raise SurefootError(str(error)) from error
-            try:
-                with stdout_to_stderr():
-                    session = onnxruntime.InferenceSession(data, _options(), providers=["CPUExecutionProvider"])
-            except Exception as error:  # onnxruntime's errors have no common class of their own.
-                reason = " ".join(str(error).split()).rsplit(" : ", 1)[-1]
-                raise SurefootError(f"is damaged or not ONNX: {reason}") from error
-            _check_tensor("input", session.get_inputs(), INPUT, contract.width)
-            _check_tensor("output", session.get_outputs(), OUTPUT, len(contract.action_names))
-            robot = parts.robot_archive()
-            if not robot and not contract.description:
-                raise SurefootError(f"lacks its robot '{contract.robot}', which does not ship; export it again")
+            return cls.parse(data)
+
+    @classmethod
+    def parse(cls, data: bytes) -> PolicyRuntime:
+        """Check the bytes of a policy file and load them.
+
+        Raises:
+            SurefootError: as `load`.
+        """
+        if not data:
+            raise SurefootError("is empty; a policy is an ONNX file that surefoot exported")
+        try:
+            # Nothing of a file is run before all of this has passed.
+            parts = check_digest(data)
+            check_network(parts.graph)
+            contract = Contract.from_json(parts.contract.decode())
+        except (UnicodeDecodeError, OverflowError, RecursionError) as error:
+            raise SurefootError(str(error)) from error
+        try:
+            with stdout_to_stderr():
+                session = onnxruntime.InferenceSession(data, _options(), providers=["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime's errors have no common class of their own.
+            reason = " ".join(str(error).split()).rsplit(" : ", 1)[-1]
+            raise SurefootError(f"is damaged or not ONNX: {reason}") from error
+        _check_tensor("input", session.get_inputs(), INPUT, contract.width)
+        _check_tensor("output", session.get_outputs(), OUTPUT, len(contract.action_names))
+        robot = parts.robot_archive()
+        if not robot and not contract.description:
+            raise SurefootError(f"lacks its robot '{contract.robot}', which does not ship; export it again")
         return cls(session, contract, robot)
 
     def load_robot(self, robot: str | None = None) -> RobotDescription:

@@ -37,7 +37,7 @@ _SEGMENTS = 20
 _HIP = 0.35
 """Radius of a hip that is drawn, over its length."""
 _ARRAYS = {"counts": ("u4", 2), "color": ("u1", 3), "low": ("f4", 3), "span": ("f4", 3)}
-_POINT_ARRAYS = {"vertices": ("u2", 3), "faces": ("u2", 3)}
+_POINT_ARRAYS = {"vertices": ("u2", 3), "faces": ("u4", 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Part:
 
     link: str
     vertices: NDArray[np.float32]
-    """Places (V, 3) in the link's frame [m]; at most 65536."""
+    """Places (V, 3) in the link's frame [m]."""
     faces: NDArray[np.int32]
     """Indices (F, 3) of vertices, counter-clockwise seen from outside."""
     color: tuple[float, float, float]
@@ -95,7 +95,7 @@ class Appearance:
             "low": low,
             "span": span,
             "vertices": np.concatenate(vertices),
-            "faces": np.concatenate([part.faces for part in self.parts]).astype(np.uint16),
+            "faces": np.concatenate([part.faces for part in self.parts]).astype(np.uint32),
         }
         write_npz(path, arrays, {"links": [part.link for part in self.parts]})
 

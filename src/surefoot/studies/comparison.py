@@ -46,9 +46,11 @@ def learning_curve(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
 
     Returns:
         control steps so far, mean return [m] and speed [m/s] of the episodes that ended, the share that fell [%] (NaN
-        where none ended), and how many ended (`episodes`).
+        where none ended), and how many ended (`episodes`); of a task with commands, their errors by name too.
     """
     log = pd.DataFrame(rows, columns=["steps", "return_mean", "speed_mean", "falls", "episodes"]).astype(np.float64)
+    if rows[0].get("rmse"):
+        log = log.join(pd.DataFrame([row["rmse"] for row in rows], dtype=np.float64))
     log["falls"] *= 100 / log.episodes.where(log.episodes > 0)
     return log.rename(columns={"return_mean": "return", "speed_mean": "speed"})
 

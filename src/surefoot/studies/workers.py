@@ -15,12 +15,13 @@ import re
 import shutil
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.studies.training import Training
+from surefoot.task.plugins import Plugin, register_plugin, registered_plugins
 
 if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
@@ -75,11 +76,14 @@ class Worker:
 
     Args:
         folder: the folder that paths count from.
+        plugins: plug-ins whose terms the trainings use.
     """
 
-    def __init__(self, folder: str) -> None:
+    def __init__(self, folder: str, plugins: Sequence[Plugin] = ()) -> None:
         os.makedirs(folder, exist_ok=True)
         os.chdir(folder)
+        for plugin in plugins:
+            register_plugin(plugin)
         self._lock = contextlib.ExitStack()
         self._loop: TrainingLoop | None = None
 
@@ -282,7 +286,7 @@ def run_trainings(
                 idle.clear()
                 break
             is_new = not idle
-            worker = make_worker.remote(os.getcwd()) if is_new else idle.pop()
+            worker = make_worker.remote(os.getcwd(), registered_plugins()) if is_new else idle.pop()
             tries[training.name] = tries.get(training.name, 0) + 1
             running[worker.begin.remote(training)] = _Job(training, worker, is_new)
             change(training, "started")

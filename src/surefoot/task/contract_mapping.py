@@ -14,7 +14,7 @@ import numpy as np
 
 from surefoot import __version__
 from surefoot.configuration import from_mapping, to_mapping
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, quote
 from surefoot.policy.contract import ASSUMED_PARAMS, Contract, ObservationPart, config_hash
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.commands import COMMANDS
@@ -22,7 +22,10 @@ from surefoot.robot.params_file import ParamValue, param_values
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.gait import ActionKind, action_names
+from surefoot.task.observation import PARTS
+from surefoot.task.plugins import changed_plugins, used_plugins
 from surefoot.task.reference import ReferenceConfig
+from surefoot.task.reward import TERMS
 
 if TYPE_CHECKING:
     from surefoot.task.env import LocomotionEnv
@@ -72,6 +75,7 @@ def make_contract(
         config_hash=config_hash(_without_path(to_mapping(config), robot)),
         figures=dict(figures or {}),
         commands=task.commands.limits(robot),
+        plugins=used_plugins(task.reward, task.observations),
         version=__version__,
         created=created,
     )
@@ -94,6 +98,48 @@ def _task_mapping(task: TaskConfig) -> dict[str, Any]:
     return data
 
 
+def check_plugins(contract: Contract) -> None:
+    """Refuse a policy with an observation of a plug-in that is not registered."""
+    for record in contract.plugins:
+        if missing := [name for name in record.observations if name not in PARTS]:
+            raise SurefootError(
+                f"policy {quote(contract.name)} needs observation {choices(map(quote, missing))} of a plug-in; "
+                f"name the file: --plugin {quote(record.name)}"
+            )
+
+
+def plugin_notes(contract: Contract) -> list[str]:
+    """Return a line for each plug-in of a policy that has changed, and one for reward terms that are skipped."""
+    notes = changed_plugins(contract.plugins)
+    if skipped := _skipped_rewards(contract):
+        names = choices(quote(record.name) for record in contract.plugins)
+        what = (
+            "are without"
+            if skipped < {*contract.task.get("reward", {})}
+            else "are those of the paper's reward, without"
+        )
+        notes.append(
+            f"returns {what} {choices(map(quote, sorted(skipped)))}; to have them, name the plug-in: --plugin {names}"
+        )
+    return notes
+
+
+def _skipped_rewards(contract: Contract) -> set[str]:
+    """Return the reward terms of plug-ins that are not registered."""
+    return {name for record in contract.plugins for name in record.rewards if name not in TERMS}
+
+
+def _task_without_skipped(contract: Contract) -> dict[str, Any]:
+    """Return the task's table without the reward terms of plug-ins that are not registered."""
+    skipped, task = _skipped_rewards(contract), dict(contract.task)
+    for key in ("reward", "reward_limits") if skipped else ():
+        if isinstance(table := task.get(key), Mapping):
+            task[key] = {name: value for name, value in table.items() if name not in skipped}
+    if skipped and not task.get("reward"):
+        task.pop("reward", None)
+    return task
+
+
 def task_from_contract(contract: Contract, robot: RobotDescription | None = None) -> TaskConfig:
     """Return the task that a policy was made for.
 
@@ -104,6 +150,7 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
     Raises:
         SurefootError: a key that contracts do not have, or values that do not fit the robot.
     """
+    check_plugins(contract)
     robot = robot or RobotDescription.load(contract.description)
     keys = {f"task.{key}" for key in contract.task}
     for table in ("commands", "params"):
@@ -111,7 +158,7 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
             keys |= {f"task.{table}.{key}" for key in values}
     if stated := keys & _STATED_KEYS:
         raise SurefootError(f"{min(stated)} is not a key; the contract states it outside the task")
-    task = from_mapping(TaskConfig, contract.task, "task")
+    task = from_mapping(TaskConfig, _task_without_skipped(contract), "task")
     kind, feedback = _feedback(contract, robot)
     return replace(
         task,

@@ -38,6 +38,8 @@ class Part:
     """Names of its numbers."""
     read: Callable[[ObservationInputs], Array]
     """Its numbers (N, width)."""
+    flipped: tuple[str, ...] = ()
+    """Columns that change their sign in the mirror image, of a plug-in; those of surefoot: `learn.symmetry`."""
 
 
 def phase(time: Array, period: float | None) -> Array:
@@ -116,6 +118,8 @@ class Observer:
         if actions is not None and "last_action" in columns:
             columns["last_action"] = [f"last_{action}" for action in actions]
         self.columns = [column for name in names for column in columns[name]]
+        if len(set(self.columns)) != len(self.columns):
+            raise SurefootError(f"columns of the observation are {choices(self.columns)}; names must not repeat")
 
     @property
     def width(self) -> int:

@@ -55,6 +55,16 @@ Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object.")]
 RobotName = Annotated[
     str | None, tyro.conf.arg(help="Name or folder of the robot; the one of the policy or trace, if not given.")
 ]
+PluginNames = Annotated[
+    tuple[str, ...],
+    tyro.conf.UseAppendAction,
+    tyro.conf.arg(
+        name="plugin",
+        metavar="FILE",
+        help="Python file with reward terms and observations of your own, which is executed, or the name of an "
+        "installed plug-in; as often as you like.",
+    ),
+]
 PAGE_PORT = 8400
 """TCP port of a page in the browser, if none is given."""
 PagePort = Annotated[int, Within(0, 65535), tyro.conf.arg(help="TCP port of the page; 0 for a free one.")]
@@ -95,7 +105,7 @@ def files_by_suffix(paths: Sequence[Path], suffixes: Sequence[str]) -> dict[str,
     for path in paths:
         suffix = path.suffix.lower()
         if suffix not in suffixes or suffix in files:
-            raise SurefootError(f"out {path}: takes one file of each kind, with names in {choices(suffixes)}")
+            raise SurefootError(f"out {path}: the name must end in {' or '.join(suffixes)}, with one file of each")
         files[suffix] = path
     return files
 

@@ -16,6 +16,13 @@ from rich.console import Console
 from surefoot.errors import SurefootError, suggest
 
 
+def plugin_paths() -> list[str]:
+    """Return the plug-ins that this command was given, as other commands take them from any folder."""
+    module = sys.modules.get("surefoot.task.plugins")  # where it is not imported, there is none
+    plugins = [] if module is None else module.registered_plugins()
+    return [str(Path(plugin.path).absolute()) if plugin.source else plugin.name for plugin in plugins]
+
+
 def make_console(stderr: bool = False) -> Console:
     """Return a console that prints texts as they are, on lines of any length."""
     return Console(stderr=stderr, highlight=False, soft_wrap=True, emoji=False, markup=False)
@@ -39,10 +46,12 @@ def _plain(value: object) -> object:
 def next_command(purpose: str, *words: object) -> str:
     """Return a line that names the command for a purpose, such as `to resume: surefoot train --resume RUN`.
 
-    It works when it is pasted in another folder: of `words`, paths are written whole.
+    It works when it is pasted in another folder: of `words`, paths are written whole. A command that runs a policy or a
+    task names the plug-ins of this one too.
     """
     texts = [str(word.absolute() if isinstance(word, Path) else word) for word in words]
-    return f"to {purpose}: {shlex.join([*_program(), *texts])}"
+    plugins = [] if words[0] == "show" else [word for path in plugin_paths() for word in ("--plugin", path)]
+    return f"to {purpose}: {shlex.join([*_program(), *texts, *plugins])}"
 
 
 def _program() -> list[str]:

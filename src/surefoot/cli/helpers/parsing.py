@@ -56,6 +56,10 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
         text = " ".join(re.sub(r"[\u2500-\u257f]+|-{4,}", " ", output.getvalue()).split())
         raise SurefootError(f"{_shorten(text, kind)}; for every option: {prog} --help") from None
     check_bounds(parsed)
+    if plugins := getattr(parsed, "plugin", ()):
+        from surefoot.task.plugins import load_plugins
+
+        load_plugins(plugins)
     return parsed
 
 

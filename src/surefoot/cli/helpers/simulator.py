@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from surefoot.api.simulator import change_simulator, evaluation_task
-from surefoot.cli.helpers.options import Pushes, PushForce, RobotName, Seed, Settings, World
+from surefoot.cli.helpers.options import PluginNames, Pushes, PushForce, RobotName, Seed, Settings, World
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, parse_settings
 from surefoot.robot.params_file import ParamValue
@@ -65,6 +65,7 @@ class RunOptions:
     """Push the robot with forces from LOW to HIGH [N] in horizontal directions, as often as its task says."""
     settings: Settings = ()
     """Physical parameters that differ from the task's, such as motor_strength=0.8."""
+    plugin: PluginNames = ()
     seed: Seed = 1
     world: World = "mujoco"
     simulator: SimulatorOptions = Simulator()
@@ -72,7 +73,7 @@ class RunOptions:
     robot: RobotName = None
     commands: Path | None = None
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
-    drawn as in its training, if not given."""
+    drawn as in its training, if not given. The run lasts until two seconds after its last row, or longer."""
 
     def apply(
         self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None, thermal_protection: bool = False

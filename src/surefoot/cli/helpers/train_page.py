@@ -21,6 +21,7 @@ import numpy as np
 from surefoot.api.drive_page import DrivePage, serve
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.task.plugins import load_plugins, registered_plugins
 
 if TYPE_CHECKING:
     from surefoot.learn.training_loop import TrainingLoop
@@ -47,6 +48,7 @@ class TrainingPage:
         self._loop, self._file = loop, loop.folder.path / "newest.onnx"
         self._write()
         command = [sys.executable, "-m", __name__, str(self._file), loop.config.world, str(port)]
+        command += [plugin.path for plugin in registered_plugins()]
         # A session of its own: Ctrl-C is for the training. Its input ends with this process, however that ends.
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
 
@@ -92,7 +94,7 @@ class NewestPolicy(DrivePage):
 
 
 def main(argv: list[str]) -> int:
-    """Run the page's process, with the arguments FILE WORLD PORT, until it is terminated or its input ends."""
+    """Run the page's process, with the arguments FILE WORLD PORT [PLUGIN ...], until it is ended or its input ends."""
 
     def end_with_input() -> None:
         sys.stdin.read()
@@ -101,8 +103,9 @@ def main(argv: list[str]) -> int:
     threading.Thread(target=end_with_input, daemon=True).start()
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)
-    file, world, port = argv
+    file, world, port, *plugins = argv
     try:
+        load_plugins(plugins)
         serve(NewestPolicy(Path(file), world), None, int(port))
     except SurefootError as error:
         print(f"surefoot: the page can't be shown: {error}", file=sys.stderr)

@@ -19,7 +19,9 @@ _SHINE, _RIM = 0.22, 0.10
 
 
 def _compile(function: Function) -> Function:
-    return cast(Function, njit(cache=True, nogil=True, error_model="numpy", fastmath=True)(function))
+    # Without numba's runtime it counts no references to the arrays in tuples; see actuator/compiled.py.
+    options = {"cache": True, "nogil": True, "forceinline": True, "error_model": "numpy", "fastmath": True}
+    return cast(Function, njit(**options, _nrt=False)(function))
 
 
 @_compile
@@ -46,16 +48,22 @@ def rasterize(points: Any, faces: Any, nearest: Any, face_at: Any) -> None:
         bottom = min(int(np.floor(max(ya, yb, yc) - 0.5)), height - 1)
         # Shares of corners b and c, which sum to 1 with that of a, grow evenly along a row.
         step_b, step_c = (yc - ya) / area, (ya - yb) / area
+        step_a = -step_b - step_c
         step = step_b * (zb - za) + step_c * (zc - za)
+        per_a = 1.0 / step_a if step_a != 0.0 else 0.0
+        per_b = 1.0 / step_b if step_b != 0.0 else 0.0
+        per_c = 1.0 / step_c if step_c != 0.0 else 0.0
+        row_b, row_c = -(xc - xa) / area, (xb - xa) / area
+        first, last = min(xa, xb, xc) - xa, max(xa, xb, xc) - xa
         for row in range(top, bottom + 1):
             y = row + 0.5 - ya
-            start_b, start_c = -y * (xc - xa) / area, y * (xb - xa) / area
-            low, high = min(xa, xb, xc) - xa, max(xa, xb, xc) - xa
-            for start, slope in ((start_b, step_b), (start_c, step_c), (1.0 - start_b - start_c, -step_b - step_c)):
-                if slope > 0.0:
-                    low = max(low, -start / slope)
-                elif slope < 0.0:
-                    high = min(high, -start / slope)
+            start_b, start_c = y * row_b, y * row_c
+            low, high = first, last
+            for start, per in ((1.0 - start_b - start_c, per_a), (start_b, per_b), (start_c, per_c)):
+                if per > 0.0:
+                    low = max(low, -start * per)
+                elif per < 0.0:
+                    high = min(high, -start * per)
             left, right = max(int(np.ceil(xa + low - 0.5)), 0), min(int(np.floor(xa + high - 0.5)), width - 1)
             x = left + 0.5 - xa
             z = za + (start_b + x * step_b) * (zb - za) + (start_c + x * step_c) * (zc - za)
@@ -107,12 +115,12 @@ def paint_ground(picture: Any, ground: Any, eye: Any, tile: float, light: Light,
     Args:
         picture: (H, W, 3) uint8.
         ground: (R, W, 8), for each pixel of the last R rows: where its ray meets the ground, from below the eye, and
-            how far it reaches there, both along x and y [m]; linear color of a bright square, and how much darker a
-            dark one is, as a share.
+            how far it reaches there, both along x and y [m]; color of a bright square, 0 to 255, and how much darker a
+            dark one is, as a share of its linear color.
         eye: (3,) m.
         tile: side of a square [m].
         light: the sun.
-        dim: how much darker the ground is in full shadow, as a share.
+        dim: how much darker the ground is in full shadow, as a share of its linear color.
     """
     first = len(picture) - len(ground)
     rows, columns = light.shadow.shape
@@ -133,8 +141,9 @@ def paint_ground(picture: Any, ground: Any, eye: Any, tile: float, light: Light,
                 above = (1.0 - u) * light.shadow[r, c] + u * light.shadow[r, c + 1]
                 below = (1.0 - u) * light.shadow[r + 1, c] + u * light.shadow[r + 1, c + 1]
                 share *= 1.0 - dim * ((1.0 - v) * above + v * below)
+            share = np.sqrt(share)
             for k in range(3):
-                picture[first + i, j, k] = np.uint8(255.0 * np.sqrt(ground[i, j, 4 + k] * share))
+                picture[first + i, j, k] = np.uint8(ground[i, j, 4 + k] * share)
 
 
 class Surface(NamedTuple):

@@ -36,7 +36,7 @@ _SHADOW = 0.62
 _TEXELS = 300
 """Points of the shadow along its longer side."""
 _LEVEL = float(FLAT.height(np.zeros(2)))
-_EXTENT = 0.8856
+_EXTENT = 0.8737
 """Extent [m] of a robot that fills the picture of a camera as it stands."""
 
 
@@ -144,10 +144,10 @@ def _soften(occluder: NDArray[np.float32], texel: float) -> NDArray[np.float32]:
         image = Image.fromarray(values.astype(np.uint8)).filter(ImageFilter.GaussianBlur(radius))
         return np.asarray(image, np.float32) / np.float32(255.0)
 
-    cover = 255.0 * (occluder > 0.0)
-    sharp, soft = blurred(cover, 1.0), blurred(cover, 0.06 * top / texel)
-    mean = blurred(255.0 / top * occluder, 0.03 * top / texel) / np.maximum(blurred(cover, 0.03 * top / texel), 0.02)
-    share = np.clip(1.6 * mean, 0.0, 1.0)
+    cover, radius = 255.0 * (occluder > 0.0), 0.05 * top / texel
+    sharp, soft = blurred(cover, 1.0), blurred(cover, radius)
+    # Mean height of what is around a place, as a share of the greatest.
+    share = np.clip(1.6 * blurred(255.0 / top * occluder, radius) / np.maximum(soft, 0.02), 0.0, 1.0)
     shadow: NDArray[np.float32] = (sharp + share * (soft - sharp)).astype(np.float32)
     return shadow
 
@@ -173,7 +173,7 @@ def _backdrop(
     # How far a pixel reaches: along its row and its column, as the ground's places differ there.
     reach = np.maximum(*(np.abs(np.gradient(place, axis=k)) for k in (0, 1))) if len(rays) > 1 else place * 0 + 1.0
     haze = 1.0 - np.exp(-((distance / 7.0) ** 1.5))
-    color = (_GROUND + haze[..., None] * (_HAZE - _GROUND)) ** 2
+    color = 255.0 * (_GROUND + haze[..., None] * (_HAZE - _GROUND))
     dark = _DARK * np.clip(1.0 - distance / _FAR, 0.0, 1.0) ** 0.8
     ground = np.concatenate([place, np.maximum(reach, 1e-4), color, dark[..., None]], axis=-1)
     return (255.0 * sky).astype(np.uint8), np.ascontiguousarray(ground, np.float32)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from surefoot.report.drawing.renderer import Camera, View, draw
 from surefoot.robot.appearance import Appearance
 from surefoot.world.ground import FLAT
 
+_THREADS, _BATCH = 2, 16
+"""Threads that draw, and how many pictures they draw before these are encoded."""
 INK, PANEL = (34, 39, 46), (255, 255, 255, 190)
 
 
@@ -55,6 +58,15 @@ def render_video(
     mesh, stack = Mesh(appearance, list(poses)), np.stack(list(poses.values()), axis=1)
     track_times, track = _smooth_track(times, poses[follow][:, :2, 3], camera.smoothing)
     clock = times[0] + np.arange(max(int((times[-1] - times[0]) * fps + 1e-6), 1)) / fps
+
+    def frame(now: float) -> bytes:
+        place = np.array([np.interp(now, track_times, part) for part in track.T])
+        aim = np.array([*place, FLAT.level(place) + camera.height])
+        picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, aim, size))
+        _write(picture, overlay[int(np.abs(times - now).argmin())])
+        content: bytes = picture.tobytes()
+        return content
+
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.mp4")
     writer = imageio_ffmpeg.write_frames(
@@ -72,12 +84,11 @@ def render_video(
         # Where no file can be made, ffmpeg would report its whole command.
         temporary.touch()
         writer.send(None)
-        for now in clock:
-            place = np.array([np.interp(now, track_times, part) for part in track.T])
-            aim = np.array([*place, FLAT.level(place) + camera.height])
-            picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, aim, size))
-            _write(picture, overlay[int(np.abs(times - now).argmin())])
-            writer.send(picture.tobytes())
+        # Pictures are drawn without Python's lock: two threads, as ffmpeg has a third.
+        with ThreadPoolExecutor(_THREADS) as pool:
+            for start in range(0, len(clock), _BATCH):
+                for picture in pool.map(frame, clock[start : start + _BATCH]):
+                    writer.send(picture)
         writer.close()
         os.replace(temporary, path)
     except OSError as error:

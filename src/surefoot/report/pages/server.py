@@ -43,16 +43,20 @@ class PageServer:
         port: TCP port; 0 for a free one.
         view_port: port of the 3D view on this machine; None for a page with a scene of its own.
         page: HTML; the drive page, if None.
+        in_notebook: let pages that this machine serves, such as notebooks, show the page in a frame.
 
     Raises:
         SurefootError: a port that can't be opened.
     """
 
-    def __init__(self, host: str | None, port: int, view_port: int | None, page: str | None = None) -> None:
+    def __init__(
+        self, host: str | None, port: int, view_port: int | None, page: str | None = None, in_notebook: bool = False
+    ) -> None:
         self._page = (page or document("page.html")).encode()
         self._token = "" if host is None else secrets.token_urlsafe(16)
         self._prefix = f"/{self._token}" if self._token else ""
         self._view_port = view_port
+        self._frames = "http://localhost:* http://127.0.0.1:*" if in_notebook else ""
         self.inbox: queue.Queue[dict[str, Any]] = queue.Queue(maxsize=1000)
         """Messages of the tab that drives; `{"left": true}` when it is closed."""
         self._options: dict[str, Any] = {}
@@ -132,7 +136,8 @@ class PageServer:
             return connection.respond(http.HTTPStatus.NOT_FOUND, "not here\n")
         body = self._page if name == "" else bare_viewer().encode()
         kind = [("Content-Type", "text/html; charset=utf-8"), ("Content-Length", str(len(body)))]
-        safe = [("X-Frame-Options", "SAMEORIGIN"), ("Referrer-Policy", "no-referrer"), ("Connection", "close")]
+        frames = ("Content-Security-Policy", f"frame-ancestors 'self' {self._frames}".rstrip())
+        safe = [frames, ("Referrer-Policy", "no-referrer"), ("Connection", "close")]
         return Response(200, "OK", Headers([*kind, *safe]), body)
 
     async def _handle(self, connection: ServerConnection) -> None:

@@ -1,0 +1,47 @@
+"""A plug-in: a reward term and an observation of one's own, which `examples/plugin.yaml` trains with.
+
+    surefoot train examples/plugin.yaml --plugin examples/plugin.py
+
+It is an ordinary Python file that registers functions of NumPy arrays, each for N robots at once.
+"""
+
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.task.observation import ObservationInputs
+from surefoot.task.plugins import observation, reward_term
+from surefoot.task.reward import StepMotion
+
+CLEARANCE = 0.15
+"""Height of a swinging foot over the lowest one, in lengths of the straight leg."""
+
+
+@reward_term(
+    "foot_clearance",
+    unit="squared error of the height times speed, l^2 sqrt(g l)",
+    source="Ji et al. 2022, Concurrent Training of a Control Policy and a State Estimator",
+)
+def foot_clearance(motion: StepMotion) -> Array:
+    """Return how far feet that move forward are from the height at which they should swing (N,)."""
+    robot, scales = motion.gait.robot, motion.scales
+    feet = [
+        robot.leg_geometry.foot_position(truth.motor_angle[:, robot.leg_motor_index])
+        for truth in (motion.before, motion.after)
+    ]
+    height = (feet[1][..., 2] - feet[1][..., 2].min(axis=1, keepdims=True)) / scales.length
+    # Feet on the ground move backward in the base's frame.
+    speed = np.maximum((feet[1] - feet[0])[..., 0] / motion.duration[:, None], 0.0) / scales.speed
+    return np.asarray(((height - CLEARANCE) ** 2 * speed).mean(axis=1))
+
+
+@observation(
+    "gravity",
+    unit="1",
+    frame="base",
+    columns=("gravity_x", "gravity_y", "gravity_z"),
+    flipped=("gravity_y",),
+)
+def gravity(inputs: ObservationInputs) -> Array:
+    """Return the direction of gravity in the base's frame (N, 3), from the IMU's roll and pitch."""
+    roll, pitch, _ = inputs.readings.roll_pitch_yaw.T
+    return np.stack([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)], axis=1)

@@ -1,0 +1,234 @@
+"""A torch module as nodes of ONNX, with the few operators that policy files may have."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import onnx
+import torch
+from onnx import helper, numpy_helper
+from torch import fx, nn
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from surefoot.errors import SurefootError
+
+ALLOWED = (
+    "linear layers, ELU, SELU, ReLU, LeakyReLU, SiLU, Tanh, Sigmoid, Hardtanh, LayerNorm, BatchNorm, clamp, and sums, "
+    "differences, products and quotients"
+)
+_ROWS = 3
+"""Rows of the observations that a module is traced with."""
+_LARGEST = float(np.finfo(np.float32).max)
+_SELU = (1.6732632423543772, 1.0507009873554805)
+_SHAPES = ("view", "_unsafe_view", "reshape", "squeeze", "unsqueeze", "expand", "slice")
+_SAME = ("detach", "alias", "clone", "contiguous", "_to_copy", "lift_fresh_copy")
+
+
+class Graph:
+    """Nodes and constants of a graph."""
+
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: list[onnx.TensorProto] = []
+
+    def constant(self, array: Any, name: str = "") -> str:
+        """Add a constant of 32-bit numbers; return its name."""
+        name = name or f"constant_{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array, np.float32), name))
+        return name
+
+    def apply(self, kind: str, *values: str, result: str = "", **attributes: Any) -> str:
+        """Apply an operator to values; return the name of its result."""
+        result = result or f"{kind.lower()}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, values, [result], **attributes))
+        return result
+
+
+class _Value(NamedTuple):
+    """A value that depends on the observation."""
+
+    name: str
+
+
+def trace_module(module: nn.Module, graph: Graph, observation: str, width: int, outputs: int) -> str:
+    """Add the nodes of a module to a graph; return the name of its output.
+
+    What does not depend on the observation is computed once, such as the scale of a normalizer.
+
+    Args:
+        module: takes (N, width), gives (N, outputs), a row for each row.
+        graph: where nodes go.
+        observation: name of the input.
+        width: numbers of an observation.
+        outputs: numbers of an output.
+
+    Raises:
+        SurefootError: a module of other widths, one that decides by its numbers, or an operator that is not allowed.
+    """
+    parameter = next(module.parameters(), torch.zeros(0))
+    example = torch.zeros(_ROWS, width, device=parameter.device)
+    try:
+        with torch.no_grad():
+            traced = make_fx(module)(example)
+    except Exception as error:  # a module of somebody else can raise anything
+        reason = " ".join(str(error).split())[:200]
+        raise SurefootError(f"the network can't take observations (N, {width}): {reason}") from error
+    values: dict[fx.Node, Any] = {}
+    for node in traced.graph.nodes:
+        if node.op == "placeholder":
+            values[node] = _Value(observation)
+        elif node.op == "get_attr":
+            values[node] = getattr(traced, node.target)
+        elif node.op == "output":
+            break
+        else:
+            values[node] = _apply(graph, node, values)
+    result = node.args[0]
+    shape = tuple(result.meta["val"].shape) if isinstance(result, fx.Node) and "val" in result.meta else None
+    if shape != (_ROWS, outputs):
+        raise SurefootError(f"the network gives {_describe(shape)} for (N, {width}); its contract says (N, {outputs})")
+    if not isinstance(values[result], _Value):
+        raise SurefootError("the network does not use the observation")
+    name: str = values[result].name
+    return name
+
+
+def _describe(shape: tuple[int, ...] | None) -> str:
+    return "no tensor" if shape is None else f"({', '.join('N' if size == _ROWS else str(size) for size in shape)})"
+
+
+def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
+    """Return the value of a node: computed, if it is constant, else added to the graph."""
+    args = fx.map_arg(node.args, lambda one: values[one])
+    kwargs = fx.map_arg(node.kwargs, lambda one: values[one])
+    flat = [*args, *(part for one in args if isinstance(one, tuple | list) for part in one), *kwargs.values()]
+    if not any(isinstance(one, _Value) for one in flat):
+        with torch.no_grad():
+            return node.target(*args, **kwargs)  # type: ignore[operator]
+    if node.target is operator.getitem:
+        return args[0] if args[1] == 0 else None
+    name = str(getattr(node.target, "overloadpacket", node.target)).rpartition(".")[2].rstrip("_")
+    shape = getattr(node.meta.get("val"), "shape", None)
+    source = node.args[0]
+    before = getattr(source.meta.get("val"), "shape", None) if isinstance(source, fx.Node) else None
+    if name in _SAME or (name in _SHAPES and shape == before):
+        return args[0]
+    try:
+        result = _OPERATORS[name](graph, *args, **kwargs)
+    except (KeyError, TypeError, NotImplementedError) as error:
+        raise SurefootError(f"the network has operator {name}, as it is used there; allowed are {ALLOWED}") from error
+    return _Value(result)
+
+
+def _row(graph: Graph, value: Any) -> str:
+    """Return the name of an operand: a value, a number, or one row of numbers."""
+    if isinstance(value, _Value):
+        return value.name
+    array = np.asarray(value.detach().cpu() if isinstance(value, torch.Tensor) else value, np.float32)
+    if array.size != array.shape[-1] if array.ndim else False:
+        raise NotImplementedError
+    return graph.constant(array.reshape(1, -1) if array.ndim else array)
+
+
+def _linear(graph: Graph, bias: Any, value: Any, weight: Any) -> str:
+    """Apply a linear layer with a weight (in, out)."""
+    if not isinstance(value, _Value) or isinstance(weight, _Value) or isinstance(bias, _Value):
+        raise NotImplementedError
+    transposed = weight.detach().cpu().numpy().T
+    offset = np.zeros(len(transposed)) if bias is None else bias.detach().cpu().numpy()
+    return graph.apply("Gemm", value.name, graph.constant(transposed), graph.constant(offset), transB=1)
+
+
+def _binary(kind: str) -> Callable[..., str]:
+    def apply(graph: Graph, first: Any, second: Any, alpha: float = 1.0) -> str:
+        if alpha != 1.0:
+            raise NotImplementedError
+        if isinstance(first, _Value):
+            return graph.apply(kind, first.name, _row(graph, second))
+        if kind == "Div":
+            raise NotImplementedError
+        if kind == "Sub":
+            negative = graph.apply("Mul", second.name, graph.constant(-1.0))
+            return graph.apply("Add", negative, _row(graph, first))
+        return graph.apply(kind, second.name, _row(graph, first))
+
+    return apply
+
+
+def _unary(kind: str) -> Callable[..., str]:
+    return lambda graph, value: graph.apply(kind, value.name)
+
+
+def _elu(graph: Graph, value: _Value, alpha: float = 1.0, scale: float = 1.0, input_scale: float = 1.0) -> str:
+    if input_scale != 1:
+        raise NotImplementedError
+    if math.isclose(alpha, _SELU[0]) and math.isclose(scale, _SELU[1]):
+        return graph.apply("Selu", value.name)
+    result = graph.apply("Elu", value.name)
+    if alpha != 1:
+        # The part above zero has no alpha.
+        above = graph.apply("Mul", graph.apply("Relu", value.name), graph.constant(1.0 - alpha))
+        result = graph.apply("Add", graph.apply("Mul", result, graph.constant(alpha)), above)
+    return result if scale == 1 else graph.apply("Mul", result, graph.constant(scale))
+
+
+def _leaky_relu(graph: Graph, value: _Value, slope: float = 0.01) -> str:
+    above = graph.apply("Mul", graph.apply("Relu", value.name), graph.constant(1.0 - slope))
+    return graph.apply("Add", graph.apply("Mul", value.name, graph.constant(slope)), above)
+
+
+def _silu(graph: Graph, value: _Value) -> str:
+    return graph.apply("Mul", graph.apply("Sigmoid", value.name), value.name)
+
+
+def _clamp(graph: Graph, value: _Value, low: float | None = None, high: float | None = None) -> str:
+    bounds = (-_LARGEST if low is None else low, _LARGEST if high is None else high)
+    return graph.apply("Clip", value.name, *(graph.constant(float(bound)) for bound in bounds))
+
+
+def _power(graph: Graph, value: _Value, exponent: float) -> str:
+    if exponent != 2:
+        raise NotImplementedError
+    return graph.apply("Mul", value.name, value.name)
+
+
+def _layer_norm(graph: Graph, value: _Value, shape: list[int], weight: Any, bias: Any, epsilon: float) -> str:
+    # ONNX's default, so that the node needs no attribute.
+    if len(shape) != 1 or not math.isclose(epsilon, 1e-5):
+        raise NotImplementedError
+    scale = np.ones(shape) if weight is None else weight.detach().cpu().numpy()
+    offset = np.zeros(shape) if bias is None else bias.detach().cpu().numpy()
+    return graph.apply("LayerNormalization", value.name, graph.constant(scale), graph.constant(offset))
+
+
+def _batch_norm(
+    graph: Graph, value: _Value, weight: Any, bias: Any, mean: Any, variance: Any, training: bool, *rest: float
+) -> str:
+    if training:
+        raise NotImplementedError
+    scale = (1.0 if weight is None else weight) / torch.sqrt(variance + rest[-1])
+    result = graph.apply("Mul", value.name, _row(graph, scale))
+    return graph.apply("Add", result, _row(graph, (0.0 if bias is None else bias) - mean * scale))
+
+
+_OPERATORS: dict[str, Callable[..., str]] = {
+    "addmm": _linear,
+    "mm": lambda graph, value, weight: _linear(graph, None, value, weight),
+    **{name: _binary(name.capitalize()) for name in ("add", "sub", "mul", "div")},
+    **{name: _unary(name.capitalize()) for name in ("relu", "tanh", "sigmoid")},
+    "rsub": lambda graph, first, second, alpha=1.0: _binary("Sub")(graph, second, first, alpha),
+    "neg": lambda graph, value: graph.apply("Mul", value.name, graph.constant(-1.0)),
+    "pow": _power,
+    "elu": _elu,
+    "silu": _silu,
+    "leaky_relu": _leaky_relu,
+    "clamp": _clamp,
+    "hardtanh": lambda graph, value, low=-1.0, high=1.0: _clamp(graph, value, low, high),
+    "native_layer_norm": _layer_norm,
+    "native_batch_norm": _batch_norm,
+}
+"""What adds each of torch's operators to a graph; raises `NotImplementedError` for a use that is not allowed."""
