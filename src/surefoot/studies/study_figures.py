@@ -77,7 +77,7 @@ def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str])
             )
             ax.axvline(0.0, color=QUIET, linewidth=0.8)
             if figure.unit == "%":
-                # The interval of a share may exceed its bounds.
+                # Room for the dot of a share of 100 %.
                 ax.set_xlim(0.0, min(max(ax.get_xlim()[1], 5.0), 103.0))
         heading(picture, "Mean over seeds, 95 % confidence interval, and each seed as a dot")
     return Path(path)
