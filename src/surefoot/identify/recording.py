@@ -152,7 +152,7 @@ class Recording:
 
     def save(self, path: Path) -> Path:
         """Write an .npz file, whole or not at all."""
-        arrays = {name: getattr(self, name) for name in _arrays()}
+        arrays = {name: getattr(self, name) for name in recorded_arrays()}
         write_npz(path, arrays | pack_bytes(ROBOT, self.robot_archive), self.meta)
         return path
 
@@ -203,8 +203,9 @@ def _first_invalid(arrays: dict[str, Any], meta: dict[str, Any], motors: int) ->
     return next((f"meta.{name}" for name, right in valid.items() if not right), "")
 
 
-def _arrays() -> set[str]:
-    return {item.name for item in fields(Recording)} - {"meta", "robot_archive"}
+def recorded_arrays() -> list[str]:
+    """Return the names of a recording's arrays, in order."""
+    return [item.name for item in fields(Recording) if item.name not in ("meta", "robot_archive")]
 
 
 def recorded_robot(path: Path) -> RobotDescription:
@@ -231,7 +232,7 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
         if meta.get("schema") != SCHEMA:
             raise SurefootError(f"has schema {meta.get('schema')}; surefoot reads schema {SCHEMA}")
         archive = pop_bytes(arrays, ROBOT)
-        if missing := [key for key in _META if key not in meta] + sorted(_arrays() ^ set(arrays)):
+        if missing := [key for key in _META if key not in meta] + sorted(set(recorded_arrays()) ^ set(arrays)):
             raise SurefootError(f"missing or unknown: {choices(missing)}")
         if meta["robot"] != robot.name or meta["motor_names"] != list(robot.motor_names):
             raise SurefootError(f"is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
