@@ -46,7 +46,7 @@ def test_lines_are_printed_as_they_are():
     assert stream.getvalue() == "trial [b] of :cat: [/]\n"
 
 
-def test_bar_shows_a_percentage_on_a_terminal_and_nothing_in_a_log():
+def test_bar_shows_a_percentage_on_a_terminal_and_nothing_in_a_short_log():
     for terminal in (True, False):
         place, stream = console(terminal)
         with ProgressBar("trot", place) as bar:
@@ -54,6 +54,17 @@ def test_bar_shows_a_percentage_on_a_terminal_and_nothing_in_a_log():
             bar.advance(1.0)
         assert ("100%" in stream.getvalue()) == terminal
         assert ("trot" in stream.getvalue()) == terminal
+
+
+def test_percentages_in_a_log_come_at_growing_intervals(monkeypatch: pytest.MonkeyPatch):
+    now = 100.0
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now)
+    place, stream = console(terminal=False)
+    with ProgressBar("trot", place) as bar:
+        for now in range(101, 400):
+            bar.advance((now - 100) / 400)
+    # After 10, 20, 40 and then each 60 s, and a second for more than that.
+    assert stream.getvalue().splitlines() == [f"trot: {s / 400:.0%}" for s in (11, 32, 73, 134, 195, 256)]
 
 
 def test_bar_with_a_period_prints_its_last_line():

@@ -3,7 +3,7 @@
     import gymnasium
     import surefoot.envs
 
-    env = gymnasium.make("surefoot/Gallop-v0")
+    env = gymnasium.make("surefoot/Gallop-v0", render_mode="rgb_array")
     envs = gymnasium.make_vec("surefoot/Gallop-v0", num_envs=64)
 
 Without the second import, `gymnasium.make("surefoot.envs:surefoot/Gallop-v0")` does the same.
@@ -11,25 +11,66 @@ Without the second import, `gymnasium.make("surefoot.envs:surefoot/Gallop-v0")` 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gymnasium
 
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task, preset_names
-from surefoot.task.env import LocomotionEnv, LocomotionSingleEnv
-from surefoot.world.sim_world import SimWorld
+from surefoot.task.env import Camera, LocomotionEnv, LocomotionSingleEnv
+from surefoot.world.registry import find_world
 
 
-def make_single(task: str | TaskConfig, seed: int | None = None) -> LocomotionSingleEnv:
-    """Return one robot on a task, given by preset name, path of a YAML file, or configuration."""
-    return LocomotionSingleEnv(_config(task), SimWorld, seed)
+def make_single(
+    task: str | TaskConfig,
+    seed: int | None = None,
+    robot: str | None = None,
+    world: str = "mujoco",
+    render_mode: str | None = None,
+) -> LocomotionSingleEnv:
+    """Return one robot on a task.
+
+    Args:
+        task: name of a task, path of a YAML file, or configuration.
+        seed: of the first episode; any, if None.
+        robot: name or folder of another robot than the task's.
+        world: name of the world.
+        render_mode: "rgb_array": `render` draws the robot, in software.
+    """
+    config = _config(task, robot)
+    return LocomotionSingleEnv(config, find_world(world), seed, _camera(config, render_mode))
 
 
-def make_vector(task: str | TaskConfig, num_envs: int = 1, seed: int = 0, threads: int = 0) -> LocomotionEnv:
-    """Return a batch of robots on a task, given by preset name, path of a YAML file, or configuration."""
-    return LocomotionEnv(_config(task), num_envs, SimWorld, seed, threads=threads)
+def make_vector(
+    task: str | TaskConfig,
+    num_envs: int = 1,
+    seed: int = 0,
+    threads: int = 0,
+    robot: str | None = None,
+    world: str = "mujoco",
+    render_mode: str | None = None,
+) -> LocomotionEnv:
+    """Return a batch of robots on a task, simulated on all cores; arguments as of `make_single`."""
+    config, make_world = _config(task, robot), find_world(world)
+    camera = _camera(config, render_mode)
+    return LocomotionEnv(config, num_envs, make_world, seed, threads=threads, camera=camera, step_info=True)
 
 
-def _config(task: str | TaskConfig) -> TaskConfig:
-    return task if isinstance(task, TaskConfig) else load_task(task)[0]
+def _config(task: str | TaskConfig, robot: str | None) -> TaskConfig:
+    if isinstance(task, TaskConfig):
+        return task if robot is None else replace(task, robot=robot)
+    return load_task(task, robot)[0]
+
+
+def _camera(task: TaskConfig, render_mode: str | None) -> Camera | None:
+    if render_mode is None:
+        return None
+    if render_mode != "rgb_array":
+        raise SurefootError(f"render_mode is {render_mode!r}; it must be 'rgb_array' or None")
+    from surefoot.report.drawing.robot_camera import RobotCamera
+
+    return RobotCamera(RobotDescription.load(task.robot))
 
 
 IDS = [f"surefoot/{task.title().replace('-', '')}-v0" for task in preset_names()]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -30,14 +30,30 @@ def quiet() -> Iterator[None]:
         os.close(nowhere)
 
 
+def _refusal(message: str, path: Path) -> SurefootError:
+    return SurefootError(f"{path}: MuJoCo refuses it: {' '.join(message.split())}")
+
+
 @contextmanager
-def mujoco_errors(path: Path) -> Iterator[None]:
-    """Turn an error of MuJoCo's parser or compiler about a file into one line, and discard what it prints."""
+def mujoco_errors(path: Path, explain: Callable[[str, Path], SurefootError] = _refusal) -> Iterator[None]:
+    """Turn an error of MuJoCo's parser or compiler about a file into one line.
+
+    What it prints is discarded, and warnings too, which MuJoCo else writes to a file MUJOCO_LOG.TXT.
+
+    Args:
+        path: the file.
+        explain: returns the error for MuJoCo's message.
+    """
+    import mujoco
+
+    mujoco.set_mju_user_warning(lambda message: None)
     try:
         with quiet():
             yield
     except ValueError as error:
-        raise SurefootError(f"{path}: MuJoCo refuses it: {' '.join(str(error).split())}") from error
+        raise explain(str(error), path) from error
+    finally:
+        mujoco.set_mju_user_warning(None)
 
 
 @contextmanager

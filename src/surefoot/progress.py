@@ -14,6 +14,8 @@ _REDRAW_PERIOD = 0.05
 """Least time between two drawings [s], under the .1 s in which a deployment reports its state."""
 _LINE_PERIOD = 10.0
 """Least time between two lines of a bar where there is no terminal [s]."""
+_MAX_LINE_PERIOD = 60.0
+"""The same for a percentage, whose lines come at growing intervals [s]."""
 
 
 class ProgressDisplay:
@@ -53,23 +55,29 @@ class ProgressDisplay:
         self._printed[topic] = time.monotonic()
         self._console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
-    def refresh(self, line: str = "", topic: str = "", force_line: bool = False) -> None:
-        """Redraw the picture on a terminal; elsewhere print a line, if it is forced or the topic's last one is old."""
+    def refresh(self, line: str = "", topic: str = "", force_line: bool = False) -> bool:
+        """Redraw the picture on a terminal; elsewhere print a line, if it is forced or the topic's last one is old.
+
+        Returns:
+            whether a line was printed.
+        """
         now = time.monotonic()
         if self._console.is_terminal:
             if now - self._drawn > _REDRAW_PERIOD:
                 self._drawn = now
                 self._live.refresh()
-            return
+            return False
         age = now - self._printed.get(topic, self._started)
         if self._line_period is not None and (force_line or age > self._line_period):
             self.print(line, topic)
+            return True
+        return False
 
 
 class ProgressBar(ProgressDisplay):
     """A bar that shows how much of some work is done.
 
-    A percentage is removed at the end, and shown on a terminal only. A count stays, and has lines elsewhere.
+    A percentage is removed at the end, a count stays. Elsewhere than on a terminal both have lines.
 
     Args:
         title: name of the work.
@@ -81,13 +89,17 @@ class ProgressBar(ProgressDisplay):
     def __init__(self, title: str, console: Console | None = None, count: int | None = None, done: int = 0) -> None:
         console, self._total = console or Console(stderr=True), count or 1.0
         number = TaskProgressColumn() if count is None else MofNCompleteColumn()
+        self._title, self._count = title, count
         columns = (TextColumn("{task.description}", markup=False), BarColumn(None if count else 40), number)
         text = (TextColumn("{task.fields[text]}"), TimeRemainingColumn())
         self._bar = Progress(*columns, *text, console=console, expand=count is not None)
         self._task = self._bar.add_task(title, total=self._total, completed=done, text="")
-        super().__init__(console, lambda: self._bar, _LINE_PERIOD if count else None, transient=count is None)
+        super().__init__(console, lambda: self._bar, _LINE_PERIOD, transient=count is None)
 
     def advance(self, done: float, text: str = "", line: str = "") -> None:
         """Show the amount of work that is done, with a text on a terminal and a line elsewhere."""
         self._bar.update(self._task, completed=done, text=text)
-        self.refresh(line, force_line=done >= self._total)
+        if self._count is not None:
+            self.refresh(line, force_line=done >= self._total)
+        elif self.refresh(f"{self._title}: {done:.0%}"):
+            self._line_period = min(2 * (self._line_period or 0.0), _MAX_LINE_PERIOD)

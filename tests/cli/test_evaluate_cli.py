@@ -255,6 +255,11 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     from surefoot.task.trace import EpisodeTrace
 
     monkeypatch.setattr(tracking, "GRID", 2)
+    from surefoot.api.episodes import captions
+    from surefoot.api.policies import find_policy, load_gait, run_policy
+    from surefoot.api.simulator import evaluation_task, with_duration
+    from surefoot.report.figures.runs import episode_plot
+
     words = ("evaluate", "go2-steer", "--command-grid", "--threads", 1, "--out", tmp_path)
     done = surefoot(*words, "--json")
     assert done.returncode == 0, done.stderr
@@ -279,4 +284,16 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     refused(surefoot(*words, "--commands", "way.csv"), "way.csv")
     (tmp_path / "way.csv").write_text("time,forward,sideways,yaw_rate\n0,0.5,0,0\n")
     refused(surefoot(*words, "--commands", tmp_path / "way.csv"), "--command-grid and --commands are given")
+    # A task's episode takes 9.6 s; the file two seconds longer than its last row, if that is more.
+    policy, robot, task, _ = load_gait(find_policy("go2-steer"), None)
+    for end, duration in ((7.0, 9.6), (9.0, 11.008)):
+        (tmp_path / "way.csv").write_text(f"time,forward,sideways,yaw_rate\n0,0.5,0,0\n{end},0,0,0\n")
+        run = evaluation_task(task, robot, {}, commands=tmp_path / "way.csv")
+        assert 0.016 * run.max_steps == pytest.approx(duration)
+    (trace,) = run_policy(policy, with_duration(run, robot, 0.8), 1, "mujoco", 1)
+    texts = captions(trace)
+    assert len(texts) == trace.num_steps == 50
+    assert "command: forward 0.50, left 0.00 m/s, turn 0.00 rad/s\nrobot: forward 0." in texts[-1]
+    episode_plot(trace, robot, tmp_path / "episode.png")
+    assert (tmp_path / "episode.png").stat().st_size > 10_000
     refused(surefoot("evaluate", "trot", "--command-grid"), "this policy has no commands to follow")

@@ -79,7 +79,7 @@ def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) 
         (["motor-figure", "--motor", "tail"], "motor 'tail' does not exist"),
         (
             ["motor-figure", "--out", "motor.pdf"],
-            "out motor.pdf: takes one file of each kind, with names in .png, .csv",
+            "out motor.pdf: the name must end in .png or .csv, with one file of each",
         ),
         (["motor-figure", "--frequency", "0"], "frequency is 0; it must be over 0"),
         (["motor-figure", "--log", "none.csv"], "none.csv: can't be read"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 from pathlib import Path
@@ -11,7 +12,9 @@ import pytest
 from PIL import Image
 from processes import refused, surefoot
 
+from surefoot.cli import robot as robot_command
 from surefoot.robot import RobotDescription
+from surefoot.robot.importing.reader import read_robot
 
 SOLO = RobotDescription.load("solo8")
 
@@ -105,6 +108,25 @@ def test_a_step_too_long_for_light_rotors_is_shortened(tmp_path: Path) -> None:
     assert "pass      physics step" in result.stdout
     assert result.stdout.count("servo_step") == 1
     assert RobotDescription.load(tmp_path / "dog").timing.servo_step < 0.001
+
+
+def test_knees_are_asked_for_on_a_terminal_where_the_file_does_not_show_them(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    solo = read_robot(SOLO.urdf.path)
+    assert robot_command.find_knees(solo) is None  # no terminal: the guess holds
+    assert "guessed  knees: inward; " in (out := capsys.readouterr().out)
+    assert "--knees forward|backward|outward changes it" in out
+    terminal = io.StringIO("sideways\noutward\n\n")
+    terminal.isatty = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr("sys.stdin", terminal)
+    assert robot_command.find_knees(solo) == "outward"
+    assert robot_command.find_knees(solo) == "inward"
+    terminal.seek(0)
+    go2 = read_robot(RobotDescription.load("go2").urdf.path)
+    capsys.readouterr()
+    assert robot_command.find_knees(go2) is None
+    assert capsys.readouterr().out == "knees point backward, by the knees' limits\n"
 
 
 BAD = [

@@ -183,6 +183,7 @@ def test_sources_are_opened_by_name(
     (tmp_path / "way.csv").write_text("time,forward,sideways,yaw_rate\n1,0.5,0,0\n2,9,0,0\n")
     file = open_commands(str(tmp_path / "way.csv"), LIMITS)
     assert [file.read(moment)[0] for moment in (0.99, 1.0, 2.5)] == [0.0, 0.5, 9.0]  # the loop clamps, and warns
+    assert file.duration == 4.0  # the last command is followed for two seconds
     channel.close()
     with contextlib.closing(open_commands(str(channel.port), LIMITS)) as again:
         assert isinstance(again, ChannelCommands)

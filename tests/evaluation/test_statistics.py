@@ -10,7 +10,15 @@ import pytest
 pytest.importorskip("scipy")
 from scipy import stats
 
-from surefoot.evaluation.statistics import Interval, MeanEstimate, crossed_interval, t_interval, welch_interval
+from surefoot.evaluation.statistics import (
+    Interval,
+    MeanEstimate,
+    crossed_interval,
+    share_difference,
+    t_interval,
+    welch_interval,
+    wilson_interval,
+)
 
 
 def test_t_interval_of_three_numbers_by_hand() -> None:
@@ -48,14 +56,45 @@ def test_intervals_cover_the_truth_as_often_as_their_confidence() -> None:
     assert between / rounds == pytest.approx(0.95, abs=0.02)
 
 
-def test_one_number_has_no_interval() -> None:
-    for interval in (t_interval([1.5]), welch_interval([2.0], [0.5]), welch_interval([2.0, 2.0], [0.5])):
+def test_one_or_two_numbers_have_no_interval() -> None:
+    two = t_interval([1.0, 2.0])
+    for interval in (t_interval([1.5]), two, welch_interval([2.0] * 3, [0.5] * 2), welch_interval([2.0, 2.0], [0.5])):
         assert (interval.mean, interval.is_finite, interval.covers_zero) == (1.5, False, True)
+    assert (t_interval([1.5]).text(1), two.text(1, sign=True)) == ("1.5", "+1.5 (+1.0, +2.0)")
+
+
+def test_wilson_interval_by_hand() -> None:
+    # Wilson 1927 with z = 1.96: 3 of 10 give (.3 + .192 +- 1.96 sqrt(.021 + .0096)) / 1.384.
+    interval = wilson_interval([0.3], 10)
+    assert (interval.mean, interval.low, interval.high) == pytest.approx((0.3, 0.1078, 0.6032), abs=1e-4)
+    # None of 60: z^2 / (60 + z^2).
+    none = wilson_interval([0.0, 0.0, 0.0], 20)
+    assert (none.mean, none.low, none.high) == pytest.approx((0.0, 0.0, 0.0602), abs=1e-4)
+    assert wilson_interval([1.0, 1.0], 20).high == 1.0
+
+
+def test_shares_that_differ_between_seeds_widen_their_interval_within_bounds() -> None:
+    alike, unlike = wilson_interval([0.5, 0.5, 0.5], 20), wilson_interval([0.0, 0.5, 1.0], 20)
+    assert alike.mean == unlike.mean == 0.5
+    assert 0.0 <= unlike.low < alike.low < 0.5 < alike.high < unlike.high <= 1.0
+    random, inside = np.random.default_rng(2), 0
+    for _ in range(1000):
+        share = wilson_interval(random.binomial(20, random.beta(3.0, 7.0, 4)) / 20, 20)
+        inside += share.low <= 0.3 <= share.high
+    assert inside / 1000 >= 0.93
+
+
+def test_difference_of_shares_is_newcombes() -> None:
+    # Newcombe 1998, table II, (a): 56 of 70 less 48 of 80 is .2 [.0524, .3339].
+    change = share_difference(wilson_interval([56 / 70], 70), wilson_interval([48 / 80], 80))
+    assert (change.mean, change.low, change.high) == pytest.approx((0.2, 0.0524, 0.3339), abs=1e-4)
+    worst = share_difference(wilson_interval([1.0], 2), wilson_interval([0.0], 2))
+    assert -1.0 <= worst.low < worst.high == 1.0
 
 
 def test_numbers_that_do_not_vary_give_a_point() -> None:
     assert t_interval([0.0, 0.0, 0.0]) == Interval(0.0, 0.0, 0.0)
-    assert welch_interval([2.0, 2.0], [1.0, 1.0]) == Interval(1.0, 1.0, 1.0)
+    assert welch_interval([2.0] * 3, [1.0] * 3) == Interval(1.0, 1.0, 1.0)
     one_side = welch_interval([2.0, 2.0, 2.0], [1.0, 2.0, 3.0])
     assert one_side.high - one_side.mean == pytest.approx(4.302653 / math.sqrt(3), rel=1e-6)
 
@@ -104,12 +143,12 @@ def test_text_of_estimates_and_intervals(estimate: MeanEstimate | Interval, opti
 
 
 def test_a_table_has_an_interval_over_its_rows_and_columns() -> None:
-    # Rows 1, 2, 3 and columns 0, 2: variances of the means are 1 / 3 and 2 / 2, together 4 / 3.
-    values = np.array([1.0, 2.0, 3.0])[:, None] + np.array([-1.0, 1.0])
+    # Rows 1, 2, 3 and columns 0, 2, 4: variances of the means are 1 / 3 and 4 / 3, together 5 / 3.
+    values = np.array([1.0, 2.0, 3.0])[:, None] + np.array([-2.0, 0.0, 2.0])
     interval = crossed_interval(values)
-    freedom = (4 / 3) ** 2 / ((1 / 3) ** 2 / 2 + 1.0)
+    freedom = (5 / 3) ** 2 / ((1 / 3) ** 2 / 2 + (4 / 3) ** 2 / 2)
     assert interval.mean == pytest.approx(2.0)
-    assert interval.high - 2.0 == pytest.approx(stats.t.ppf(0.975, freedom) * math.sqrt(4 / 3))
+    assert interval.high - 2.0 == pytest.approx(stats.t.ppf(0.975, freedom) * math.sqrt(5 / 3))
     # Effects of columns on both tables cancel; rows are each table's own.
     change = crossed_interval(values + 5.0, values)
     assert change.mean == pytest.approx(5.0)

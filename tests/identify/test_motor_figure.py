@@ -91,5 +91,5 @@ def test_a_table_that_is_no_motor_log_is_refused(tmp_path: Path, text: str, mess
 def test_motor_figure_refuses_a_missing_log_and_motor(tmp_path: Path, robot: RobotDescription) -> None:
     with pytest.raises(SurefootError, match="can't be read"):
         MotorLog.read(tmp_path / "none.csv")
-    with pytest.raises(SurefootError, match="motor 'tail' does not exist; motors: front_left_2_motor"):
+    with pytest.raises(SurefootError, match="motor 'tail' does not exist; choices: front_left_2_motor"):
         motor_index(robot, "tail")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
 
+import surefoot
 import surefoot.envs  # registers the ids
 from surefoot.errors import SurefootError
 from surefoot.task.config import FeedbackConfig, TaskConfig
@@ -14,9 +17,11 @@ from surefoot.world.sim_world import SimWorld
 
 stable_baselines3 = pytest.importorskip("stable_baselines3")
 
+import torch  # noqa: E402
 from stable_baselines3 import PPO  # noqa: E402
 from stable_baselines3.common.env_checker import check_env  # noqa: E402
 from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
+from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 from torch.nn.utils import parameters_to_vector  # noqa: E402
 
 from surefoot.learn.sb3 import SB3VecEnv  # noqa: E402
@@ -100,3 +105,40 @@ def test_attributes_belong_to_the_batch():
 def test_a_batch_without_autoreset_is_refused():
     with pytest.raises(SurefootError, match="autoreset is off"):
         SB3VecEnv(batch(autoreset=False))
+
+
+@pytest.mark.parametrize("name", ["PPO", "SAC", "TD3"])
+@pytest.mark.parametrize("normalized", [True, False])
+def test_an_exported_policy_acts_as_its_model(name: str, normalized: bool, tmp_path: Path, rng: np.random.Generator):
+    robots = SB3VecEnv(batch(2))
+    env = VecNormalize(robots, clip_obs=2.0) if normalized else robots
+    model = getattr(stable_baselines3, name)("MlpPolicy", env, seed=0, device="cpu")
+    samples = rng.normal(scale=3.0, size=(100, robots.observation_space.shape[0])).astype(np.float32)
+    inputs = samples
+    if normalized:
+        env.obs_rms.update(rng.normal([0.5, -1.0, 2.0, 0.0], [2.0, 1.0, 0.5, 3.0], size=(1000, 4)))
+        inputs = env.normalize_obs(samples)
+    policy = surefoot.export(model, tmp_path / "p.onnx", name="other")
+    action, _ = model.predict(inputs, deterministic=True)
+    assert np.ptp(action) > 0.01
+    np.testing.assert_allclose(policy.feedback(samples), robots.env.gait.feedback(action), rtol=0, atol=2e-6)
+    assert policy.name == "other"
+    assert policy.task.feedback == FEEDBACK
+
+
+@pytest.mark.parametrize("name", ["surefoot/Trot-v0", "batch", "monitored"])
+def test_a_module_is_exported_for_any_form_of_its_environment(name: str, tmp_path: Path):
+    env = {
+        "batch": lambda: VecNormalize(SB3VecEnv(batch(2))),
+        "monitored": lambda: make_vec_env("surefoot/Trot-v0", n_envs=1, seed=0),
+    }.get(name, lambda: gymnasium.make(name))()
+    policy = surefoot.export(torch.nn.Linear(4, 8), tmp_path / "p.onnx", env=env, output="feedback")
+    assert policy.robot.name == "minitaur"
+
+
+def test_an_environment_of_another_package_is_refused(tmp_path: Path):
+    module = torch.nn.Linear(4, 8)
+    with pytest.raises(SurefootError, match="env is a TimeLimit; it must be an environment of surefoot"):
+        surefoot.export(module, tmp_path / "p.onnx", env=gymnasium.make("CartPole-v1"))
+    with pytest.raises(SurefootError, match="no env is given"):
+        surefoot.export(module, tmp_path / "p.onnx")

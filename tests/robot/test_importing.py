@@ -13,6 +13,7 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, SerialLegs
 from surefoot.robot.importing.imported import LEGS, ImportedRobot
+from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot
 from surefoot.world.mujoco_model import build_model, foot_geoms
@@ -68,6 +69,23 @@ def test_the_reader_returns_the_files_values(tmp_path: Path) -> None:
     text = mjcf().replace('<geom type="sphere" size=".02" pos="0 0 -.2"/>', toe, 1)
     notes = read_robot(write(tmp_path, text)).notes
     assert any(note.startswith("feet of FL_knee: a link named so") for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("path", "inside", "name"),
+    [
+        ("a/My Dog-2.urdf", "", "my_dog_2"),
+        ("a/hyq_no_sensors.urdf", "hyq", "hyq"),
+        ("a/solo12.urdf", "solo", "solo12"),
+        ("a/dog.xml", "dog_description", "dog"),
+        ("go2/scene_flat.xml", "go2 scene", "go2"),
+        ("go2/robot.urdf", "", "go2"),
+        ("dog_c_simple_description/urdf/dog.urdf", "dog", "dog_c"),
+        ("dog_description/urdf/cat.urdf", "plane", "cat"),
+    ],
+)
+def test_a_robot_is_named_by_what_says_most(path: str, inside: str, name: str) -> None:
+    assert robot_name(Path(path), inside) == name
 
 
 def test_a_written_folder_loads_and_keeps_masses_and_kinematics(tmp_path: Path) -> None:
@@ -211,27 +229,60 @@ BAD = [
     ("dog.urdf", urdf(link("a", mass="") + link("b", mass="")), "no link has an <inertial> with a mass"),
     ("dog.urdf", urdf(link("a", MESH)), "mesh 'package://r/trunk.stl' is not there"),
     ("dog.urdf", BOMB, "declares XML entities"),
-    ("dog.urdf", "<robot", "is not well-formed XML"),
-    ("dog.urdf", urdf(link("a")), "nothing in it moves"),
+    ("dog.urdf", "<robot", "is not well-formed XML in line 1, column 1: unclosed token"),
+    ("dog.urdf", urdf(link("a")), "is an object or a scene: nothing in it turns on a hinge"),
+    ("dog.urdf", "", "is empty"),
+    ("dog.urdf", "\x7fELF\0\0", "is a binary file"),
+    ("trunk.stl", "solid", "is a mesh; give the URDF or MJCF that names it"),
+    ("dog.urdf", urdf(""), "has no links"),
+    ("dog.srdf", urdf('<group_state name="standing"/>'), "is an SRDF, which names groups and poses; give the URDF"),
+    (
+        "dog.urdf",
+        '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:macro name="leg"/></robot>',
+        "is a xacro, which is a template; run `xacro dog.urdf > robot.urdf`",
+    ),
+    (
+        "dog.urdf",
+        urdf(
+            link("a")
+            + link("b", mass="0")
+            + '<joint name="j" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/></joint>'
+        ),
+        "'b' moves and has no mass or no inertia; state both in its <inertial>",
+    ),
+    ("dog.xml", mjcf(legs(("FL",))), "is an arm or another single chain: 3 joints hang from 'trunk'"),
+    ("dog.xml", mjcf(legs(("FL", "FR"))), "is a biped, humanoid or other robot: from 'trunk' hang 2 chains of 3, 3"),
+    (
+        "dog.xml",
+        mjcf().split("</worldbody>")[0] + mjcf().split("<worldbody>")[1].replace('name="', 'name="other_'),
+        "holds 2 robots: trunk, other_trunk; give a file with one",
+    ),
+    (
+        "dog.xml",
+        mjcf("".join(leg(f"{n}{k}", 0.2 * x, 0.08 * y) for n, (x, y) in CORNERS.items() for k in (1, 2))).replace(
+            'axis="1 0 0" range="-1 1"', 'axis="1 0 0"'
+        ),
+        "has 8 legs: from 'trunk' hang 8 chains",
+    ),
     ("dog.urdf", urdf(link("a", mass="heavy")), "link 'a': mass is 'heavy'; it must be a finite number"),
-    ("dog.xml", "<sdf/>", "the root element is <sdf>"),
-    ("dog.xml", mjcf(legs() + leg("M", 0.0, 0.2)), "5 legs hang from 'trunk'; a quadruped has 4"),
-    ("dog.xml", mjcf(legs(("FL", "FR", "RL"))), "3 legs hang from 'trunk'"),
+    ("dog.xml", "<sdf/>", "is an SDF of Gazebo; convert it to a URDF"),
+    ("dog.xml", mjcf(legs() + leg("M", 0.0, 0.2)), "has 5 legs: from 'trunk' hang 5 chains of 3, 3, 3, 3, 3 joints"),
+    ("dog.xml", mjcf(legs(("FL", "FR", "RL"))), "has 3 legs: from 'trunk'"),
     (
         "dog.xml",
         mjcf("".join(TWO_CHAINS.format(n=n, x=0.2 * x, y=0.1 * y, link=LINK) for n, (x, y) in CORNERS.items())),
-        "legs that branch and no loop that closes them",
+        "has legs that branch at 'bFL'; five-bar legs need a sheet that is written by hand",
     ),
     ("dog.xml", mjcf(legs(axes=("1 0 0", "0 1 .3", "0 1 0"))), "should be the hip, and its axis at zero is"),
     ("dog.xml", mjcf(legs(foot="<site/>")), "has neither a shape nor a link for its foot"),
     ("dog.xml", mjcf().replace('axis="0 1 0"', 'type="slide" axis="0 1 0"', 1), "no single hinge"),
-    ("dog.xml", "<mujoco><wheel/></mujoco>", "MuJoCo refuses it: XML Error: Schema violation"),
+    ("dog.xml", "<mujoco><wheel/></mujoco>", "MuJoCo can't read it: line 1, <wheel>: Schema violation"),
     (
         "dog.xml",
         mjcf()
         .replace('type="box"', 'type="mesh" mesh="m"')
         .replace("<worldbody>", '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'),
-        "MuJoCo refuses it: Error",
+        "names the file 'none.stl', which is not there; put it where it is named",
     ),
     (
         "dog.xml",
@@ -242,7 +293,7 @@ BAD = [
     (
         "dog.xml",
         mjcf().replace('<joint name="FL_abduction" axis="1 0 0" range="-1 1"/>', ""),
-        "its legs have 2, 3, 3, 3 hinges; all must have 2, or all 3",
+        "its legs have 2, 3, 3, 3 hinges, and all must have 2, or all 3",
     ),
     (
         "dog.xml",

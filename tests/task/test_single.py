@@ -73,6 +73,61 @@ def test_gymnasiums_checker_passes(name):
     check_env(gymnasium.make(name).unwrapped)
 
 
+def test_gymnasiums_checker_passes_with_pictures():
+    env = gymnasium.make("surefoot/Trot-v0", robot="go2", render_mode="rgb_array").unwrapped
+    check_env(env)
+    env.reset(seed=0)
+    first = env.render()
+    assert (first.shape, first.dtype) == ((480, 640, 3), np.uint8)
+    for _ in range(30):
+        env.step(np.zeros(env.action_space.shape, np.float32))
+    assert np.abs(first.astype(int) - env.render()).mean() > 1
+    with pytest.raises(SurefootError, match="render_mode is 'human'; it must be 'rgb_array'"):
+        surefoot.envs.make_single("trot", render_mode="human")
+
+
+def test_a_batch_has_a_picture_of_each_robot():
+    envs = gymnasium.make_vec("surefoot/Trot-v0", num_envs=2, threads=1, render_mode="rgb_array")
+    envs.reset(seed=0)
+    pictures = envs.render()
+    assert [picture.shape for picture in pictures] == [(480, 640, 3)] * 2
+    assert gymnasium.make_vec("surefoot/Trot-v0", num_envs=2, threads=1).unwrapped.render() is None
+
+
+def test_info_describes_every_step():
+    env = gymnasium.make("surefoot/Steer-v0", robot="go2", seed=2).unwrapped
+    env.reset(seed=2)
+    for _ in range(3):
+        *_, reward, terminated, _, info = env.step(np.zeros(env.action_space.shape, np.float32))
+    weights = env.batch.task.reward
+    assert sum(info["reward_terms"].values()) == pytest.approx(reward)
+    assert set(info["reward_terms"]) == set(weights)
+    assert info["time"] == pytest.approx(3 * float(env.batch.nominal.control_step[0]))
+    assert (info["fell"], terminated) == (False, False)
+    assert info["torque"].shape == (12,)
+    assert np.array_equal(info["tracking_error"], info["velocity"] - info["command"])
+
+
+def test_info_of_a_batch_is_that_of_each_robot():
+    def step(envs, num_envs):
+        envs.reset(seed=1)
+        return envs.step(np.zeros((num_envs, 8), np.float32))[-1]
+
+    batch = step(gymnasium.make_vec("surefoot/Steer-v0", num_envs=2, threads=1), 2)
+    rows = step(gymnasium.wrappers.vector.DictInfoToList(gymnasium.make_vec("surefoot/Steer-v0", num_envs=2)), 2)
+    for row, info in enumerate(rows):
+        assert info["time"] == batch["time"][row]
+        assert np.array_equal(info["command"], batch["command"][row])
+        assert info["reward_terms"]["torque"] == batch["reward_terms"]["torque"][row]
+
+
+def test_a_fall_is_told_from_other_ends():
+    env = LocomotionSingleEnv(TaskConfig(feedback=FEEDBACK, fall_height=0.5), SimWorld, seed=0)
+    env.reset()
+    *_, terminated, _, info = env.step(np.zeros(8))
+    assert (terminated, info["fell"]) == (True, True)
+
+
 def test_an_id_can_bring_its_module_and_adds_no_time_limit_and_its_spec_survives_json():
     env = gymnasium.make("surefoot.envs:surefoot/Trot-v0")
     assert env.spec.max_episode_steps is None

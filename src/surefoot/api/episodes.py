@@ -108,16 +108,30 @@ def film(robot: RobotDescription, trace: EpisodeTrace, path: Path) -> Path:
 
     parts, poses = robot.appearance(), trace_poses(robot, trace)
     camera = Camera.for_robot(extent(robot))
-    return render_video(parts, poses, trace.time, path, overlay=_captions(trace), follow=robot.base, camera=camera)
+    return render_video(parts, poses, trace.time, path, overlay=captions(trace), follow=robot.base, camera=camera)
 
 
-def _captions(trace: EpisodeTrace) -> list[str]:
-    """Return a text for each control step of a trace: policy, world, and speed over the last half second."""
-    half = max(round(0.5 / trace.meta["control_step"]), 1)
+def captions(trace: EpisodeTrace) -> list[str]:
+    """Return a text for each control step of a trace: policy, world, and speed over the last half second.
+
+    Of a robot that is steered, the command, and its speeds forward and to the left and yaw rate.
+    """
+    import numpy as np
+
+    from surefoot.evaluation.statistics import decimal
+    from surefoot.evaluation.tracking import motion
+
+    half, steered = max(round(0.5 / trace.meta["control_step"]), 1), bool(np.isfinite(trace.command).any())
     lines = []
+    velocity = motion(trace) if steered else np.zeros((trace.num_steps, 3))
     for step, time in enumerate(trace.time):
         start = max(step + 1 - half, 0)
         moved = trace.base_position_world[step + 1, 0] - trace.base_position_world[start, 0]
-        since = time - (trace.time[start - 1] if start else 0.0)
-        lines.append(f"{trace.meta['policy']} in {trace.meta['world']}\n{time:4.1f} s   {moved / since:5.2f} m/s")
+        speed = f"{moved / (time - (trace.time[start - 1] if start else 0.0)):5.2f} m/s"
+        if steered:
+            rows = {"command": trace.command[step], "robot": velocity[start : step + 1].mean(axis=0)}
+            texts = {name: [decimal(float(value)) for value in row] for name, row in rows.items()}
+            speed = "".join(f"\n{name}: forward {x}, left {y} m/s, turn {w} rad/s" for name, (x, y, w) in texts.items())
+        separator = "" if steered else "   "
+        lines.append(f"{trace.meta['policy']} in {trace.meta['world']}\n{time:4.1f} s{separator}{speed}")
     return lines

@@ -19,6 +19,7 @@ _EXTRAS = {
     "tune": ("cma",),
     "bags": ("rosbags",),
     "page": ("viser", "websockets"),
+    "wandb": ("wandb",),
 }
 
 
@@ -34,7 +35,7 @@ def describe_missing(error: ModuleNotFoundError) -> str | None:
     return None
 
 
-def describes_missing(function: Callable[P, T]) -> Callable[P, T]:
+def report_missing_extras(function: Callable[P, T]) -> Callable[P, T]:
     """Return a function that says which extra to install where a package is missing, as the commands do."""
 
     @functools.wraps(function)

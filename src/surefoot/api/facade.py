@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from surefoot.api.extras import describes_missing
+from surefoot.api.extras import report_missing_extras
 from surefoot.api.results import Drive, Evaluation, Policy, Run, Video, load
 from surefoot.errors import SurefootError
 
@@ -24,7 +24,7 @@ Parameters = Mapping[str, Any] | str | Path | None
 """Physical parameters by name, or a file of a robot's (.toml, or the name of one that ships with it)."""
 
 
-@describes_missing
+@report_missing_extras
 def robots(*folders: str | Path) -> dict[str, RobotDescription]:
     """Return descriptions of robots by name: those that ship, and those of own folders.
 
@@ -37,7 +37,7 @@ def robots(*folders: str | Path) -> dict[str, RobotDescription]:
     return {robot.name: robot for robot in described}
 
 
-@describes_missing
+@report_missing_extras
 def train(
     task: str | Path,
     *,
@@ -100,7 +100,7 @@ def train(
         return Run(folder.path, finish_run(loop, folder, lambda line: None))
 
 
-@describes_missing
+@report_missing_extras
 def evaluate(
     policy: str | Path | Run | Policy,
     *,
@@ -156,7 +156,7 @@ def evaluate(
     return Evaluation(measure_runs(traces), summarize(traces, loaded.robot.urdf.total_mass), traces)
 
 
-@describes_missing
+@report_missing_extras
 def play(
     policy: str | Path | Run | Policy,
     *,
@@ -202,7 +202,7 @@ def play(
     return Video(film(loaded.robot, trace, path))
 
 
-@describes_missing
+@report_missing_extras
 def drive(
     policy: str | Path | Run | Policy,
     *,
@@ -229,7 +229,7 @@ def drive(
     return Drive(DrivePage(str(loaded.path), world, None if robot is None else str(robot)), host, port)
 
 
-@describes_missing
+@report_missing_extras
 def export(
     model: Any,
     path: str | Path,

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from surefoot.api.extras import describes_missing
+from surefoot.api.extras import report_missing_extras
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ class Drive:
         return f'<p><a href="{address}" target="_blank">{address}</a></p>{frame}'
 
 
-@describes_missing
+@report_missing_extras
 def load(policy: str | Path | Run | Policy, *, robot: str | Path | None = None) -> Policy:
     """Load a policy.
 

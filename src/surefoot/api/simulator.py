@@ -12,7 +12,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import ParamValue, find_params, read_params
 from surefoot.robot.randomization import Ranges
-from surefoot.task.commands import read_schedule
+from surefoot.task.commands import read_schedule, schedule_duration
 from surefoot.task.config import TaskConfig
 from surefoot.world.interface import WorldConfig
 
@@ -71,6 +71,8 @@ def evaluation_task(
 ) -> TaskConfig:
     """Return a task as evaluations run it: randomized, pushed and commanded as requested, not as in training.
 
+    A file of commands is followed to its end, also where episodes of the task are shorter.
+
     Args:
         task: as the policy was trained, in the simulator to run it in.
         robot: the task's robot.
@@ -88,7 +90,10 @@ def evaluation_task(
         if not task.commands.enabled:
             raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
         followed = replace(followed, schedule=read_schedule(commands))
-    return replace(task, randomize=ranges, pushes=task.pushes.for_evaluation(pushes, push_force), commands=followed)
+    pushed = task.pushes.for_evaluation(pushes, push_force)
+    task = replace(task, randomize=ranges, pushes=pushed, commands=followed)
+    whole = with_duration(task, robot, schedule_duration(followed.schedule))
+    return whole if whole.max_steps > task.max_steps else task
 
 
 def with_duration(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,7 +40,7 @@ def check_config(config: TrainConfig) -> None:
 
 
 class TrainingProgress(ProgressBar):
-    """Bar of a run with steps a second, speed and return; a line for each evaluation.
+    """Bar of a run with steps a second, speed or errors of commands, and return; a line for each evaluation.
 
     Args:
         config: the run.
@@ -52,24 +52,36 @@ class TrainingProgress(ProgressBar):
         self._steps, self._done = config.updates * config.samples_per_update, done
         super().__init__(config.task.name, console, self._steps, done)
         self._start = time.monotonic()
-        self._return = self._speed = math.nan
+        self._means = ""
 
     def report(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:
         """Show the figures of an update."""
         if not math.isnan(figures.return_mean):
-            self._return, self._speed = figures.return_mean, figures.speed_mean
+            self._means = f"  return {figures.return_mean:.2f}"
+            if figures.rmse is None:
+                self._means = f"  speed {figures.speed_mean:.2f} m/s{self._means}"
+        errors = "" if figures.rmse is None else f"  error {error_text(figures.rmse)}"
         rate = (figures.steps - self._done) / (time.monotonic() - self._start)
-        text = f"{rate:,.0f} steps/s  speed {self._speed:.2f} m/s  return {self._return:.2f}"
+        text = f"{rate:,.0f} steps/s{errors}{self._means}"
         left = (self._steps - figures.steps) / rate
         line = f"{figures.steps:>9,} of {self._steps:,} steps  {text}  {left:.0f} s left"
         self.advance(figures.steps, text, line)
         if evaluation is not None:
+            followed = f"{evaluation.speed_mean:.2f} m/s"
+            if evaluation.rmse is not None:
+                followed = f"error {error_text(evaluation.rmse)}"
             pushed = f", {evaluation.pushed_falls} with pushes" if evaluation.pushed_falls else ""
             self.print(
-                f"{evaluation.steps:>9,} steps, evaluated: {evaluation.speed_mean:.2f} m/s, "
+                f"{evaluation.steps:>9,} steps, evaluated: {followed}, "
                 f"return {evaluation.return_mean:.2f}, {evaluation.power_mean:.0f} W, {evaluation.falls} falls{pushed}",
                 "evaluation",
             )
+
+
+def error_text(rmse: Mapping[str, float | None]) -> str:
+    """Return errors of commands as text, such as `0.05, 0.02 m/s, 0.11 rad/s`."""
+    *speeds, rate = ("-" if value is None else f"{value:.2f}" for value in rmse.values())
+    return f"{', '.join(speeds)} m/s, {rate} rad/s"
 
 
 def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], None]) -> dict[str, dict[str, Any]]:
@@ -114,7 +126,8 @@ def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], No
     figures.mkdir(exist_ok=True)
     rows = folder.rows()
     if any(row["return_mean"] is not None for row in rows):
-        learning_curves({task.name: [learning_curve(rows)]}, figures / "learning_curve.png")
+        unit = task.return_unit(robot)
+        learning_curves({task.name: [learning_curve(rows)]}, figures / "learning_curve.png", unit)
     episodes = sorted(traces["without_pushes"], key=lambda trace: trace.base_position_world[-1, 0])
     median = episodes[len(episodes) // 2]
     draw_episode(figures, median, robot)

@@ -44,7 +44,7 @@ class DeployCommand(LinkOptions):
     policy: PolicyName
     port: Port
     duration: Duration | None = None
-    """Time for which the policy runs [s]; its episode's, if not given."""
+    """Time for which the policy runs [s]; its episode's or, if longer, that of --commands' file, if not given."""
     episodes: Count = 1
     """How many episodes, one after another; the robot sits in between."""
     out: Path | None = None
@@ -130,6 +130,7 @@ def main(argv: list[str]) -> int:
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; return the report of each, and the exit code."""
+    from surefoot.deploy.command_sources import FileCommands
     from surefoot.deploy.motion_runner import DOWN, UP
     from surefoot.deploy.pacer import LoopTiming
     from surefoot.deploy.run_saver import RunSaver, next_free
@@ -140,6 +141,8 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     duration = command.duration or (_DRIVEN if command.browser else None)
     if duration is not None:
         steps = max(round(duration / step), 1)
+    elif isinstance(deployment.commands, FileCommands):
+        steps = max(round(deployment.commands.duration / step), steps)
     results: list[dict[str, Any]] = []
     code = 0
     for run in range(command.episodes):

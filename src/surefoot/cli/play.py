@@ -11,6 +11,10 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.simulator import RunOptions
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError
+from surefoot.task.commands import schedule_duration
+
+_DURATION = 6.0
+"""Least length of a run [s], if none is given."""
 
 
 @dataclass(frozen=True)
@@ -21,8 +25,8 @@ class PlayCommand(RunOptions):
     """
 
     policy: PolicyName
-    duration: Duration = 6.0
-    """How long the robot runs, in simulated time."""
+    duration: Duration | None = None
+    """How long the robot runs, in simulated time; 6 s or, with --commands, its file to the end, if not given."""
     out: Path | None = None
     """MP4 to write, display or not; POLICY.mp4 here, if not given and there is no display."""
     browser: bool = False
@@ -44,7 +48,9 @@ def main(argv: list[str]) -> int:
     if command.browser:
         return _serve_page(command)
     policy, robot, task, origin = load_gait(path, command.robot)
-    task = with_duration(command.apply(task, robot), robot, command.duration)
+    task = command.apply(task, robot)
+    duration = command.duration or max(_DURATION, schedule_duration(task.commands.schedule))
+    task = with_duration(task, robot, duration)
     window = command.out is None and has_display()
     # Imported before anything is simulated, so that a missing package is reported at once.
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):

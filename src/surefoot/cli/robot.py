@@ -78,7 +78,7 @@ def _new(argv: list[str]) -> int:
         f"{name}: {imported.mass:.2f} kg, {imported.torque.size} motors, legs of {imported.length:.3f} m, "
         f"forward is {imported.forward} of the file"
     )
-    guesses = write_robot(imported, folder, name, command.knees or _find_knees(imported))
+    guesses = write_robot(imported, folder, name, command.knees or find_knees(imported))
     robot = RobotDescription.load(folder)
     if (step := longest_servo_step(robot)) < robot.timing.servo_step:
         guesses = [line for line in guesses if not line.startswith("servo_step")] + [set_servo_step(folder, step)]
@@ -90,7 +90,7 @@ def _new(argv: list[str]) -> int:
     return _run_checks(robot)
 
 
-def _find_knees(robot: ImportedRobot) -> Knees | None:
+def find_knees(robot: ImportedRobot) -> Knees | None:
     """Print where knees point and what shows it; ask, if nothing shows it and there is somebody to ask."""
     knees, reason, uncertain = robot.guess_knees()
     if uncertain and sys.stdin.isatty():

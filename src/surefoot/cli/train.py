@@ -16,7 +16,7 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
 from surefoot.errors import SurefootError, choices, suggest
-from surefoot.learn.config import Steps, TrainConfig, load_train_config
+from surefoot.learn.config import LoggerName, Steps, TrainConfig, load_train_config
 from surefoot.robot import parse_settings
 from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
@@ -53,15 +53,18 @@ def main(argv: list[str]) -> int:
     from surefoot.api.training import check_config
 
     check_config(config)
+    options = command.page, command.logger_name
     from surefoot.learn.run_folder import RunFolder
 
-    return _train(RunFolder.create(config, command.out), False, command.page)
+    return _train(RunFolder.create(config, command.out), False, *options)
 
 
 @dataclass(frozen=True)
-class PageOptions:
-    """Options for the page of a training."""
+class ViewOptions:
+    """Options for where a training is watched."""
 
+    logger: LoggerName = "tensorboard"
+    """Log to TensorBoard's files in the run folder; wandb: to Weights & Biases as well."""
     browser: bool = False
     """Show the newest policy on a page in the browser while it learns."""
     page_port: PagePort = PAGE_PORT
@@ -74,9 +77,16 @@ class PageOptions:
             import_module("viser")  # a missing package is reported before there is a run
         return self.page_port if self.browser else None
 
+    @property
+    def logger_name(self) -> LoggerName:
+        """The logger, whose package is there."""
+        if self.logger == "wandb":
+            import_module("wandb")  # as above
+        return self.logger
+
 
 @dataclass(frozen=True, kw_only=True)
-class ResumeCommand(PageOptions):
+class ResumeCommand(ViewOptions):
     """Resume a run exactly where it stopped; the run's own options hold."""
 
     resume: Path
@@ -86,7 +96,7 @@ class ResumeCommand(PageOptions):
 
 
 @dataclass(frozen=True)
-class TrainCommand(PageOptions, TrainConfig):
+class TrainCommand(ViewOptions, TrainConfig):
     """Learn a gait."""
 
     simulator: SimulatorOptions = Simulator()
@@ -135,7 +145,7 @@ def _resume(command: ResumeCommand) -> int:
             if command.steps <= (done := folder.load()["steps"]):
                 raise SurefootError(f"steps is {command.steps}, and {folder.path} has done {done}; give more")
             set_steps(folder.path, command.steps)
-    return _train(folder, True, command.page)
+    return _train(folder, True, command.page, command.logger_name)
 
 
 def _print_next_commands(console: Console, folder: RunFolder) -> None:
@@ -147,7 +157,7 @@ def _print_next_commands(console: Console, folder: RunFolder) -> None:
         console.print(next_command("resume", "train", "--resume", folder.path))
 
 
-def _train(folder: RunFolder, resume: bool, page_port: int | None) -> int:
+def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: LoggerName) -> int:
     """Train in a run's folder, from its beginning or on from its last checkpoint; return the exit code."""
     from surefoot.api.episodes import print_summaries
     from surefoot.api.training import EPISODE, TrainingProgress, finish_run
@@ -166,7 +176,7 @@ def _train(folder: RunFolder, resume: bool, page_port: int | None) -> int:
         console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
 
     with folder_lock(folder.path):
-        loop = TrainingLoop(config, folder, find_world(config.world), resume=resume)
+        loop = TrainingLoop(config, folder, find_world(config.world), resume=resume, logger=logger)
         console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}")
         with ExitStack() as stack:
             progress = stack.enter_context(TrainingProgress(config, console, loop.learner.steps))

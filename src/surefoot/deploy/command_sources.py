@@ -27,7 +27,7 @@ from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.errors import SurefootError
 from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
-from surefoot.task.commands import CommandSchedule, read_schedule
+from surefoot.task.commands import CommandSchedule, read_schedule, schedule_duration
 
 FRESH = 0.3
 """Age [s] up to which a command of the channel holds."""
@@ -59,7 +59,10 @@ class FileCommands:
     """Commands over time, of a file; whoever runs the robot clamps them."""
 
     def __init__(self, path: Path) -> None:
-        self._schedule = CommandSchedule([read_schedule(path)], None, 1)
+        rows = read_schedule(path)
+        self._schedule = CommandSchedule([rows], None, 1)
+        self.duration = schedule_duration(rows)
+        """How long a run takes that follows the file to its end [s]."""
 
     def read(self, moment: float) -> Array:
         """Return the command (3,) at a moment [s] of the run."""

@@ -1,6 +1,6 @@
 """Means with standard errors and confidence intervals, for a few numbers that vary by chance, such as one a seed.
 
-Intervals take the numbers as independent draws from normal distributions.
+Intervals of means take the numbers as independent draws from normal distributions; those of shares are Wilson's.
 """
 
 from __future__ import annotations
@@ -16,6 +16,10 @@ from surefoot.arrays import Array
 
 CONFIDENCE = 0.95
 """Chance that an interval covers the true value."""
+MIN_NUMBERS = 3
+"""Fewest numbers whose mean has an interval: that of two numbers is 13 times as wide as their distance."""
+_NORMAL_QUANTILE = 1.959963984540054
+"""Of `CONFIDENCE` on both sides."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,8 @@ class Interval:
     """Lower end; NaN for too few numbers."""
     high: float = math.nan
     """Upper end; NaN for too few numbers."""
+    values: tuple[float, ...] = ()
+    """The numbers themselves, where they are too few for an interval of their mean."""
 
     @property
     def is_finite(self) -> bool:
@@ -71,20 +77,56 @@ class Interval:
         return {name: self.mean, f"{name}_low": self.low, f"{name}_high": self.high}
 
     def text(self, digits: int = 2, sign: bool = False) -> str:
-        """Return text such as `1.20 [1.05, 1.35]`, numbers as `decimal` writes them."""
+        """Return text such as `1.20 [1.05, 1.35]`, or `1.20 (1.10, 1.30)` of two numbers without an interval."""
         mean, low, high = (decimal(number, digits, sign) for number in (self.mean, self.low, self.high))
-        return f"{mean} [{low}, {high}]" if self.is_finite else mean
+        if self.is_finite:
+            return f"{mean} [{low}, {high}]"
+        values = ", ".join(decimal(value, digits, sign) for value in self.values)
+        return f"{mean} ({values})" if len(self.values) > 1 else mean
+
+    def scale(self, factor: float) -> Interval:
+        """Return the interval of the number times a factor above 0."""
+        return Interval(self.mean * factor, self.low * factor, self.high * factor)
 
 
 def t_interval(values: ArrayLike) -> Interval:
-    """Return the mean of numbers (N,) with Student's t interval; one number has none."""
-    return _satterthwaite([np.asarray(values, np.float64)])
+    """Return the mean of numbers (N,) with Student's t interval; fewer than `MIN_NUMBERS` have none."""
+    array = np.asarray(values, np.float64)
+    interval = _satterthwaite([array])
+    return interval if interval.is_finite else Interval(interval.mean, values=tuple(map(float, array)))
+
+
+def wilson_interval(shares: ArrayLike, trials: int) -> Interval:
+    """Return the mean of shares (S,), each of so many trials, with Wilson's score interval, which stays in 0 to 1.
+
+    Trials of one seed are alike. Where shares differ more than chance among independent trials explains, there are
+    only as many effective trials as the variance of the mean is worth, and the quantile is Student's for S shares
+    (Korn and Graubard 1998 do so for the exact interval).
+    """
+    array = np.asarray(shares, np.float64)
+    share, count, quantile = float(array.mean()), float(array.size * trials), _NORMAL_QUANTILE
+    chance = share * (1 - share)
+    if array.size > 1 and (variance := float(array.var(ddof=1)) / array.size) * count > chance > 0:
+        from scipy.special import stdtrit
+
+        count, quantile = chance / variance, float(stdtrit(array.size - 1, 0.5 + CONFIDENCE / 2))
+    weight = quantile**2 / count
+    centre = (share + weight / 2) / (1 + weight)
+    half = math.sqrt(chance * weight + weight**2 / 4) / (1 + weight)
+    return Interval(share, min(max(centre - half, 0.0), share), max(min(centre + half, 1.0), share))
+
+
+def share_difference(share: Interval, base: Interval) -> Interval:
+    """Return a share less another, independent one, with Newcombe's (1998) interval of two Wilson intervals."""
+    mean = share.mean - base.mean
+    below = math.hypot(share.mean - share.low, base.high - base.mean)
+    return Interval(mean, mean - below, mean + math.hypot(share.high - share.mean, base.mean - base.low))
 
 
 def welch_interval(values: ArrayLike, base: ArrayLike) -> Interval:
     """Return the mean of `values` (N,) less that of `base` (M,) with Welch's interval for unequal variances.
 
-    Degrees of freedom are those of Welch and Satterthwaite. Fewer than two numbers on either side have no interval.
+    Degrees of freedom are those of Welch and Satterthwaite. Fewer than `MIN_NUMBERS` on either side have no interval.
     """
     first, second = np.asarray(values, np.float64), np.asarray(base, np.float64)
     return _satterthwaite([first, second], float(first.mean() - second.mean()))
@@ -96,7 +138,7 @@ def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interv
     Rows are policies, of which each table has its own; columns are robots, the same in both tables. The variance of
     the mean is that of the row means over their number, for each table, plus that of the column means (of the tables'
     differences) over theirs. Variance that rows and columns share counts twice, so the interval is conservative.
-    Degrees of freedom are those of Satterthwaite. Fewer than two rows or columns have no interval.
+    Degrees of freedom are those of Satterthwaite. Fewer than `MIN_NUMBERS` rows or columns have no interval.
     """
     tables = [np.asarray(table, np.float64) for table in ((values,) if base is None else (values, base))]
     columns = tables[0].mean(axis=0) - (tables[1].mean(axis=0) if base is not None else 0.0)
@@ -106,7 +148,7 @@ def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interv
 def _satterthwaite(samples: Sequence[Array], mean: float | None = None) -> Interval:
     """Return the interval of a sum of means of independent samples with unequal variances, around `mean`."""
     mean = float(samples[0].mean()) if mean is None else mean
-    if min(map(len, samples)) < 2:
+    if min(map(len, samples)) < MIN_NUMBERS:
         return Interval(mean)
     parts = [float(sample.var(ddof=1)) / len(sample) for sample in samples]
     total = sum(parts)

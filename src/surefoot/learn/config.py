@@ -13,6 +13,8 @@ from surefoot.task.reward import check_reward
 
 Layers = tuple[Annotated[int, Within(1, 10_000)], ...]
 """Units of the hidden layers of a network."""
+LoggerName = Literal["tensorboard", "wandb"]
+"""Where a training logs its scalars; wandb: to both."""
 Steps = Annotated[int, Within(1, 10**12)]
 """Control steps of all robots together."""
 

@@ -23,6 +23,7 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.symmetry import MirrorSamples
 from surefoot.policy.export import export_policy
+from surefoot.robot.commands import COMMANDS
 from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv, SimulationFactory
 
@@ -53,6 +54,11 @@ class UpdateFigures:
     """Robots whose simulation diverged, since the start."""
     rollout_seconds: float
     learn_seconds: float
+    reward: dict[str, float]
+    """What each term adds to the reward, unscaled and weighted, per second."""
+    rmse: dict[str, float] | None = None
+    """Root mean square error of each command: mean speed [m/s] or rate [rad/s] over a control step less that which the
+    gait follows; None without commands."""
 
 
 class PpoLearner:
@@ -140,7 +146,8 @@ class PpoLearner:
         start = time.perf_counter()
         # Threads of torch that spin between small products would take the cores from the physics.
         torch.set_num_threads(1)
-        rewards = 0.0
+        rewards, seconds, squares = 0.0, 0.0, np.zeros(3)
+        terms = dict.fromkeys(config.task.reward, 0.0)
         episodes: list[NDArray[np.float64]] = [np.zeros((4, 0))]
         with torch.inference_mode():
             for _ in range(config.steps_per_update):
@@ -149,6 +156,11 @@ class PpoLearner:
                 gain = config.ppo.reward_scale * (reward - config.ppo.fall_cost * terminated)
                 self.observation = self._tensors(observation)
                 rewards += float(reward.mean())
+                seconds += float(env.world.params.control_step.mean())
+                for name, part in env.reward_terms.items():
+                    terms[name] += float(part.mean())
+                if env.commands is not None:
+                    squares += (env.command_error**2).mean(axis=0)
                 if "figures" in info:
                     figures, rows = info["figures"], info["_figures"]
                     columns = [figures[key][rows] for key in ("return", "steps", "distance", "duration")]
@@ -180,6 +192,10 @@ class PpoLearner:
             divergences=env.world.divergences,
             rollout_seconds=rollout_seconds,
             learn_seconds=time.perf_counter() - start - rollout_seconds,
+            reward={name: total / seconds for name, total in terms.items()},
+            rmse=None
+            if env.commands is None
+            else dict(zip(COMMANDS, map(float, np.sqrt(squares / config.steps_per_update)), strict=True)),
         )
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from torch.utils.tensorboard import SummaryWriter
-
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.evaluation.rollout import run_to_end
-from surefoot.learn.config import TrainConfig
+from surefoot.evaluation.tracking import MotionRecorder
+from surefoot.learn.config import LoggerName, TrainConfig
+from surefoot.learn.log_writer import close_writer, open_writer
 from surefoot.learn.ppo_learner import PpoLearner, UpdateFigures
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
+from surefoot.tables import plain_value
 from surefoot.task.env import LocomotionEnv, SimulationFactory
 
 EVALUATION_SEED = 1_000_003
@@ -37,6 +37,8 @@ class Evaluation:
     """The same with pushes, where the task has them; else 0."""
     power_mean: float
     """Mean mechanical power [W]."""
+    rmse: dict[str, Any] | None = None
+    """Root mean square error of each command's speed [m/s] or rate [rad/s], as `evaluate` has it; None without."""
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -46,16 +48,20 @@ class Evaluation:
 
 def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> Evaluation:
     """Run the deterministic policy for whole episodes, always from the same seed."""
-    config, results = learner.config, []
+    config, results, rmse = learner.config, [], None
     base = replace(config.task, reward=config.evaluation_reward or config.task.reward)
     base = replace(base, commands=replace(base.commands, ramp=0))
     for pushed in (False, True) if config.task.pushes.enabled else (False,):
         task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
-        results.append(run_to_end(learner.act, env, env.reset()[0]))
+        observation, _ = env.reset()
+        recorder = None if env.commands is None else MotionRecorder(env)
+        results.append(run_to_end(learner.act, env, observation, record=recorder.record if recorder else None))
+        if recorder is not None and not pushed:
+            rmse = recorder.tracking(results[0].steps).to_mapping()["rmse"]
     runs, falls = results[0], [int((~result.balanced).sum()) for result in results]
     speed, mean_return, power = (float(column.mean()) for column in (runs.speed, runs["return"], runs.power))
-    return Evaluation(learner.steps, speed, mean_return, falls[0], sum(falls[1:]), power)
+    return Evaluation(learner.steps, speed, mean_return, falls[0], sum(falls[1:]), power, rmse)
 
 
 class TrainingLoop:
@@ -66,13 +72,19 @@ class TrainingLoop:
         folder: its run folder.
         make_world: makes the simulation.
         resume: continue from the folder's last checkpoint.
+        logger: see `open_writer`.
 
     Raises:
         SurefootError: a task that does not fit, or a checkpoint that can't be read.
     """
 
     def __init__(
-        self, config: TrainConfig, folder: RunFolder, make_world: SimulationFactory, resume: bool = False
+        self,
+        config: TrainConfig,
+        folder: RunFolder,
+        make_world: SimulationFactory,
+        resume: bool = False,
+        logger: LoggerName = "tensorboard",
     ) -> None:
         self.config, self.folder, self._make_world = config, folder, make_world
         self.learner = PpoLearner(config, make_world)
@@ -95,7 +107,7 @@ class TrainingLoop:
             self.best_actor, self.seconds = state["best_actor"], state["seconds"]
             self._saved_steps = self.learner.steps
             folder.drop_rows_after(self.learner.steps)
-        self._writer = SummaryWriter(str(folder.path), purge_step=self.learner.steps if resume else None)
+        self._writer = open_writer(logger, folder.path, config, self.learner.steps if resume else None)
 
     def save(self) -> None:
         """Save everything that the run needs to continue."""
@@ -189,7 +201,7 @@ class TrainingLoop:
 
     def close(self) -> None:
         """Close the log."""
-        self._writer.close()
+        close_writer(self._writer)
 
     def _due(self, every: int) -> bool:
         """Return whether a multiple of `every` steps was passed in the last update, or the run is over."""
@@ -206,17 +218,24 @@ class TrainingLoop:
         return evaluation
 
     def _log(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:
-        row = {
-            key: None if isinstance(value, float) and math.isnan(value) else value
-            for key, value in asdict(figures).items()
+        row: dict[str, Any] = {key: plain_value(value) for key, value in asdict(figures).items()} | {
+            "seconds": self.seconds
         }
-        row["seconds"] = self.seconds
         if evaluation is not None:
             row["evaluation"] = asdict(evaluation)
         self.folder.log(row)
-        for key, value in row.items():
-            if isinstance(value, int | float) and key != "steps":
-                self._writer.add_scalar(f"train/{key}", value, figures.steps)
-        if evaluation is not None:
-            for key, value in asdict(evaluation).items():
-                self._writer.add_scalar(f"evaluation/{key}", value, figures.steps)
+        evaluated = row.pop("evaluation", {})
+        for part, values in (("train", row), ("evaluation", evaluated)):
+            for key, value in _scalars(values).items():
+                self._writer.add_scalar(f"{part}/{key}", value, figures.steps)
+
+
+def _scalars(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
+    """Return the numbers of a row by name, those of tables as TABLE/NAME."""
+    scalars: dict[str, float] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            scalars |= _scalars(value, f"{prefix}{key}/")
+        elif isinstance(value, int | float) and key != "steps":
+            scalars[f"{prefix}{key}"] = value
+    return scalars

@@ -9,6 +9,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
+from xml.parsers.expat import ErrorString
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -33,7 +34,9 @@ def read_xml(path: Path) -> ElementTree.Element:
     try:
         return ElementTree.fromstring(content)
     except ElementTree.ParseError as error:
-        raise SurefootError(f"{path}: is not well-formed XML: {error}") from error
+        line, column = error.position
+        reason = ErrorString(error.code)
+        raise SurefootError(f"{path}: is not well-formed XML in line {line}, column {column + 1}: {reason}") from error
 
 
 def attribute(element: ElementTree.Element | None, key: str, default: str = "") -> str:

@@ -17,7 +17,15 @@ from surefoot.arrays import Array
 from surefoot.evaluation.gap import PolicyGap, gap_difference
 from surefoot.evaluation.runs import summarize_runs
 from surefoot.evaluation.sensitivity import Sensitivity
-from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, t_interval, welch_interval
+from surefoot.evaluation.statistics import (
+    CONFIDENCE,
+    Interval,
+    MeanEstimate,
+    share_difference,
+    t_interval,
+    welch_interval,
+    wilson_interval,
+)
 from surefoot.files import atomic_write
 from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, evaluation_names, gap_from_result
 from surefoot.studies.study_config import StudyConfig
@@ -46,9 +54,11 @@ def learning_curve(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
 
     Returns:
         control steps so far, mean return [m] and speed [m/s] of the episodes that ended, the share that fell [%] (NaN
-        where none ended), and how many ended (`episodes`).
+        where none ended), and how many ended (`episodes`); of a task with commands, their errors by name too.
     """
     log = pd.DataFrame(rows, columns=["steps", "return_mean", "speed_mean", "falls", "episodes"]).astype(np.float64)
+    if rows[0].get("rmse"):
+        log = log.join(pd.DataFrame([row["rmse"] for row in rows], dtype=np.float64))
     log["falls"] *= 100 / log.episodes.where(log.episodes > 0)
     return log.rename(columns={"return_mean": "return", "speed_mean": "speed"})
 
@@ -119,8 +129,20 @@ class Comparison:
         return replace(self, policies=pd.concat([ranked[ranked.group == g][: self.study.top] for g in self.groups]))
 
     def interval(self, group: str, figure: str) -> Interval:
-        """Return the mean of a figure over the seeds of a group with its interval."""
-        return t_interval(self.of_group(group)[figure])
+        """Return the mean of a figure over the seeds of a group with its interval, Wilson's for a share."""
+        what, values = self._figure(figure), self.of_group(group)[figure]
+        return (
+            wilson_interval(values / what.whole, what.trials).scale(what.whole) if what.trials else t_interval(values)
+        )
+
+    def difference(self, group: str, base: str, figure: str) -> Interval:
+        """Return the mean of a figure over a group less that over another with its interval."""
+        if self._figure(figure).trials:
+            return share_difference(self.interval(group, figure), self.interval(base, figure))
+        return welch_interval(self.of_group(group)[figure], self.of_group(base)[figure])
+
+    def _figure(self, name: str) -> ResultFigure:
+        return next(figure for figure in self.figures if figure.name == name)
 
     def sensitivities(self, group: str) -> list[Sensitivity]:
         """Return the results of each policy of a group in test worlds."""
@@ -158,15 +180,19 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
         "policies": policies.drop(columns=["results", "curve", "policy"]),
         "groups": [
             {"group": group, "label": comparison.study.label(group), "figure": figure.name, "unit": figure.unit}
-            | {"seeds": len(comparison.of_group(group)), **vars(comparison.interval(group, figure.name))}
+            | {
+                "seeds": len(comparison.of_group(group)),
+                "mean": interval.mean,
+                "low": interval.low,
+                "high": interval.high,
+            }
             for group in groups
             for figure in comparison.figures
+            for interval in [comparison.interval(group, figure.name)]
         ],
         "differences": [
             {"group": other, "against": base, "figure": figure.name, "unit": figure.unit}
-            | welch_interval(comparison.of_group(other)[figure.name], comparison.of_group(base)[figure.name]).columns(
-                "difference"
-            )
+            | comparison.difference(other, base, figure.name).columns("difference")
             for base, other in comparison.present_pairs()
             for figure in comparison.figures
         ],

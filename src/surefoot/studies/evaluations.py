@@ -49,6 +49,13 @@ class ResultFigure:
     title: str
     unit: str
     digits: int
+    trials: int = 0
+    """Episodes of a policy that a share counts; 0: it is no share."""
+
+    @property
+    def whole(self) -> float:
+        """Number that stands for a share of one."""
+        return 100.0 if self.unit == "%" else float(self.trials)
 
     @property
     def heading(self) -> str:
@@ -181,7 +188,7 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         (
             ResultFigure("nominal_speed", "speed, nominal", "m/s", 3),
             ResultFigure("nominal_return", "return, nominal", "m", 2),
-            ResultFigure("nominal_falls", "falls, nominal", "%", 1),
+            ResultFigure("nominal_falls", "falls, nominal", "%", 1, 20),
         ),
     ),
     "table1": EvaluationKind(
@@ -191,7 +198,7 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         lambda result: _read_runs(result)[::2],
         (
             ResultFigure("table1_speed", "speed, table I drawn", "m/s", 3),
-            ResultFigure("table1_falls", "falls, table I drawn", "%", 1),
+            ResultFigure("table1_falls", "falls, table I drawn", "%", 1, 100),
         ),
     ),
     "sensitivity": EvaluationKind(
@@ -202,7 +209,7 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         (
             ResultFigure("sensitivity_mean", "mean return over test worlds", "m", 2),
             ResultFigure("sensitivity_std", "standard deviation of return over test worlds", "m", 2),
-            ResultFigure("sensitivity_falls", "falls in test worlds", "%", 1),
+            ResultFigure("sensitivity_falls", "falls in test worlds", "%", 1, 400),
         ),
     ),
     "gap": EvaluationKind(
@@ -216,7 +223,7 @@ EVALUATIONS: dict[str, EvaluationKind] = {
             ResultFigure("gap_described", "return at home as described", "m", 2),
             ResultFigure("gap_away", "return away", "m", 2),
             ResultFigure("gap", "gap", "m", 2),
-            ResultFigure("gap_balanced", "balanced away", "%", 1),
+            ResultFigure("gap_balanced", "balanced away", "%", 1, ROBOTS),
             ResultFigure("gap_distance", "distance away", "m", 2),
             ResultFigure("gap_speed", "speed away", "m/s", 3),
             ResultFigure("gap_power", "power away", "W", 1),
@@ -227,7 +234,7 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         {"world": "mujoco", "episodes": 5, "seed": SEED},
         _name_gait,
         lambda result: (result["agree"],),
-        (ResultFigure("gait_agree", "episodes with the same gait", "of 5", 0),),
+        (ResultFigure("gait_agree", "episodes with the same gait", "of 5", 0, 5),),
     ),
 }
 """Evaluations by name; the first one is part of every study."""

@@ -204,7 +204,10 @@ def find_number(root: Path, source: NumberSource) -> Interval | MeanEstimate:
         keys = filter(None, (source.error,) if source.error else (source.low, source.high))
         ends = [math.nan if isinstance(data, dict) and data.get(key) == "" else _number(data, key) for key in keys]
         mean, *spread = (number * source.scale for number in (_number(data, source.value), *ends))
-    return MeanEstimate(mean, *spread) if source.error else Interval(mean, *spread)
+    if source.error:
+        return MeanEstimate(mean, *spread)
+    low, high = spread or (math.nan, math.nan)
+    return Interval(mean, low, high)
 
 
 def find_counts(root: Path, counts: ValueCounts) -> str:

@@ -12,7 +12,8 @@ import pandas as pd
 
 from surefoot.evaluation.gap import PolicyGap
 from surefoot.evaluation.statistics import Interval, MeanEstimate
-from surefoot.report.figures.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered
+from surefoot.report.figures.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered, spoken
+from surefoot.robot.commands import COMMANDS
 from surefoot.studies.comparison import Comparison, bin_curve
 from surefoot.tables import with_unit
 
@@ -26,12 +27,21 @@ _PALE = 0.5
 _MAX_DOTS = 100
 
 
-def learning_curves(groups: Mapping[str, Sequence[pd.DataFrame]], path: str | Path) -> Path:
-    """Draw the `learning_curve` of trainings by group: mean over a group, band from the least to the greatest."""
-    parts = (("return", "Return of an episode (m)"), ("speed", "Speed (m/s)"), ("falls", "Episodes with a fall (%)"))
+def learning_curves(groups: Mapping[str, Sequence[pd.DataFrame]], path: str | Path, unit: str = "m") -> Path:
+    """Draw the `learning_curve` of trainings by group: mean over a group, band from the least to the greatest.
+
+    Tasks with commands have their errors in place of the speed. `unit` is that of returns.
+    """
+    steered = all(set(COMMANDS) <= set(curve) for curves in groups.values() for curve in curves)
+    errors = [(name, with_unit(f"Error of {spoken(name)}", error_unit)) for name, error_unit in COMMANDS.items()]
+    parts = [
+        ("return", with_unit("Return of an episode", unit)),
+        *(errors if steered else [("speed", "Speed (m/s)")]),
+        ("falls", "Episodes with a fall (%)"),
+    ]
     ends = [max(float(curve.steps.max()) for curve in curves) for curves in groups.values()]
-    scale, unit = (1e6, "million ") if max(ends) >= 2e5 else (1.0, "")
-    with new_figure(path, (11.0, 3.7), columns=3) as (figure, axes):
+    scale, count = (1e6, "million ") if max(ends) >= 2e5 else (1.0, "")
+    with new_figure(path, (11.0 if len(parts) == 3 else 16.0, 3.7), columns=len(parts)) as (figure, axes):
         for ax, (name, title) in zip(axes, parts, strict=True):
             for number, (label, curves) in enumerate(groups.items()):
                 # Every group has its own bins, so that each curve reaches the end of its training.
@@ -43,9 +53,9 @@ def learning_curves(groups: Mapping[str, Sequence[pd.DataFrame]], path: str | Pa
                 ax.fill_between(x, low, high, color=color, alpha=0.16, linewidth=0)
                 ax.plot(x, mean, color=color, label=label)
             ax.set_title(title)
-            ax.set_xlabel(f"{unit}control steps")
+            ax.set_xlabel(f"{count}control steps")
             ax.set_xlim(0.0, max(ends) / scale)
-        axes[2].set_ylim(0.0, max(axes[2].get_ylim()[1], 1.0))
+        axes[-1].set_ylim(0.0, max(axes[-1].get_ylim()[1], 1.0))
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
         heading(figure, "Training: mean over seeds, band from the least to the greatest seed")
     return Path(path)
@@ -67,7 +77,7 @@ def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str])
             )
             ax.axvline(0.0, color=QUIET, linewidth=0.8)
             if figure.unit == "%":
-                # The interval of a share may exceed its bounds.
+                # Room for the dot of a share of 100 %.
                 ax.set_xlim(0.0, min(max(ax.get_xlim()[1], 5.0), 103.0))
         heading(picture, "Mean over seeds, 95 % confidence interval, and each seed as a dot")
     return Path(path)

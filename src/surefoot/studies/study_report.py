@@ -23,7 +23,9 @@ _BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std",
 _HOW_TO_READ = (
     f"Means over seeds, with intervals of {CONFIDENCE:.0%} confidence in brackets: Student's t over seeds for a group, "
     "Welch's for a difference, none widened for the number of comparisons. Episodes within one seed are averaged "
-    "first. Brackets are left out where there are too few seeds. Bold: the interval does not include zero."
+    "first. Shares have Wilson's interval, of the episodes that the spread between seeds leaves, and Newcombe's for a "
+    "difference. A mean of one or two seeds has no interval; the seeds are in parentheses. Bold: the interval does not "
+    "include zero."
 )
 _GAP_TERMS = (
     "Home: the simulator that a policy was trained in, with the motors and delays of its own task. Described: the same "
@@ -117,6 +119,8 @@ def _by_figure(comparison: Comparison, table: pd.DataFrame, change: str = "") ->
         cells = {"figure": figure.heading}
         for _, row in table[table.figure == figure.name].iterrows():
             interval = Interval(*row[names])
+            if not change and not interval.is_finite:
+                interval = comparison.interval(row.group, figure.name)
             text = interval.text(figure.digits, sign=bool(change))
             cells[row.column] = f"**{text}**" if change and not interval.covers_zero else text
         rows.append(cells)

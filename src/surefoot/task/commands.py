@@ -23,6 +23,8 @@ Range = tuple[float, float]
 
 _START_TIME = 1.5
 """Time in which a gait goes from standing to full steps, and back [sqrt(l / g)]."""
+_LAST_COMMAND = 2.0
+"""Time for which the last command of a file is followed [s]."""
 _FILE_BYTES = 1_000_000
 """Size of the largest file of commands that is read."""
 MAX_HEADING_ERROR = 0.5
@@ -138,6 +140,11 @@ def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
         if not table:
             raise SurefootError(f"it has no row; {rule}")
         return from_mapping(CommandConfig, {"schedule": table}, "commands").schedule
+
+
+def schedule_duration(rows: Sequence[Sequence[float]]) -> float:
+    """Return how long a run takes that follows rows of time [s] and commands to their end [s]; 0 for none."""
+    return rows[-1][0] + _LAST_COMMAND if rows else 0.0
 
 
 class CommandGenerator:

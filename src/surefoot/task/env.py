@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium
@@ -19,11 +20,14 @@ from surefoot.task.commands import CommandFilter, CommandGenerator, CommandState
 from surefoot.task.config import TaskConfig
 from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
-from surefoot.task.reward import Scales, StepMotion, base_height, step_reward
+from surefoot.task.reward import Scales, StepMotion, base_height, base_rates, step_reward
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
 __all__ = ["LocomotionEnv", "LocomotionSingleEnv", "SimulationFactory"]
+
+Camera = Callable[[Array, Array, Array], NDArray[np.uint8]]
+"""Takes pictures (N, height, width, 3) of robots: base positions (N, 3), orientations (N, 4), motor angles (N, M)."""
 
 
 def has_fallen(truth: Truth, angle: float, height: float = 0.0, ground: Ground = FLAT) -> NDArray[np.bool_]:
@@ -55,9 +59,11 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         autoreset: whether robots start anew by themselves.
         threads: threads of the simulation; 0 means one a core.
         source: gives the commands, if the task has any; what the task says, if None.
+        camera: takes the pictures of `render`; without it there are none.
+        step_info: whether `info` describes every step; see `_step_info`.
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": ["rgb_array"]}  # noqa: RUF012
     arrays = ("steps", "returns", "start_position", "feedback", "over", "history")
     """Names of the arrays that change over time."""
 
@@ -70,7 +76,11 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         autoreset: bool = True,
         threads: int = 0,
         source: CommandGenerator | None = None,
+        camera: Camera | None = None,
+        step_info: bool = False,
     ) -> None:
+        self.render_mode = None if camera is None else "rgb_array"
+        self._camera, self._has_step_info = camera, step_info
         self.task, self.num_envs, self.autoreset, self._threads = task, num_envs, autoreset, threads
         self._given_source = source
         self.robot = robot = RobotDescription.load(task.robot)
@@ -80,6 +90,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.nominal = task.nominal(robot).rows(np.zeros(max(num_envs, 1), np.int64))
         self._make_world = make_world
         self._make(seed)
+        self.metadata = {**self.metadata, "render_fps": round(1 / float(self.nominal.control_step[0]))}
         width = self.observer.width * task.history
         self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (width,), np.float32)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(self.gait.action_names),), np.float32)
@@ -113,6 +124,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.target = np.zeros((self.num_envs, self.robot.num_motors))
         self.reward = np.zeros(self.num_envs)
         self.reward_terms: dict[str, Array] = {}
+        self.command_error = np.zeros((self.num_envs, 3))
         self.readings: Readings = self.world.readings()
         self.truth: Truth = self.world.truth()
         self._begin(np.arange(self.num_envs))
@@ -178,11 +190,13 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.readings = world.step(self.target, active)
         before, self.truth = self.truth, world.truth()
         diverged = self.truth.diverged
-        reward, self.reward_terms = step_reward(task.reward, task.reward_limits, self._motion(before, last))
+        motion = self._motion(before, last)
+        reward, self.reward_terms = step_reward(task.reward, task.reward_limits, motion)
         if self.source is not None and self.commands is not None:
+            self.command_error = motion.command_error
             self.source.update(self.readings.time)
             self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
-        for part in (reward, *self.reward_terms.values()):
+        for part in (reward, self.command_error, *self.reward_terms.values()):
             part[diverged | self.over] = 0.0
         self.reward = reward
         self.steps += ~self.over
@@ -190,7 +204,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         terminated = (has_fallen(self.truth, task.fall_angle, task.fall_height, self._ground) | diverged) & ~self.over
         truncated = ~terminated & ~self.over & (self.steps >= task.max_steps)
         done = terminated | truncated
-        info: dict[str, Any] = {}
+        info: dict[str, Any] = self._step_info(before, terminated & ~diverged) if self._has_step_info else {}
         if diverged.any():
             info["diverged"] = diverged.copy()
         if task.history > 1:
@@ -208,6 +222,34 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
                 self._begin(rows)
                 self.history[rows] = self._observe()[rows, None]
         return self._observation(), reward, terminated, truncated, info
+
+    def _step_info(self, before: Truth, fell: NDArray[np.bool_]) -> dict[str, Any]:
+        """Return what `info` says of the step that just ended, for N robots with M motors.
+
+        `time` of the episode [s] (N,); `reward_terms`, the parts of the reward by name (N,); `velocity` (N, 3), mean
+        speeds forward and to the left [m/s] and yaw rate [rad/s]; `torque` [N m] (N, M) at its end; `fell` (N,). With
+        commands, the `command` that is followed and the `tracking_error`, velocity less command, (N, 3) each.
+        """
+        velocity, rates = base_rates(before, self.truth, self.world.params.control_step[:, None])
+        info: dict[str, Any] = {
+            "time": self.readings.time.copy(),
+            "reward_terms": {name: part.copy() for name, part in self.reward_terms.items()},
+            "velocity": np.column_stack([velocity[:, :2], rates[:, 2]]),
+            "torque": self.truth.motor_torque.copy(),
+            "fell": fell.copy(),
+        }
+        if self.commands is not None:
+            info["command"] = self.commands.filtered_command.copy()
+            info["tracking_error"] = info["velocity"] - info["command"]
+        # Gymnasium's convention: which robots each entry is of.
+        return info | {f"_{name}": np.ones(self.num_envs, np.bool_) for name in info}
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Return a picture (height, width, 3) of each robot; None without a camera."""
+        if self._camera is None:
+            return None
+        truth = self.truth
+        return tuple(self._camera(truth.base_position_world, truth.base_quat_world, truth.motor_angle))
 
     def _motion(self, before: Truth, last_feedback: Array) -> StepMotion:
         """Return the motion of the control step that just ended, which began with a truth and the feedback before."""
@@ -299,15 +341,21 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
 class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """One robot on one task, for learners without support of vector environments: a batch of one.
 
-    Observations (O,), actions (A,), rewards and arguments are `LocomotionEnv`'s; without a seed any is taken. At the
-    end of an episode `info` holds its `figures`.
+    Observations (O,), actions (A,), rewards and arguments are `LocomotionEnv`'s; without a seed any is taken. `info`
+    describes every step, with what a batch has in arrays; at the end of an episode it holds its `figures`.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012
+    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012
 
-    def __init__(self, task: TaskConfig, make_world: SimulationFactory, seed: int | None = None) -> None:
+    def __init__(
+        self, task: TaskConfig, make_world: SimulationFactory, seed: int | None = None, camera: Camera | None = None
+    ) -> None:
         first = int(self.np_random.integers(2**31)) if seed is None else seed
-        self.batch = LocomotionEnv(task, 1, make_world, first, autoreset=False, threads=1)
+        self.batch = LocomotionEnv(
+            task, 1, make_world, first, autoreset=False, threads=1, camera=camera, step_info=True
+        )
+        self.render_mode = self.batch.render_mode
+        self.metadata = {**self.metadata, "render_fps": self.batch.metadata["render_fps"]}
         self.observation_space = self.batch.single_observation_space
         self.action_space = self.batch.single_action_space
 
@@ -322,13 +370,22 @@ class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Run one control step."""
         observation, reward, terminated, truncated, info = self.batch.step(np.asarray(action)[None])
-        single: dict[str, Any] = {}
-        if "diverged" in info:
-            single["diverged"] = True
-        # Not under the key `episode`, which belongs to Gymnasium's own wrapper.
-        if "figures" in info:
-            single["figures"] = {name: float(values[0]) for name, values in info["figures"].items()}
+        # The figures are not under the key `episode`, which belongs to Gymnasium's own wrapper.
+        single: dict[str, Any] = _first({name: part for name, part in info.items() if not name.startswith("_")})
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), single
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override, unused-ignore]
+        """Return a picture (height, width, 3); None without a camera."""
+        pictures = self.batch.render()
+        return None if pictures is None else pictures[0]
+
+
+def _first(info: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a batch's information says of its first robot: arrays of a row, numbers and flags."""
+    return {
+        name: _first(part) if isinstance(part, Mapping) else part[0] if part.ndim > 1 else part[0].item()
+        for name, part in info.items()
+    }
 
 
 def find_batch(env: Any) -> LocomotionEnv:

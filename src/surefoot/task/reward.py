@@ -112,6 +112,12 @@ class StepMotion:
         return self._rates[1] / self.scales.rate
 
     @property
+    def command_error(self) -> Array:
+        """Mean speeds forward and to the left and yaw rate less the command (N, 3) [m/s, m/s, rad/s]."""
+        velocity, turn = self._rates
+        return np.column_stack([velocity[:, :2], turn[:, 2]]) - self.command
+
+    @property
     def velocity_error(self) -> Array:
         """Mean velocity less the command (N, 2) [sqrt(g l)]."""
         return (self._rates[0][:, :2] - self.command[:, :2]) / self.scales.speed

@@ -105,7 +105,7 @@ def files_by_suffix(paths: Sequence[Path], suffixes: Sequence[str]) -> dict[str,
     for path in paths:
         suffix = path.suffix.lower()
         if suffix not in suffixes or suffix in files:
-            raise SurefootError(f"out {path}: takes one file of each kind, with names in {choices(suffixes)}")
+            raise SurefootError(f"out {path}: the name must end in {' or '.join(suffixes)}, with one file of each")
         files[suffix] = path
     return files
 

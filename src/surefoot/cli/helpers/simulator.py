@@ -73,7 +73,7 @@ class RunOptions:
     robot: RobotName = None
     commands: Path | None = None
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
-    drawn as in its training, if not given."""
+    drawn as in its training, if not given. The run lasts until two seconds after its last row, or longer."""
 
     def apply(
         self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None, thermal_protection: bool = False

@@ -10,6 +10,7 @@ from typing import Any, Self
 from rich.console import Console
 from rich.table import Table
 
+from surefoot.api.training import error_text
 from surefoot.progress import ProgressDisplay
 from surefoot.stop_signals import StopSignals
 from surefoot.studies.training import Training
@@ -82,7 +83,9 @@ class _Row:
         speed = "-" if self.speed is None else f"{self.speed:.2f} m/s"
         gained = falls = "-"
         if self.evaluation is not None:
-            gained = f"{self.evaluation['return_mean']:.2f} m"
+            rmse = self.evaluation.get("rmse")  # whose task has commands, and a return that is no distance
+            gained = f"{self.evaluation['return_mean']:.2f}" + ("" if rmse else " m")
+            speed = f"error {error_text(rmse)}" if rmse else speed
             falls = f"{self.evaluation['falls']} of {config.evaluation_episodes}"
             if config.task.pushes.enabled:
                 falls += f", pushed {self.evaluation['pushed_falls']}"

@@ -22,11 +22,15 @@ def smooth(vertices: NDArray[Any], faces: NDArray[np.int32]) -> tuple[Array, Arr
     """Return points (P, 3) and their normals (P, 3), and triangles (F, 3) of these, out of vertices and faces.
 
     A corner's normal is the mean of those of the triangles around it that meet its own without a sharp edge, weighted
-    by area. Corners of one place and one normal are one point.
+    by their angles there. Corners of one place and one normal are one point.
     """
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     units = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    sides = np.roll(corners, -1, axis=1) - corners
+    sides = sides / np.maximum(np.linalg.norm(sides, axis=2, keepdims=True), 1e-20)
+    cosines = -np.einsum("fki,fki->fk", sides, np.roll(sides, 1, axis=1))
+    weighted = (np.arccos(np.clip(cosines, -1.0, 1.0))[..., None] * units[:, None]).reshape(-1, 3)
     _, place = np.unique(np.rint(vertices / _SAME_PLACE).astype(np.int64), axis=0, return_inverse=True)
     at = place.reshape(-1)[faces].reshape(-1)
     # All pairs of corners of one place: each corner beside every one in its group of the sorted list.
@@ -37,7 +41,7 @@ def smooth(vertices: NDArray[Any], faces: NDArray[np.int32]) -> tuple[Array, Arr
     other = order[np.repeat(first[at], count[at]) + step]
     flat = np.einsum("ij,ij->i", units[one // 3], units[other // 3]) > _CREASE
     one, other = one[flat], other[flat]
-    sums: Array = np.stack([np.bincount(one, normals[other // 3, k], len(at)) for k in range(3)], axis=1)
+    sums: Array = np.stack([np.bincount(one, weighted[other, k], len(at)) for k in range(3)], axis=1)
     sums = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
     keys = np.column_stack([at, np.rint(500 * sums).astype(np.int64)])
     _, point, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)

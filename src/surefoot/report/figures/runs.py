@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls
 from surefoot.evaluation.runs import measure_runs
+from surefoot.evaluation.tracking import motion
 from surefoot.report.figures.style import (
     BLUE,
     GREEN,
@@ -56,31 +57,39 @@ def footfall_diagram(trace: EpisodeTrace, path: str | Path) -> Path:
 
 
 def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path) -> Path:
-    """Draw one episode: tilt, speed and power over its whole length, measured leg angles over one second."""
+    """Draw one episode: tilt, speed and power over its whole length, measured leg angles over one second.
+
+    Of a robot that is steered, speeds, yaw rate and their commands, and its path from above.
+    """
     step = np.diff(trace.time, prepend=0.0)
-    run = measure_runs([trace]).iloc[0]
-    with new_figure(path, (9.0, 7.0), rows=3, columns=2) as (figure, axes):
-        tilt, turn, speed, power, *legs = axes
+    run, steered = measure_runs([trace]).iloc[0], bool(np.isfinite(trace.command).any())
+    rows = 4 if steered else 3
+    with new_figure(path, (9.0, 2.3 * rows), rows=rows, columns=2) as (figure, axes):
+        tilt, *motions, power, left, right = axes
         for name, color, angle in (
             ("roll", BLUE, trace.roll_pitch_yaw[:, 0]),
             ("pitch", ORANGE, trace.roll_pitch_yaw[:, 1]),
         ):
             tilt.plot(trace.time, angle, color=color, label=name, linewidth=1.0)
         tilt.set_title("Roll and pitch as measured (rad)")
-        turn.plot(trace.time, np.unwrap(trace.roll_pitch_yaw[:, 2]), color=GREEN, linewidth=1.0)
-        turn.set_title("Yaw as measured (rad)")
-        forward = np.diff(trace.base_position_world[:, 0]) / step
-        _raw_and_smooth(speed, trace, forward, BLUE, run.speed, "m/s")
-        speed.set_title("Forward speed (m/s)")
+        if steered:
+            _tracking(motions, trace)
+        else:
+            turn, speed = motions
+            turn.plot(trace.time, np.unwrap(trace.roll_pitch_yaw[:, 2]), color=GREEN, linewidth=1.0)
+            turn.set_title("Yaw as measured (rad)")
+            forward = np.diff(trace.base_position_world[:, 0]) / step
+            _raw_and_smooth(speed, trace, forward, BLUE, run.speed, "m/s")
+            speed.set_title("Forward speed (m/s)")
         _raw_and_smooth(power, trace, trace.energy / step, ORANGE, run.power, "W")
         power.set_title("Mechanical power (W)")
-        for ax in (tilt, turn, speed, power):
+        for ax in (tilt, *motions[: 3 if steered else 2], power):
             ax.set_xlim(0.0, trace.duration)
         power.set_ylim(bottom=0.0)
         start = min(max(trace.duration - _ZOOM_TIME, 0.0), 2.0)
         shown = (trace.time >= start) & (trace.time <= start + _ZOOM_TIME)
         poses = robot.to_pose(trace.motor_angle[shown])
-        for ax, place in zip(legs, (-2, -1), strict=True):
+        for ax, place in zip((left, right), (-2, -1), strict=True):
             angle, name, unit = poses[:, place], robot.coordinates[place], robot.leg_geometry.units[place]
             for index, leg in enumerate(trace.leg_names):
                 # Dashed, so that a foot shows under the one that it moves with.
@@ -91,9 +100,25 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
             ax.set_xlim(start, start + _ZOOM_TIME)
             ax.set_xlabel("time (s)")
         _legend_above(tilt)
-        figure.legend(*legs[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(trace.leg_names))
+        figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=len(trace.leg_names))
         heading(figure, f"{_name(trace)}, ended by {trace.meta['ended']}")
     return Path(path)
+
+
+def _tracking(axes: Sequence[Axes], trace: EpisodeTrace) -> None:
+    """Draw speeds forward and to the left and yaw rate with their commands, and the path from above, a panel each."""
+    *speeds, path = axes
+    titles = ("Forward speed (m/s)", "Speed to the left (m/s)", "Yaw rate (rad/s)")
+    for column, (ax, title, color) in enumerate(zip(speeds, titles, (BLUE, ORANGE, GREEN), strict=True)):
+        _raw_and_smooth(ax, trace, motion(trace)[:, column], color, math.nan, "")
+        ax.step(trace.time, trace.command[:, column], where="pre", color=INK, linewidth=1.0, label="command")
+        ax.set_title(title)
+    _legend_above(speeds[0])
+    moved = trace.base_position_world - trace.base_position_world[0]
+    path.plot(moved[:, 0], moved[:, 1], color=BLUE, linewidth=1.2)
+    path.plot(0.0, 0.0, "o", color=INK, markersize=4.0)
+    path.set_title("Path from above: forward, left (m)")
+    path.set_aspect("equal", adjustable="datalim")
 
 
 def _stance_bars(ax: Axes, feet: Footfalls) -> None:

@@ -265,7 +265,7 @@ def _viewer(
         for number, (one, run, path) in enumerate(zip(traces, runs, paths, strict=True)):
             _add_robot(stage, one.robot, run, path, _COLORS[number % len(_COLORS)] if tinted else None)
         # The page sets the distance, so that it fits the robots that are shown.
-        server.initial_camera.position = (1.1 * size, -1.5 * size, 0.7 * size)
+        server.initial_camera.position = (0.85 * size, -1.15 * size, 0.5 * size)
         server.initial_camera.look_at = (0.0, 0.0, 0.15 * size)
         data = base64.b64encode(server.get_scene_serializer().serialize()).decode()
     finally:

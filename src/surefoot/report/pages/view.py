@@ -28,13 +28,16 @@ from surefoot.world.ground import FLAT
 _TRAIL_POINTS = 300
 _FOLLOW = 0.4
 """Share of the way to the robot that the frame moves with each picture."""
-_HIDE_PANELS = "<style>.mantine-Paper-root, .mantine-Notifications-root { display: none !important; }</style>"
-"""Hides viser's own panel and notes, which would cover a small picture."""
+_STYLE = """<style>
+.mantine-Paper-root, .mantine-Notifications-root { display: none !important; }
+canvas[data-engine] { background: linear-gradient(#96b8d8, #e8eef3 45%); }
+</style>"""
+"""Hides viser's own panel and notes, which would cover a small picture; a sky as in videos."""
 
 
 def bare_viewer() -> str:
     """Return viser's page with the scene alone."""
-    return (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8") + _HIDE_PANELS
+    return (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8") + _STYLE
 
 
 def quiet_server() -> viser.ViserServer:
@@ -54,9 +57,14 @@ def add_world(scene: viser.SceneApi, size: float) -> viser.FrameHandle:
         cell_size=0.25,
         section_size=1.0,
         fade_distance=15.0 * size,
+        cell_color=(190, 197, 202),
+        section_color=(150, 158, 166),
         plane_color=(208, 213, 216),
         plane_opacity=1.0,
+        shadow_opacity=0.4,
     )
+    # Dark robots on a bright ground: light from all sides shows their shape.
+    scene.add_light_hemisphere("/light", sky_color=(255, 255, 255), ground_color=(190, 195, 200), intensity=1.6)
     return world
 
 
@@ -98,7 +106,7 @@ class RobotView:
             frames = {part.link: f"/world/{part.link}" for part in appearance.parts}
             self._links = {link: server.scene.add_frame(name, show_axes=False) for link, name in frames.items()}
             add_robot(server.scene, appearance, frames)
-            server.initial_camera.position = (1.1 * size, -1.5 * size, 0.7 * size)
+            server.initial_camera.position = (0.85 * size, -1.15 * size, 0.5 * size)
             server.initial_camera.look_at = (0.0, 0.0, 0.2 * size)
 
     def move(self, base_position: ArrayLike, base_quat: ArrayLike, motor_angles: ArrayLike) -> None:

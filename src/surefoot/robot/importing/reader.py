@@ -13,13 +13,15 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from mujoco import mjtGeom, mjtJoint
+from mujoco import mjtGeom, mjtInertiaFromGeom, mjtJoint
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
 from surefoot.robot.importing.imported import ImportedRobot
+from surefoot.robot.importing.names import robot_name
+from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
 from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
 from surefoot.robot.urdf_file import attribute, read_inertia, read_number, read_xml
@@ -45,24 +47,27 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
     Raises:
         SurefootError: a file that can't be read, or a robot that is not a quadruped with legs of two or three hinges.
     """
+    check_suffix(path)
     root = read_xml(path)
-    if root.tag not in ("mujoco", "robot"):
-        raise SurefootError(f"{path}: the root element is <{root.tag}>; a URDF's is <robot>, an MJCF's <mujoco>")
+    check_kind(root, path)
     notes: list[str] = []
     speeds = _prepare_urdf(root, path, meshes, notes) if root.tag == "robot" else {}
-    with mujoco_errors(path):
+    with mujoco_errors(path, explain_mujoco):
         if root.tag == "mujoco":
             spec = mujoco.MjSpec.from_file(str(path))
         else:
             spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
         spec.compiler.discardvisual = True
+        if spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+            spec.compiler.inertiafromgeom = mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO  # keeps visual shapes' masses
         spec.compiler.fusestatic = False
         keys = {key.name: list(key.qpos) for key in spec.keys}
         for key in list(spec.keys):
             spec.delete(key)
         model = spec.compile()
     poses = order_poses(itertools.chain(_keyframe_poses(keys, model), srdf_poses(path)))
-    return _Reader(path, model, speeds, poses, notes).read(forward)
+    file_name = root.get("name" if root.tag == "robot" else "model", "")
+    return _Reader(path, model, speeds, poses, notes, file_name).read(forward)
 
 
 def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iterator[tuple[str, Pose]]:
@@ -158,8 +163,10 @@ class _Reader:
         speeds: dict[str, float],
         poses: Sequence[tuple[str, Pose]],
         notes: list[str],
+        file_name: str = "",
     ) -> None:
         self.path, self.model, self.speeds, self.poses, self.notes = path, model, speeds, poses, notes
+        self.file_name = file_name
         self.data = mujoco.MjData(model)
         self.group = self._groups()
 
@@ -175,9 +182,6 @@ class _Reader:
         group = np.zeros(model.nbody, np.int64)
         for body in range(1, model.nbody):
             kinds = model.jnt_type[model.jnt_bodyid == body].tolist()
-            if len(kinds) > 1 or set(kinds) - {mjtJoint.mjJNT_HINGE.value, mjtJoint.mjJNT_FREE.value}:
-                name = model.body(body).name
-                raise self._error(f"body '{name}' has joints that are no single hinge; legs have hinges")
             # Without a free joint, bodies on the world may be the base.
             top = not kinds and model.body_parentid[body] == 0 and mjtJoint.mjJNT_FREE not in model.jnt_type
             group[body] = body if kinds or top else group[model.body_parentid[body]]
@@ -202,9 +206,8 @@ class _Reader:
             which = "feet" if len(radii) == len(feet) else f"feet of {choices(radii)}"
             radius = choices(dict.fromkeys(f"{radius:.3g}" for radius in radii.values()))
             self.notes.append(f"{which}: {source}, radius {radius} m")
-        stem = self.path.stem if self.path.stem != "robot" else self.path.parent.name
         return ImportedRobot(
-            name=re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_"),
+            name=robot_name(self.path, self.file_name),
             path=self.path,
             forward=forward,
             base=self._body(base),
@@ -222,7 +225,7 @@ class _Reader:
         """Return the four chains of moving bodies that hang from one base, and the base."""
         model = self.model
         if mjtJoint.mjJNT_HINGE not in model.jnt_type:
-            raise self._error("nothing in it moves; a quadruped has four legs of hinges")
+            raise self._error(f"is an object or a scene: nothing in it turns on a hinge; {QUADRUPED}")
         movers = np.unique(self.group[1:]).tolist()
         children: dict[int, list[int]] = {body: [] for body in (0, *movers)}
         for body in movers:
@@ -236,6 +239,9 @@ class _Reader:
 
         # The base is what most legs hang from: the root, or below a mount without a free joint.
         base = max(movers, key=lambda body: (len(children[body]), -body))
+        robots = [str(model.body(body).name) for body in children[0] if len(children[body]) >= 4]
+        if len(robots) > 1:
+            raise self._error(f"holds {len(robots)} robots: {choices(robots)}; give a file with one")
         if len(children[base]) < 2 and len(children[0]) > len(children[base]):
             raise self._error("its legs hang from nothing that moves; the base needs to be a body")
         chains = [longest(child) for child in children[base]]
@@ -245,14 +251,15 @@ class _Reader:
             (name,) = self._joint_names([first])
             self.notes.append(f"joint '{name}' and what hangs from it are held still: no leg's")
             self.group[np.isin(self.group, below(first))] = base
-        if model.neq or any(len(children[body]) > 1 for chain in legs for body in chain[:-1]):
-            what = "closed loops" if model.neq else "legs that branch and no loop that closes them"
-            raise self._error(f"it has {what}; surefoot reads serial legs; write a sheet for five-bar legs by hand")
-        if len(legs) != 4:
-            raise self._error(f"{len(legs)} legs hang from '{model.body(base).name}'; a quadruped has 4")
-        if len({len(chain) for chain in legs}) != 1 or len(legs[0]) > 3:
-            counts = choices(str(len(chain)) for chain in legs)
-            raise self._error(f"its legs have {counts} hinges; all must have 2, or all 3")
+        branches = [str(model.body(body).name) for leg in legs for body in leg[:-1] if len(children[body]) > 1]
+        slides = [
+            str(model.body(body).name)
+            for leg in legs
+            for body in leg
+            if model.jnt_type[model.jnt_bodyid == body].tolist() != [mjtJoint.mjJNT_HINGE.value]
+        ]
+        names = [self._joint_names(leg) for leg in legs]
+        check_legs(self.path, model.body(base).name, names, next(iter(branches), None), model.neq > 0, slides)
         return legs, base
 
     def _guess_forward(self, chains: list[list[int]]) -> str:

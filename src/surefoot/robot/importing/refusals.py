@@ -1,0 +1,114 @@
+"""What a file is that holds no quadruped, and what to do: the words of the import's errors."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+from pathlib import Path
+
+from surefoot.errors import SurefootError, choices
+
+QUADRUPED = "robot new reads quadrupeds: four legs of two or three hinges"
+_MESHES = (".stl", ".obj", ".dae", ".ply", ".msh", ".glb", ".gltf", ".fbx", ".3mf", ".step", ".stp")
+_ROOTS = {
+    "sdf": "is an SDF of Gazebo; convert it to a URDF, or take the URDF that it was made from",
+    "COLLADA": "is a mesh; give the URDF or MJCF that names it",
+    "package": "describes a ROS package; give the URDF in it",
+    "launch": "is a ROS launch file; give the URDF that it loads",
+    "mujocoinclude": "is a part that other MJCF files include; give the MJCF that includes it",
+}
+_MUJOCO = re.compile(
+    r"(?:(?:XML )?Error: )*(?P<what>.*?)(?: Element (?P<is_name>name )?'(?P<name>[^']*)')?(?:, id \d+)?"
+    r"(?:, line (?P<line>\d+))?"
+)
+_REASONS = {
+    "mjMINVAL": "moves and has no mass or no inertia; state both in its <inertial>",
+    "positive eigenvalues": "has an inertia with a moment that is not over 0; correct its <inertial>",
+    "mesh volume is too small": "is a mesh without a volume; leave out meshes (--no-meshes)",
+}
+"""What it means, by words of MuJoCo's message."""
+
+
+def check_suffix(path: Path) -> None:
+    """Refuse meshes, empty files and files that are not text."""
+    if path.suffix.lower() in _MESHES:
+        raise SurefootError(f"{path}: is a mesh; give the URDF or MJCF that names it")
+    try:
+        with path.open("rb") as file:
+            start = file.read(1024)
+    except OSError:
+        return  # the reader says why
+    if not start.strip():
+        raise SurefootError(f"{path}: is empty; give the URDF or MJCF of a robot")
+    if b"\0" in start and not start.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise SurefootError(f"{path}: is a binary file; give the URDF or MJCF of a robot, which is text")
+
+
+def check_kind(root: ElementTree.Element, path: Path) -> None:
+    """Refuse what is neither a URDF nor an MJCF, by its root element, and URDFs that are templates or have no links."""
+    if root.tag not in ("mujoco", "robot"):
+        kind = _ROOTS.get(root.tag.split("}")[-1])
+        kind = kind or f"the root element is <{root.tag}>; a URDF's is <robot>, an MJCF's <mujoco>"
+        raise SurefootError(f"{path}: {kind}")
+    if path.suffix == ".xacro" or any("xacro" in element.tag for element in root.iter() if element.tag[:1] == "{"):
+        raise SurefootError(f"{path}: is a xacro, which is a template; run `xacro {path.name} > robot.urdf`, give that")
+    if root.tag == "robot" and root.find("link") is None:
+        srdf = path.suffix == ".srdf" or root.find("group") is not None or root.find("group_state") is not None
+        kind = "is an SRDF, which names groups and poses" if srdf else "has no links"
+        raise SurefootError(f"{path}: {kind}; give the URDF of the robot")
+
+
+def explain_mujoco(message: str, path: Path) -> SurefootError:
+    """Return the error for a message of MuJoCo's parser or compiler about a file."""
+    message = " ".join(message.split("The visual elements of the spec")[0].split())
+    match = _MUJOCO.fullmatch(message)
+    what, name, line = (match["what"], match["name"], match["line"]) if match else (message, None, None)
+    if missing := re.search(r"Error opening file '([^']*)'", what):
+        return SurefootError(f"{path}: names the file '{missing[1]}', which is not there; put it where it is named")
+    for words, reason in _REASONS.items():
+        if name is not None and words in what:
+            return SurefootError(f"{path}: '{name}' {reason}")
+    place = ", ".join(
+        [
+            *([f"line {line}"] if line else []),
+            *([f"'{name}'" if match and match["is_name"] else f"<{name}>"] if name else []),
+        ]
+    )
+    return SurefootError(f"{path}: MuJoCo can't read it: {f'{place}: ' if place else ''}{what}")
+
+
+def check_legs(
+    path: Path, base: str, chains: Sequence[Sequence[str]], branches: str | None, has_loops: bool, slides: Sequence[str]
+) -> None:
+    """Refuse what is no quadruped with serial legs of two or three hinges.
+
+    Args:
+        path: the file.
+        base: name of the body that the legs hang from.
+        chains: the joints' names of each leg, from the base to the foot.
+        branches: name of a leg's body that more than one other hangs from; None without one.
+        has_loops: whether loops are closed.
+        slides: names of the legs' bodies whose joints are no single hinges.
+    """
+    lengths = [len(chain) for chain in chains]
+    counts = choices(f"{length}" for length in lengths)
+    hangs = f"from '{base}' hang {len(chains)} chains of {counts} joints"
+    by_hand = "five-bar legs need a sheet that is written by hand, as the Minitaur's"
+    why = None
+    if len(chains) == 1:
+        why = f"is an arm or another single chain: {lengths[0]} joints hang from '{base}'"
+    elif len(chains) == 2 or (branches and max(lengths) > 3):
+        why = f"is a biped, humanoid or other robot: {hangs}{f', which branch at {branches!r}' if branches else ''}"
+    elif has_loops or branches:
+        why = f"has {'closed loops' if has_loops else f'legs that branch at {branches!r}'}; {by_hand}"
+    elif len(chains) == 8 and max(lengths) <= 2:
+        why = f"has two chains for each leg ({hangs}); {by_hand}"
+    elif len(chains) != 4:
+        why = f"has {len(chains)} legs: {hangs}"
+    elif len(set(lengths)) > 1 or not 2 <= lengths[0] <= 3:
+        why = f"its legs have {counts} hinges, and all must have 2, or all 3"
+    elif slides:
+        why = f"body '{slides[0]}' has joints that are no single hinge: they slide, turn as a ball, or are several"
+    if why:
+        raise SurefootError(f"{path}: {why}" + ("" if by_hand in why else f"; {QUADRUPED}"))

@@ -1,0 +1,100 @@
+"""`import surefoot`: its functions, and how little it takes to import it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("viser")
+
+import surefoot
+from surefoot.api import facade
+from surefoot.evaluation.runs import summarize
+
+
+def python(code: str, absent: tuple[str, ...] = ()) -> str:
+    """Run code in a new process that lacks packages; return its output."""
+    lack = f"import sys\nfor name in {absent!r}: sys.modules[name] = None\n"
+    done = subprocess.run([sys.executable, "-c", lack + code], capture_output=True, text=True, timeout=120, check=True)
+    return done.stdout.strip()
+
+
+def test_an_import_brings_no_package_along():
+    output = python("import surefoot; print(surefoot.__version__, {'numpy', 'yaml', 'torch'} & set(sys.modules))")
+    assert output == f"{surefoot.__version__} set()"
+
+
+def test_robots_and_errors_need_the_bare_install_alone():
+    absent = ("mujoco", "torch", "pandas", "gymnasium", "scipy", "numba", "PIL", "viser")
+    code = (
+        "import surefoot\nprint(*surefoot.robots())\n"
+        "try: surefoot.train('trot')\nexcept surefoot.SurefootError as error: print(error)"
+    )
+    names, error = python(code, absent).splitlines()
+    assert names == "go2 minitaur pupper_v2 solo8"
+    assert error.startswith("this needs ")
+    assert error.endswith("which is not installed: pip install 'surefoot[sim]'")
+
+
+def test_every_name_is_there_and_others_are_not():
+    assert set(surefoot.__all__) <= set(dir(surefoot))
+    assert all(getattr(surefoot, name).__doc__ for name in surefoot.__all__)
+    with pytest.raises(AttributeError, match="module 'surefoot' has no attribute 'gallop'"):
+        _ = surefoot.gallop
+
+
+def test_evaluate_runs_what_it_is_asked_for():
+    policy = surefoot.load("trot")
+    assert (policy.name, policy.robot.name) == ("trot", "minitaur")
+    assert repr(policy).startswith("<policy trot for robot minitaur: ")
+    assert policy.feedback(np.zeros((3, 4))).shape == (3, 8)
+    result = surefoot.evaluate(
+        policy,
+        episodes=2,
+        duration=0.3,
+        params={"motor_strength": 0.8},
+        randomize={"control_latency": (0.01, 0.03)},
+        seed=3,
+        threads=1,
+    )
+    assert result.runs.steps.tolist() == [50, 50]
+    first, second = (trace.meta["params"] for trace in result.traces)
+    assert (first["motor_strength"], second["motor_strength"]) == (0.8, 0.8)
+    assert 0.01 <= first["control_latency"] < 0.03
+    assert first["control_latency"] != second["control_latency"]
+    assert result.summary == summarize(result.traces, policy.robot.urdf.total_mass)
+    assert "trot in mujoco" in repr(result)
+    assert "<table" in result._repr_html_()
+    assert "0 of 2" in repr(result)
+
+
+def test_play_writes_a_video_that_a_notebook_plays(tmp_path: Path):
+    video = surefoot.play("trot", out=tmp_path / "trot.mp4", duration=0.1)
+    assert video.path.read_bytes()[4:8] == b"ftyp"
+    assert 'src="data:video/mp4;base64,' in video._repr_html_()
+    assert not facade.in_notebook()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: surefoot.load("waltz"), "policy 'waltz' does not exist"),
+        (lambda: surefoot.evaluate("trot", world="moon"), "world 'moon' does not exist"),
+        (lambda: surefoot.evaluate("trot", params={"gravity": 1.6}), "'gravity' is not a physical parameter"),
+        (lambda: surefoot.evaluate("trot", commands="path.csv"), "task 'trot' has no commands to follow"),
+        (lambda: surefoot.play("trot", out="trot.gif"), "video trot.gif: the name must end in .mp4"),
+        (lambda: surefoot.train("trot", settings={"ppo": {"gama": 0.9}}), "ppo.gama is not a key; did you mean gamma"),
+        (lambda: surefoot.train("trot", robot="cat"), "robot 'cat': no such robot"),
+        (lambda: surefoot.export(object(), "p.onnx"), "model is a object; it must be a torch module"),
+    ],
+)
+def test_errors_are_one_line(call, message: str):
+    with pytest.raises(surefoot.SurefootError) as caught:
+        call()
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
