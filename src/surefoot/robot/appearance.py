@@ -134,13 +134,18 @@ def solid(kind: str, size: tuple[float, ...]) -> tuple[Array, list[tuple[int, ..
     return points, [*sides, tuple(reversed(range(count))), tuple(top)]
 
 
+def triangulate(kind: str, size: tuple[float, ...]) -> tuple[Array, NDArray[np.int32]]:
+    """Return a solid's points (P, 3) about the centre and its triangles (F, 3); see `solid`."""
+    points, faces = solid(kind, size)
+    triangles = [(face[0], *pair) for face in faces for pair in itertools.pairwise(face[1:])]
+    return points, np.array(triangles, np.int32)
+
+
 def shape_part(shape: Shape) -> Part:
     """Return the triangles of a shape."""
-    points, faces = solid(shape.kind, shape.size)
-    triangles = [(face[0], *pair) for face in faces for pair in itertools.pairwise(face[1:])]
+    points, faces = triangulate(shape.kind, shape.size)
     red, green, blue = (value / 255 for value in shape.color)
-    vertices = (points @ shape.rotation.T + shape.position).astype(np.float32)
-    return Part(shape.link, vertices, np.array(triangles, np.int32), (red, green, blue))
+    return Part(shape.link, (points @ shape.rotation.T + shape.position).astype(np.float32), faces, (red, green, blue))
 
 
 def _hips(urdf: Urdf, legs: Sequence[Leg], drawn: set[str]) -> list[Shape]:

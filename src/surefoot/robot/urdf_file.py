@@ -54,11 +54,7 @@ def read_urdf(path: Path) -> Urdf:
     robot = read_xml(path)
     if robot.tag != "robot":
         raise SurefootError(f"{path}: the root element is <{robot.tag}>; a URDF's is <robot>")
-    colors = {
-        item.get("name", ""): color
-        for item in robot.findall("material")
-        if (color := _read_color(item, f"{path}: material '{item.get('name')}'"))
-    }
+    colors = read_colors(robot, path)
     links = {
         name: _read_link(element, name, colors, f"{path}: link '{name}'")
         for name, element in _read_names(robot.findall("link"), path).items()
@@ -83,6 +79,15 @@ def read_urdf(path: Path) -> Urdf:
     return urdf
 
 
+def read_colors(robot: ElementTree.Element, path: Path) -> dict[str, Color]:
+    """Return the colors of a URDF's materials by name, wherever they stand in it."""
+    return {
+        item.get("name", ""): color
+        for item in robot.iter("material")
+        if (color := _read_color(item, f"{path}: material '{item.get('name')}'"))
+    }
+
+
 def _read_names(elements: Iterable[ElementTree.Element], path: Path) -> dict[str, ElementTree.Element]:
     """Return elements by their names; refuse two of one name."""
     names: dict[str, ElementTree.Element] = {}
@@ -93,7 +98,8 @@ def _read_names(elements: Iterable[ElementTree.Element], path: Path) -> dict[str
     return names
 
 
-def _read_numbers(text: str, count: int, where: str) -> tuple[float, ...]:
+def read_numbers(text: str, count: int, where: str) -> tuple[float, ...]:
+    """Return `count` finite numbers of a text; error messages begin with `where`."""
     try:
         values = tuple(float(word) for word in text.split())
     except ValueError:
@@ -106,7 +112,7 @@ def _read_numbers(text: str, count: int, where: str) -> tuple[float, ...]:
 
 def read_number(element: ElementTree.Element | None, key: str, where: str, default: str = "") -> float:
     """Return an element's attribute as a number, `default` if it is missing; error messages begin with `where`."""
-    return _read_numbers(attribute(element, key, default), 1, where)[0]
+    return read_numbers(attribute(element, key, default), 1, where)[0]
 
 
 def read_inertia(element: ElementTree.Element, where: str) -> Array:
@@ -118,11 +124,11 @@ def read_inertia(element: ElementTree.Element, where: str) -> Array:
     )
 
 
-def _read_frame(element: ElementTree.Element | None, where: str) -> Array:
+def read_frame(element: ElementTree.Element | None, where: str) -> Array:
     """Return the frame (4, 4) of an <origin>, or of none; roll, pitch and yaw are about fixed axes."""
     frame = np.eye(4)
-    frame[:3, :3] = rpy_matrix(*_read_numbers(attribute(element, "rpy", "0 0 0"), 3, f"{where}: rpy"))
-    frame[:3, 3] = _read_numbers(attribute(element, "xyz", "0 0 0"), 3, f"{where}: origin")
+    frame[:3, :3] = rpy_matrix(*read_numbers(attribute(element, "rpy", "0 0 0"), 3, f"{where}: rpy"))
+    frame[:3, 3] = read_numbers(attribute(element, "xyz", "0 0 0"), 3, f"{where}: origin")
     return frame
 
 
@@ -140,15 +146,15 @@ def _read_link(element: ElementTree.Element, name: str, colors: Mapping[str, Col
             f"{where}: inertia ({xx:g}, {yy:g}, {zz:g}) is not a rigid body's; "
             "each must be over 0 and none over the sum of the other two"
         )
-    frame = _read_frame(element.find("inertial/origin"), f"{where}: inertial")
+    frame = read_frame(element.find("inertial/origin"), f"{where}: inertial")
     visuals, collisions = (
-        tuple(shape for item in element.findall(use) if (shape := _read_shape(item, name, colors, f"{where}: {use}")))
+        tuple(shape for item in element.findall(use) if (shape := read_shape(item, name, colors, f"{where}: {use}")))
         for use in ("visual", "collision")
     )
     return Link(RigidBody(mass, frame[:3, 3], frame[:3, :3] @ inertia @ frame[:3, :3].T), visuals, collisions)
 
 
-def _read_shape(element: ElementTree.Element, link: str, colors: Mapping[str, Color], where: str) -> Shape | None:
+def read_shape(element: ElementTree.Element, link: str, colors: Mapping[str, Color], where: str) -> Shape | None:
     """Return a <visual> or <collision>; None for a mesh and other kinds."""
     for kind in ("box", "cylinder", "sphere"):
         if (solid := element.find(f"geometry/{kind}")) is not None:
@@ -157,16 +163,21 @@ def _read_shape(element: ElementTree.Element, link: str, colors: Mapping[str, Co
         return None
     where = f"{where}: {kind}"
     if kind == "box":
-        size = tuple(side / 2 for side in _read_numbers(attribute(solid, "size"), 3, f"{where}: size"))
+        size = tuple(side / 2 for side in read_numbers(attribute(solid, "size"), 3, f"{where}: size"))
     else:
         size = (read_number(solid, "radius", f"{where}: radius"),)
         if kind == "cylinder":
             size = (*size, read_number(solid, "length", f"{where}: length") / 2)
     if not min(size) > 0:
         raise SurefootError(f"{where} has a side, radius or length of {2 * min(size):g}; they must be over 0 m")
+    return Shape(link, kind, size, read_frame(element.find("origin"), where), read_material(element, colors, where))
+
+
+def read_material(element: ElementTree.Element, colors: Mapping[str, Color], where: str) -> Color:
+    """Return the color of the material of a <visual>, which may name one of the `colors`; grey without one."""
     material = element.find("material")
     color = None if material is None else _read_color(material, where) or colors.get(material.get("name", ""))
-    return Shape(link, kind, size, _read_frame(element.find("origin"), where), color or GREY)
+    return color or GREY
 
 
 def _read_color(material: ElementTree.Element, where: str) -> Color | None:
@@ -174,7 +185,7 @@ def _read_color(material: ElementTree.Element, where: str) -> Color | None:
     color = material.find("color")
     if color is None:
         return None
-    rgba = _read_numbers(attribute(color, "rgba", "0.5 0.5 0.5 1"), 4, f"{where}: rgba")
+    rgba = read_numbers(attribute(color, "rgba", "0.5 0.5 0.5 1"), 4, f"{where}: rgba")
     red, green, blue, _ = (round(255 * min(max(share, 0.0), 1.0)) for share in rgba)
     return red, green, blue
 
@@ -187,11 +198,11 @@ def _read_joint(element: ElementTree.Element, name: str, links: Collection[str],
     kind, limits = attribute(element, "type"), None
     if kind not in KINDS:
         raise SurefootError(f"{where}: type is '{kind}'; {suggest(kind, KINDS)}")
-    x, y, z = _read_numbers(attribute(element.find("axis"), "xyz", "1 0 0"), 3, f"{where}: axis")
+    x, y, z = read_numbers(attribute(element.find("axis"), "xyz", "1 0 0"), 3, f"{where}: axis")
     length = math.hypot(x, y, z)
     if kind != "fixed" and length == 0.0:
         raise SurefootError(f"{where}: axis is (0, 0, 0); it must have a direction")
-    frame = _read_frame(element.find("origin"), where)
+    frame = read_frame(element.find("origin"), where)
     if kind == "revolute":
         limit = element.find("limit")
         low, high = (read_number(limit, end, f"{where}: limit {end}", "0") for end in ("lower", "upper"))

@@ -10,10 +10,13 @@ from typing import Literal
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.robot.appearance import Part
 from surefoot.robot.rigid_body import RigidBody
 
 LEGS = ("front_left", "front_right", "back_left", "back_right")
 """Names of the legs, in order."""
+_PARTS = ("hip", "upper", "lower")
+"""What the hinges of a leg turn; a leg of two hinges has no hip."""
 Knees = Literal["forward", "backward", "inward", "outward"]
 """Where knees point: all forward or backward, or front and back ones towards each other or apart."""
 KNEE_SIGNS: dict[Knees, list[int]] = {
@@ -66,10 +69,17 @@ class ImportedRobot:
     """Centres of the feet (4, 3) [m]."""
     foot_radius: Array
     """Radii of the feet (4,) [m]."""
+    parts: tuple[Part, ...] = ()
+    """What is drawn, in the frames of the links `base` and `link_names`: along the base's, at their hinges."""
     poses: tuple[tuple[str, Array], ...] = ()
     """Poses that the file or one beside it names: where from, and the knees' angles (4,) [rad], NaN where unknown."""
     notes: tuple[str, ...] = ()
     """What was guessed or left out."""
+
+    @property
+    def link_names(self) -> tuple[tuple[str, ...], ...]:
+        """Names of what each hinge turns, by leg, (4, m)."""
+        return tuple(tuple(f"{leg}_{part}" for part in _PARTS[-len(self.joints[0]) :]) for leg in LEGS)
 
     @property
     def mass(self) -> float:

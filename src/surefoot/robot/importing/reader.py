@@ -8,8 +8,9 @@ import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -19,10 +20,13 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
+from surefoot.robot.appearance import Part
 from surefoot.robot.importing.imported import ImportedRobot
+from surefoot.robot.importing.meshes import Color, Surface, merge_surfaces
 from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
+from surefoot.robot.importing.visuals import Visual, decimate_visuals, read_mjcf_visuals, read_urdf_visuals
 from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
 from surefoot.robot.urdf_file import attribute, read_inertia, read_number, read_xml
 
@@ -42,7 +46,7 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
     Args:
         path: the file.
         forward: direction in the file's frame that is forward, out of `FORWARD`; None: by the legs' names and axes.
-        meshes: whether to read a URDF's meshes; without them the base is a box with its inertia.
+        meshes: whether to read a URDF's meshes, and what is drawn; without them the base is a box with its inertia.
 
     Raises:
         SurefootError: a file that can't be read, or a robot that is not a quadruped with legs of two or three hinges.
@@ -51,6 +55,10 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
     root = read_xml(path)
     check_kind(root, path)
     notes: list[str] = []
+    visuals: list[Visual] = []
+    if meshes:
+        is_urdf = root.tag == "robot"
+        visuals = read_urdf_visuals(root, path, _find_mesh, notes) if is_urdf else read_mjcf_visuals(path, notes)
     speeds = _prepare_urdf(root, path, meshes, notes) if root.tag == "robot" else {}
     with mujoco_errors(path, explain_mujoco):
         if root.tag == "mujoco":
@@ -67,7 +75,7 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
         model = spec.compile()
     poses = order_poses(itertools.chain(_keyframe_poses(keys, model), srdf_poses(path)))
     file_name = root.get("name" if root.tag == "robot" else "model", "")
-    return _Reader(path, model, speeds, poses, notes, file_name).read(forward)
+    return _Reader(path, model, speeds, poses, notes, file_name).read(forward, visuals)
 
 
 def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iterator[tuple[str, Pose]]:
@@ -187,7 +195,7 @@ class _Reader:
             group[body] = body if kinds or top else group[model.body_parentid[body]]
         return group
 
-    def read(self, forward: str | None) -> ImportedRobot:
+    def read(self, forward: str | None, visuals: Sequence[Visual]) -> ImportedRobot:
         """Return the robot; see `read_robot`."""
         chains, base = self._chains()
         model, data = self.model, self.data
@@ -206,7 +214,7 @@ class _Reader:
             which = "feet" if len(radii) == len(feet) else f"feet of {choices(radii)}"
             radius = choices(dict.fromkeys(f"{radius:.3g}" for radius in radii.values()))
             self.notes.append(f"{which}: {source}, radius {radius} m")
-        return ImportedRobot(
+        robot = ImportedRobot(
             name=robot_name(self.path, self.file_name),
             path=self.path,
             forward=forward,
@@ -219,6 +227,30 @@ class _Reader:
             foot_radius=np.array([foot.radius for foot in feet]),
             poses=tuple((source, np.array([pose.get(name, np.nan) for name in knees])) for source, pose in self.poses),
             notes=tuple(self.notes),
+        )
+        return replace(robot, parts=self._parts(visuals, robot, chains, base))
+
+    def _parts(
+        self, visuals: Sequence[Visual], robot: ImportedRobot, chains: list[list[int]], base: int
+    ) -> tuple[Part, ...]:
+        """Return what is drawn of the base and the legs, decimated, one part a link and colour."""
+        names, origins = {base: "base"}, {base: np.zeros(3)}
+        for chain, links, places in zip(chains, robot.link_names, robot.places, strict=True):
+            names |= dict(zip(chain, links, strict=True))
+            origins |= dict(zip(chain, places, strict=True))
+        movers = {visual.body: int(self.group[self.model.body(visual.body).id]) for visual in visuals}
+        parts: dict[tuple[str, Color], list[Surface]] = {}
+        for visual in decimate_visuals([visual for visual in visuals if movers[visual.body] in names]):
+            body, mover = self.model.body(visual.body).id, movers[visual.body]
+            frame = np.eye(4)
+            frame[:3, :3] = self.data.xmat[body].reshape(3, 3)
+            frame[:3, 3] = self.data.xpos[body] - origins[mover]
+            surface = visual.surface.place(frame @ visual.frame)
+            parts.setdefault((names[mover], visual.color), []).append(surface)
+        merged = {key: merge_surfaces(surfaces) for key, surfaces in parts.items()}
+        return tuple(
+            Part(link, surface.vertices.astype(np.float32), surface.faces.astype(np.int32), color)
+            for (link, color), surface in merged.items()
         )
 
     def _chains(self) -> tuple[list[list[int]], int]:
@@ -281,7 +313,7 @@ class _Reader:
         turn, data = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), self.data
         for places in (data.xpos, data.xipos, data.xanchor, data.xaxis, data.geom_xpos):
             places[:] = places @ turn.T
-        for frames in (data.ximat, data.geom_xmat):
+        for frames in (data.xmat, data.ximat, data.geom_xmat):
             frames[:] = (turn @ frames.reshape(-1, 3, 3)).reshape(-1, 9)
 
     def _body(self, mover: int) -> RigidBody:
@@ -295,7 +327,7 @@ class _Reader:
             raise self._error(f"body '{model.body(mover).name}' has no mass; every moving part needs an inertia")
         return fuse(parts)
 
-    def _hinges(self, chains: list[list[int]]) -> dict[str, Array]:
+    def _hinges(self, chains: list[list[int]]) -> dict[str, Any]:
         """Return what an `ImportedRobot` has of its hinges; refuse axes that are not along the base's x and y."""
         model, joints, along = self.model, self.model.body_jntadr[chains], np.array((0, 1, 1)[-len(chains[0]) :])
         axes = self.data.xaxis[joints]

@@ -15,6 +15,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, check_name, describe_os_errors
 from surefoot.files import atomic_write
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE
+from surefoot.robot.appearance import LOOKS, Appearance
 from surefoot.robot.importing.imported import KNEE_SIGNS, LEGS, ImportedRobot, Knees
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.sheet import GRAVITY
@@ -50,6 +51,8 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
     with describe_os_errors(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
     _write(folder / "robot.urdf", format_urdf(_urdf(robot), name))
+    if robot.parts:
+        Appearance(robot.parts).save(folder / LOOKS)
     _write(folder / "robot.toml", sheet)
     guesses = [line.replace(_GUESSED, ": ") for line in sheet.splitlines() if _GUESSED in line]
     return list(dict.fromkeys([*robot.notes, *guesses]))
@@ -87,7 +90,7 @@ knee = "{"forward" if sign > 0 else "backward"}"{comment}"""
 name = "{name}"
 urdf = "robot.urdf"
 base = "base"
-
+{f'looks = "{LOOKS}"' if robot.parts else ""}
 # In the order of commands and readings; joint angle in the URDF = sign * motor angle.
 [motors]
 order = {json.dumps(sum(robot.joints, ()))}{_GUESSED}leg by leg; take the order of the robot's own interface
@@ -172,16 +175,16 @@ def _urdf(robot: ImportedRobot) -> Urdf:
     centre, half = robot.base_box
     links = {"base": _link(robot.base, np.zeros(3), Shape("base", "box", tuple(half), _frame(centre)))}
     joints: dict[str, Joint] = {}
-    parts = ("hip", "upper", "lower")[-len(robot.joints[0]) :]
     for k, leg in enumerate(LEGS):
         parent, origin = "base", np.zeros(3)
-        ends = [None, *robot.places[k, -1:], robot.feet[k]][-len(parts) :]
-        for part, joint, body, place, axis, limits, end in zip(
-            parts, robot.joints[k], robot.bodies[k], robot.places[k], robot.axes[k], robot.limits[k], ends, strict=True
+        ends = [None, *robot.places[k, -1:], robot.feet[k]][-len(robot.joints[0]) :]
+        hinges = robot.places[k], robot.axes[k], robot.limits[k]
+        for name, joint, body, end, place, axis, limits in zip(
+            robot.link_names[k], robot.joints[k], robot.bodies[k], ends, *hinges, strict=True
         ):
-            name, shapes = f"{leg}_{part}", []
+            shapes = []
             if end is not None:
-                radius = 0.06 * robot.length * (0.5 if part == "upper" else 0.3)
+                radius = 0.06 * robot.length * (0.5 if name.endswith("upper") else 0.3)
                 shapes = [_cylinder(name, np.array([0.0, end[1] - place[1], 0.0]), end - place, radius)]
             links[name] = _link(body, place, *shapes)
             limited, (x, y, z) = bool(np.isfinite(limits).all()), axis.tolist()
