@@ -64,8 +64,9 @@ class Running:
 
 
 @pytest.fixture(scope="module")
-def running() -> Iterator[Running]:
-    drive, view, stop = DrivePage("go2-steer", "mujoco"), RobotView(), threading.Event()
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    folder = tmp_path_factory.mktemp("recordings")
+    drive, view, stop = DrivePage("go2-steer", "mujoco", recordings=folder), RobotView(), threading.Event()
     server = PageServer(None, 0, view.port)
     thread = threading.Thread(target=drive.run, args=(server, view, stop))
     thread.start()
@@ -109,6 +110,14 @@ def test_server_refuses_another_sites_name_and_other_files(running: Running):
 BAD = [
     *('{"command": [NaN, 0, 0]}', '{"command": [1e999, 0, 0]}', '{"command": "fast"}', '{"command": [null, 0, 0]}'),
     *('{"set": ["base_mass_ratio", 99]}', '{"set": ["control_step", 0.01]}', '{"set": [[], 1]}', '{"push": [1e9, 0]}'),
+    *(
+        '{"push": [10, 0]}',
+        '{"push": [10, 0, 5]}',
+        '{"push": [10, "0", 1]}',
+        '{"export": "html"}',
+        '{"export": "../x"}',
+    ),
+    *('{"ghost": "../../etc/passwd"}', '{"ghost": 1}', '{"ghost": ["x"]}', '{"record": {}, "export": []}'),
     *('{"policy": "../../etc/passwd"}', '{"policy": []}', '{"speed": 1e9}', '{"speed": {}}', '{"command": 3}'),
     *("{", "[" * 999),
 ]
@@ -228,6 +237,12 @@ def page(running: Running, shared: Page) -> Page:
     return shared
 
 
+def set_push(page: Page, share: float) -> None:
+    """Set the force of pushes, over the robot's weight."""
+    page.locator("#share").fill(str(share))
+    page.locator("#duration").select_option("0.1")
+
+
 FIGURES: dict[str, Callable[[list[DrivenStep]], Any]] = {
     "torque": lambda rows: np.mean([np.abs(row.torque).mean() for row in rows]),
     "height": lambda rows: np.mean([row.position[2] for row in rows]),
@@ -286,17 +301,18 @@ def test_slider_changes_the_motion_of_the_same_robot(
 ):
     robot, slider = running.drive.robot, page.locator(f"input[type=range][name={name}]")
     before = float(getattr(robot.env.world.params, name).mean())
+    page.evaluate("document.querySelectorAll('details').forEach(one => { one.open = true; })")
 
     def measure() -> float:
         if figure == "shift":
-            page.locator("#push").click()
+            page.locator("#push-front").click()
         return float(FIGURES[figure](running.measure(0.6)))
 
     def set_value(value: float) -> None:
         slider.fill(str(value))
         running.until(lambda: getattr(robot.env.world.params, name).mean() == pytest.approx(value, rel=1e-3))
 
-    page.locator("#force").fill("100")
+    set_push(page, 0.6)
     if walks:
         page.locator("#why").click()
         page.keyboard.down("w")
@@ -315,10 +331,12 @@ def test_slider_changes_the_motion_of_the_same_robot(
 @in_browser
 @pytest.mark.realtime
 def test_button_pushes_to_the_chosen_side(running: Running, page: Page):
-    page.locator("#force").fill("150")
-    page.locator("#direction").select_option("90")
+    set_push(page, 1.0)
+    weight = running.drive.robot.robot.weight
+    assert page.locator("#force").text_content() == f"1.00 × weight = {weight:.0f} N"
     running.measure(0.3)
-    page.locator("#push").click()
+    page.locator("#push-left").click()
+    running.until(lambda: np.linalg.norm(running.drive.robot.push_force_world) == pytest.approx(weight, rel=1e-3))
     running.until(lambda: max(row.velocity[1] for row in list(running.drive.robot.rows)[-40:]) > 0.3)
 
 
@@ -346,8 +364,9 @@ def test_second_tab_watches_until_the_first_is_closed(running: Running, page: Pa
     second.goto(running.server.address)
     watches = "document.getElementById('role').textContent.includes('watching')"
     second.wait_for_function(watches)
-    assert second.locator("#push").is_disabled()
-    assert page.locator("#push").is_enabled()
+    assert second.locator("#push-front").is_disabled()
+    assert page.locator("#push-front").is_enabled()
+    assert second.locator("#camera-side").is_enabled()
     with open_socket(running.server) as line:
         line.send('{"pause": true}')
         assert "you watch" in read_error(line)

@@ -13,12 +13,11 @@ from surefoot.api.policies import find_policy, load_gait
 from surefoot.errors import SurefootError
 from surefoot.evaluation.driven import FIXED, DrivenRobot
 from surefoot.robot.params import PARAMETERS
-from surefoot.world.registry import find_world
 
 
-def driven(name: str, **changes: object) -> DrivenRobot:
+def driven(name: str, world: str = "mujoco", **changes: object) -> DrivenRobot:
     policy, _, task, _ = load_gait(find_policy(name), None)
-    return DrivenRobot(policy, replace(task, **changes), find_world("mujoco"))
+    return DrivenRobot(policy, replace(task, **changes), world)
 
 
 @pytest.fixture(scope="module")
@@ -88,16 +87,40 @@ def test_every_knob_returns_the_value_that_was_set(robot: DrivenRobot):
     assert not {knob.name for knob in knobs} & set(FIXED)
     for knob in knobs:
         value = float(np.clip(1.1 * knob.value + 1e-3, knob.low, knob.high))
-        if knob.name in PARAMETERS and PARAMETERS[knob.name].engines:
-            with pytest.raises(SurefootError, match="world mujoco does not model it"):
-                robot.set(knob.name, value)
-            value = 0.0
-        else:
-            robot.set(knob.name, value)
+        robot.set(knob.name, value)
         now = next(one.value for one in robot.knobs() if one.name == knob.name)
         assert now == pytest.approx(value, rel=1e-9), knob.name
         robot.set(knob.name, knob.value)
     robot.step()
+
+
+def names(robot: DrivenRobot) -> set[str]:
+    return {knob.name.partition(".")[0] for knob in robot.knobs()}
+
+
+def test_knobs_are_what_motors_and_engine_have(robot: DrivenRobot):
+    bullet_only = {name for name, declared in PARAMETERS.items() if declared.engines}
+    assert bullet_only == {"knee_friction", "knee_play", "floor_unevenness"}
+    joint = {"voltage", "torque_constant", "resistance"}
+    assert names(robot) == set(PARAMETERS) - set(FIXED) - bullet_only - joint
+    assert {knob.group for knob in robot.knobs()} == {"body", "motors", "contact", "sensors"}
+    units = {knob.name: knob.unit for knob in robot.knobs()}
+    assert [units[name] for name in ("servo_kp", "base_mass_ratio", "contact_friction", "imu_bias.roll")] == [
+        *("N m/rad", "x nominal", "", "rad")
+    ]
+    with pytest.raises(SurefootError, match="'knee_play' is not a parameter of go2 that can be set"):
+        robot.set("knee_play", 0.0)
+
+
+def test_constraint_motors_have_no_knobs_of_a_servo():
+    robot = driven("steer", actuator="constraint")
+    assert not names(robot) & {"servo_latency", "load_friction", "speed_filter", "presliding"}
+    assert {knob.name: knob.unit for knob in robot.knobs()}["servo_kp"] == "1/rad"
+
+
+def test_bullet_has_knobs_of_its_own():
+    pytest.importorskip("pybullet")
+    assert {"knee_friction", "knee_play", "floor_unevenness"} < names(driven("go2-steer", "bullet"))
 
 
 @pytest.mark.parametrize(("name", "value"), [("speed", 1.0), ("control_step", 0.01), ("base_mass_ratio", 99.0)])
@@ -141,3 +164,39 @@ def test_a_policy_without_commands_takes_none():
     with pytest.raises(SurefootError, match="this policy follows no commands"):
         robot.command([0.0, 0.0, 0.0])
     assert np.isnan(robot.step().command).all()
+
+
+def test_a_recording_is_a_trace_with_its_pushes_and_ends_with_a_restart(robot: DrivenRobot):
+    robot.command([0.5, 0.0, 0.0])
+    run(robot, 0.5)
+    recording, begin, step = robot.record(), robot.rows[-1].position, robot.step_time
+    run(robot, 10 * step)
+    robot.push([0.0, 60.0, 0.0], 4 * step)
+    force = np.linalg.norm(robot.push_force_world)
+    run(robot, 20 * step)
+    robot.restart()
+    run(robot, 0.2)
+    trace = recording.trace("go2-steer", "mujoco")
+    assert (trace.num_steps, trace.duration) == (30, pytest.approx(30 * step))
+    assert trace.base_position_world[0] == pytest.approx(begin)
+    assert trace.meta["ended"] == "stopped"
+    assert (trace.command[:, 0] == 0.5).all()
+    pushed = np.linalg.norm(trace.push_force_world, axis=1)
+    assert force == pytest.approx(60.0)
+    assert np.flatnonzero(pushed > 0.0).tolist() == [10, 11, 12, 13]
+    assert pushed.max() == pytest.approx(force)
+
+
+def test_a_recording_ends_with_a_fall_and_at_its_greatest_length(robot: DrivenRobot, monkeypatch: pytest.MonkeyPatch):
+    recording = robot.record()
+    with pytest.raises(SurefootError, match="no control step was recorded"):
+        recording.trace("go2-steer", "mujoco")
+    robot.push([0.0, 1500.0, 0.0], 0.3)
+    run(robot, 1.2)
+    assert recording.ended == "fall"
+    assert recording.duration < 1.2
+    robot.restart()
+    monkeypatch.setattr("surefoot.evaluation.driven.MAX_RECORDING", 10 * robot.step_time)
+    recording = robot.record()
+    run(robot, 0.4)
+    assert (recording.ended, recording.duration) == ("time", pytest.approx(10 * robot.step_time))

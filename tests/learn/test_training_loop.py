@@ -247,6 +247,34 @@ def test_a_configuration_out_of_bounds_is_refused(changes: dict[str, object], ru
         tiny_config(**changes)
 
 
+def test_a_steered_run_logs_errors_and_terms_to_either_logger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    short = {**TINY, "steps": 256, "evaluate_every": 256, "task": {"max_steps": 80}}
+    config = from_mapping(TrainConfig, short, base=load_train_config("go2-steer"))
+    loops = []
+    for logger in ("tensorboard", "wandb"):
+        loop = TrainingLoop(config, RunFolder.create(config, tmp_path / logger), SimWorld, logger=logger)
+        loop.run(lambda *_: None)
+        loops.append(loop)
+    assert same_weights(*loops)
+    assert list(loops[1].folder.path.glob("wandb/offline-run-*/*.wandb"))
+    (row,), (evaluation,) = loops[0].folder.rows(), loops[0].folder.evaluations()
+    seconds = 0.016 * config.steps_per_update
+    assert sum(row["reward"].values()) * seconds == pytest.approx(row["reward_rate"] * config.steps_per_update)
+    assert set(row["reward"]) == set(config.task.reward)
+    assert 0 < row["rmse"]["forward"] < 2
+    assert set(evaluation["rmse"]) == {"forward", "sideways", "yaw_rate"}
+    names = []
+    for loop in loops:
+        events = EventAccumulator(str(loop.folder.path))
+        events.Reload()
+        names.append(set(events.Tags()["scalars"]))
+    assert {f"train/reward/{term}" for term in config.task.reward} | {"evaluation/rmse/forward"} <= names[0] == names[1]
+
+
 def test_rank_prefers_no_falls_over_return(whole: TrainingLoop) -> None:
     assert whole.best is not None
     steady = replace(whole.best, falls=0, pushed_falls=0, return_mean=1.0)

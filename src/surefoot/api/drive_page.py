@@ -10,14 +10,16 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from surefoot.api.policies import find_policy, load_gait, shipped_policies
+from surefoot.api.policies import find_policy, load_gait
+from surefoot.api.policy_list import list_policies
 from surefoot.errors import SurefootError, choices
 from surefoot.robot.commands import COMMANDS, STAND
-from surefoot.world.registry import WORLDS, find_world
+from surefoot.world.registry import WORLDS
 
 if TYPE_CHECKING:
     from surefoot.deploy.command_sources import CommandSource
@@ -35,8 +37,12 @@ _REPORT_PERIOD = 1 / 15
 """Time between two points of the plots [s]."""
 _COMMAND_TIMEOUT = 3.0
 """Time after which a command that is not repeated ends [s]."""
-_PUSH_DURATION = 0.1
-"""How long a push lasts [s]."""
+_PUSH_DURATIONS = (0.1, 0.3, 1.0)
+"""How long a push may last [s]."""
+RECORDINGS = Path("recordings")
+"""Folder of recordings, if no other is given."""
+_LIST_PERIOD = 10.0
+"""Time between two looks for policies of new runs [s]."""
 _MEAN_SPEED_TIME = 0.25
 """Time over which plotted speeds are averaged [s]."""
 
@@ -61,7 +67,7 @@ def serve(drive: DrivePage, host: str | None, port: int, commands: str | None = 
         stack.callback(view.stop)
         page = PageServer(host, port, view.port)
         stack.callback(page.stop)
-        print(f"{page.address}   (Ctrl-C ends)", flush=True)
+        page.print_addresses()
         drive.run(page, view, threading.Event())
 
 
@@ -85,34 +91,64 @@ class DrivePage:
         world: str,
         robot: str | None = None,
         adjust: Callable[[TaskConfig, RobotDescription], TaskConfig] = lambda task, _: task,
+        recordings: Path = RECORDINGS,
     ) -> None:
-        self.policies = list(dict.fromkeys([policy, *sorted(shipped_policies())]))
+        from surefoot.api.drive_recordings import DriveRecordings
+
         self.worlds = [name for name, entry in WORLDS.items() if find_spec(entry.package) is not None]
-        self._robot_name, self._adjust = robot, adjust
+        self._first, self._robot_name, self._adjust = policy, robot, adjust
+        self.recordings = DriveRecordings(recordings)
         self.paused, self.speed = False, 1.0
         self.delays: deque[float] = deque(maxlen=10_000)
         """Time from a hand's movement in the browser to its command in the simulation [s], on one machine."""
         self.real_time_share = 1.0
         """Share of real time that was reached in the last second or so."""
         self._command_time = 0.0
-        self.robot = self._load(policy, world)
+        self._settings: dict[str, float] = {}
+        """What was set by sliders; it holds for every robot that is loaded."""
+        self.policy, self.world = policy, world
+        self.robot, self._name = self._load(policy, world)
+        self._robot_name = self.robot.env.task.robot
+        self.ghost: DrivenRobot | None = None
+        """A robot beside the first one, which has the same commands, pushes and parameters."""
+        self.ghost_policy, self._ghost_name, self._ghost_offset = "", "", 0.0
+        self._list_policies()
 
-    def _load(self, policy: str, world: str) -> DrivenRobot:
+    def _list_policies(self) -> bool:
+        """Look for policies of the robot; return whether there are others than before."""
+        before = getattr(self, "policies", None)
+        self.policies, self._listed = list_policies(self._first, self.robot.robot.name), time.monotonic()
+        return self.policies != before
+
+    def _load(self, policy: str, world: str) -> tuple[DrivenRobot, str]:
+        """Return a robot with a policy in a world, and the policy's own name."""
         from surefoot.evaluation.driven import DrivenRobot
 
-        make_world, is_first = find_world(world), policy == self.policies[0]
-        runtime, description, task, _ = load_gait(find_policy(policy), self._robot_name if is_first else None)
-        robot = DrivenRobot(runtime, self._adjust(task, description) if is_first else task, make_world)
-        self.policy, self.world = policy, world
-        return robot
+        runtime, description, task, origin = load_gait(find_policy(policy), self._robot_name)
+        robot = DrivenRobot(runtime, self._adjust(task, description) if policy == self._first else task, world)
+        for name, value in self._settings.items():
+            with contextlib.suppress(SurefootError):  # this world or robot does not have it
+                robot.set(name, value)
+        return robot, origin["name"]
+
+    @property
+    def _robots(self) -> list[DrivenRobot]:
+        return [self.robot] if self.ghost is None else [self.robot, self.ghost]
 
     def run(self, page: PageServer, view: RobotView, stop: threading.Event) -> None:
         """Run until `stop` is set. While no tab is open, time stands still."""
         self._page, self._view = page, view
+        try:
+            self._run(page, stop)
+        finally:
+            self.recordings.close()
+
+    def _run(self, page: PageServer, stop: threading.Event) -> None:
         self._show_robot()
         begin, steps, speed, next_frame, next_report = time.perf_counter(), 0, self.speed, 0.0, 0.0
         while not stop.is_set():
             self._handle_messages()
+            self._update_recordings()
             now, idle = time.perf_counter(), self.paused or not page.tabs
             if idle or speed != self.speed:
                 begin, steps, speed = now, 0, self.speed
@@ -137,52 +173,82 @@ class DrivePage:
     def _step(self) -> None:
         """Run a control step with the command of the source, or with the page's newest one."""
         if self.source is not None and self.robot.limits is not None:
-            self.robot.command(self.source.read(self.robot.time))
+            self._set_command(self.source.read(self.robot.time))
         elif self._command_time and time.perf_counter() - self._command_time > _COMMAND_TIMEOUT:
             self._command(STAND)
+        if self.ghost is not None and any(robot.must_stand_up for robot in self._robots):
+            self._restart()
         self.robot.step()
+        if self.ghost is not None:
+            # Its control step may be another one.
+            while self.ghost.time + self._ghost_offset < self.robot.time - 1e-9:
+                self.ghost.step()
+
+    def _restart(self) -> None:
+        """Begin anew at the start, both robots side by side."""
+        for robot in self._robots:
+            robot.restart()
+        if self.ghost is not None:
+            self._ghost_offset = self.robot.time - self.ghost.time
+
+    def _update_recordings(self) -> None:
+        """Offer what was recorded to the browser, and report what went wrong."""
+        self.recordings.update()
+        for path in list(self.recordings.files.values()):
+            self._page.files[path.name] = path
+        if self.recordings.error:
+            self._page.send(error=self.recordings.error)
+            self.recordings.error = ""
 
     def _draw(self) -> None:
-        truth = self.robot.env.truth
-        self._view.move(truth.base_position_world[0], truth.base_quat_world[0], truth.motor_angle[0])
+        truths = [robot.env.truth for robot in self._robots]
+        self._view.move(*((t.base_position_world[0], t.base_quat_world[0], t.motor_angle[0]) for t in truths))
+        self._view.show_push(self.robot.push_force_world)
 
     def _show_robot(self) -> None:
-        """Show a new robot on the page."""
-        self._view.show(self.robot.robot)
+        """Show new robots on the page."""
+        self._view.show(*(robot.robot for robot in self._robots))
         self._draw()
         self._send_options()
 
     def _send_options(self) -> None:
-        limits = self.robot.limits
+        limits, robot = self.robot.limits, self.robot.robot
         self._page.set_options(
             policies=self.policies,
             worlds=self.worlds,
             policy=self.policy,
+            ghost=self.ghost_policy,
             world=self.world,
-            robot=self.robot.robot.name,
-            legs=self.robot.robot.leg_names,
+            robot=robot.name,
+            weight=round(robot.weight, 2),
+            node=f"/world/{robot.base}",
+            legs=robot.leg_names,
             source=self.source_name,
             limits=None if limits is None else [[*getattr(limits, name)] for name in COMMANDS],
             knobs=[asdict(knob) for knob in self.robot.knobs()],
             speeds=SPEEDS,
+            pushes=_PUSH_DURATIONS,
         )
 
     def _send_report(self) -> None:
-        """Send the state of the robot."""
-        share = round(self.real_time_share, 3)
-        report: dict[str, Any] = {"paused": self.paused, "speed": self.speed, "share": share}
+        """Send the state of the robots."""
+        if time.monotonic() - self._listed > _LIST_PERIOD and self._page.tabs and self._list_policies():
+            self._send_options()
+        report: dict[str, Any] = {
+            "paused": self.paused,
+            "speed": self.speed,
+            "share": round(self.real_time_share, 3),
+            "recording": self.recordings.report(),
+        }
         if rows := self.robot.rows:
-            last, count = rows[-1], min(len(rows), max(round(_MEAN_SPEED_TIME / self.robot.step_time), 1))
-            recent = [rows[-k] for k in range(1, count + 1)]
-            report |= {
-                "time": round(last.time, 4),
-                "velocity": np.mean([row.velocity for row in recent], axis=0).round(4).tolist(),
-                "command": None if np.isnan(last.command).any() else last.command.round(4).tolist(),
-                "torque": round(float(np.abs(last.torque).max()), 3),
-                "heat": round(float(np.mean([row.heat for row in recent])), 2),
-                "contact": (last.contact > 0.5).tolist(),
-                "falls": self.robot.falls,
+            report |= _figures(self.robot) | {
+                "time": round(rows[-1].time, 4),
+                "contact": (rows[-1].contact > 0.5).tolist(),
             }
+            command = self.robot.commanded if self.robot.limits is not None else None
+            report |= {"command": None if command is None else command.round(4).tolist()}
+        if self.ghost is not None and self.ghost.rows:
+            report["ghost"] = _figures(self.ghost)
         self._page.send(report=report)
 
     def _handle_messages(self) -> None:
@@ -211,34 +277,86 @@ class DrivePage:
         elif name == "left":
             self._command(STAND)
         elif name == "set":
-            self.robot.set(str(value[0]), *finite_numbers(value[1:], 1))
-            self._page.send(done=[str(value[0]), float(value[1])])
+            self._set(str(value[0]), *finite_numbers(value[1:], 1))
         elif name == "push":
-            force, degrees = finite_numbers(value, 2)
+            force, degrees, duration = finite_numbers(value, 3)
+            if duration not in _PUSH_DURATIONS:
+                raise SurefootError(f"a push lasts {choices(map(str, _PUSH_DURATIONS))} s")
             direction = np.radians(degrees)
-            self.robot.push([force * np.cos(direction), force * np.sin(direction), 0.0], _PUSH_DURATION)
+            for robot in self._robots:
+                robot.push([force * np.cos(direction), force * np.sin(direction), 0.0], duration)
         elif name == "pause":
             self.paused = bool(value)
         elif name == "restart":
-            self.robot.restart()
+            self._restart()
         elif name == "speed":
             if value not in SPEEDS:
                 raise SurefootError(f"speed must be {choices(map(str, SPEEDS))}")
             self.speed = float(value)
-        elif name in ("policy", "world"):
-            names = self.policies if name == "policy" else self.worlds
-            if value not in names:
-                raise SurefootError(f"{name} must be one of {choices(names)}")
-            try:
-                self.robot = self._load(**{"policy": self.policy, "world": self.world, name: value})
-            finally:
-                self._command_time = 0.0
-                self._show_robot()
+        elif name == "record":
+            self._record(bool(value))
+        elif name == "export":
+            self.recordings.export(str(value))
+        elif name in ("policy", "world", "ghost"):
+            self._choose(name, value)
+
+    def _set(self, name: str, value: float) -> None:
+        for robot in reversed(self._robots):  # what the ghost refuses is not set at all
+            robot.set(name, value)
+        self._settings[name] = value
+        self._page.send(done=[name, value])
+
+    def _record(self, on: bool) -> None:
+        if on and not self.recordings.is_recording:
+            names = [self._name] if self.ghost is None else [self._name, f"{self._ghost_name} (ghost)"]
+            self.recordings.start(self.world, dict(zip(names, self._robots, strict=True)))
+        elif not on and self.recordings.is_recording:
+            self.recordings.stop()
+
+    def _choose(self, what: str, value: Any) -> None:
+        """Load another policy, world or ghost; commands and what the sliders set stay."""
+        names = self.worlds if what == "world" else [entry.name for entry in self.policies]
+        if value not in names and (what, value) != ("ghost", ""):
+            raise SurefootError(f"{what} must be one of {choices(names)}")
+        self._record(False)
+        command = self.robot.commanded
+        chosen = {"policy": self.policy, "world": self.world, "ghost": self.ghost_policy, what: str(value)}
+        try:
+            robot, ghost = (self.robot, self._name), (self.ghost, self._ghost_name)
+            if what != "ghost":
+                robot = self._load(chosen["policy"], chosen["world"])
+            if what != "policy":
+                ghost = self._load(chosen["ghost"], chosen["world"]) if chosen["ghost"] else (None, "")
+            (self.robot, self._name), (self.ghost, self._ghost_name) = robot, ghost
+            self.policy, self.world, self.ghost_policy = chosen["policy"], chosen["world"], chosen["ghost"]
+        finally:
+            if self.ghost is not None:
+                self._restart()
+            self._set_command(command)
+            self._show_robot()
 
     def _command(self, command: Any) -> None:
         if self.robot.limits is not None and self.source is None:
-            self.robot.command(command)
+            self._set_command(command)
             self._command_time = time.perf_counter() if any(command) else 0.0
+
+    def _set_command(self, command: Any) -> None:
+        for robot in self._robots:
+            if robot.limits is not None:
+                robot.command(command)
+
+
+def _figures(robot: DrivenRobot) -> dict[str, Any]:
+    """Return the figures of a robot for the plots."""
+    rows = robot.rows
+    count = min(len(rows), max(round(_MEAN_SPEED_TIME / robot.step_time), 1))
+    recent = [rows[-k] for k in range(1, count + 1)]
+    return {
+        "velocity": np.mean([row.velocity for row in recent], axis=0).round(4).tolist(),
+        "torque": round(float(np.abs(rows[-1].torque).max()), 3),
+        "heat": round(float(np.mean([row.heat for row in recent])), 2),
+        "falls": robot.falls,
+    }
 
 
 def finite_numbers(values: Any, count: int) -> list[float]:

@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
-from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PluginNames, PolicyName, RobotName, World
+from surefoot.cli.helpers.options import (
+    PAGE_PORT,
+    Host,
+    PagePort,
+    PluginNames,
+    PolicyName,
+    RobotName,
+    World,
+    check_folder,
+)
 from surefoot.cli.helpers.parsing import parse
 
 
@@ -20,13 +30,17 @@ class DriveCommand:
     """What steers in place of the page: a file (CSV: time, forward, sideways, yaw_rate), keyboard or gamepad at this
     terminal, or the number of a UDP port on this computer."""
     host: Host = None
+    out: Path = Path("recordings")
+    """Folder of what the page records: traces (.npz), pages (.html) and videos (.mp4); it is made when needed."""
     plugin: PluginNames = ()
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(DriveCommand, argv, "surefoot drive")
+    check_folder(command.out)
     from surefoot.api.drive_page import DrivePage, serve
 
-    serve(DrivePage(command.policy, command.world, command.robot), command.host, command.page_port, command.commands)
+    drive = DrivePage(command.policy, command.world, command.robot, recordings=command.out)
+    serve(drive, command.host, command.page_port, command.commands)
     return 0

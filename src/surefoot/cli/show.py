@@ -57,7 +57,7 @@ def main(argv: list[str]) -> int:
         return 0
     server = PageServer(command.host, command.page_port, None, page)
     try:
-        print(f"{server.address}   (Ctrl-C ends)", flush=True)
+        server.print_addresses()
         threading.Event().wait()
     finally:
         server.stop()

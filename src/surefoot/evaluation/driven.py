@@ -6,42 +6,50 @@ from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.evaluation.rollout import Policy
-from surefoot.robot.params import PARAMETERS
+from surefoot.evaluation.rollout import EpisodeRecorder, Policy
+from surefoot.robot.params import PARAMETERS, Parameter
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandGenerator
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.reward import base_rates
-from surefoot.world.interface import SimulationFactory
+from surefoot.task.trace import EpisodeTrace
+from surefoot.world.registry import find_world, is_modelled
 
 FIXED = ("control_step",)
 """Parameters that belong to the policy, and can't be changed while it runs."""
 _MAX_STEPS = 1_000_000
 _LIE_TIME = 1.5
 """How long a robot that fell lies until it stands again at its start [s]."""
+MAX_RECORDING = 120.0
+"""Longest recording [s]."""
 _MAX_FORCE = 2000.0
 """Greatest force of a push [N]."""
 
 
 @dataclass(frozen=True)
 class Knob:
-    """A physical parameter that can be changed while the robot runs: name, unit and bounds."""
+    """A physical parameter that can be changed while the robot runs."""
 
     name: str
     """The parameter, and behind a dot the column of one that has several columns of different meaning."""
+    group: str
+    label: str
     unit: str
+    """Unit; empty for numbers without one, "x nominal" for ratios."""
     meaning: str
     low: float
     """Least value that the robot allows."""
     high: float
     """Greatest value that the robot allows."""
+    nominal: float
+    """Value that the policy's task has."""
     value: float
-    """Present value; the motors' mean, where each has its own."""
+    """Present value; the motors' mean, where each has its own, as in `nominal`."""
 
 
 @dataclass(frozen=True)
@@ -64,27 +72,85 @@ class DrivenStep:
     """Share of the step in which each foot touched the ground (L,)."""
 
 
+class Recording:
+    """Control steps of a driven robot, up to a fall, a restart, `MAX_RECORDING` or its end."""
+
+    def __init__(self, env: LocomotionEnv) -> None:
+        self._env, self._recorder = env, EpisodeRecorder(env, pushed=True)
+        self.ended = ""
+        """How it ended, as in a trace's meta; empty while it goes on."""
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return len(self._recorder.steps) * float(self._env.world.params.control_step[0])
+
+    def add(self, observation: NDArray[np.float32], fell: bool) -> None:
+        """Add the control step that just ended, unless the recording has; `observation` (1, O) is of its start."""
+        if self.ended:
+            return
+        if self._env.truth.diverged[0]:
+            self.end("fault")
+            return
+        self._recorder.record(self._env.readings.time, observation)
+        if fell or self.duration >= MAX_RECORDING:
+            self.end("fall" if fell else "time")
+
+    def end(self, ended: str) -> None:
+        """End the recording, if it goes on."""
+        self.ended = self.ended or ended
+
+    def trace(self, policy: str, world: str) -> EpisodeTrace:
+        """Return the trace.
+
+        Raises:
+            SurefootError: no control step was recorded.
+        """
+        meta = {"policy": policy, "world": world, "ended": self.ended or "stopped"}
+        if not self._recorder.steps:
+            raise SurefootError("no control step was recorded")
+        return self._recorder.trace(0, len(self._recorder.steps), meta)
+
+
 class DrivenRobot:
     """A policy in a world, run one control step at a time.
 
     Args:
         policy: gives the feedback.
         task: what it was trained on; neither pushes nor randomization act.
-        make_world: makes the simulation.
+        world: name of the world.
     """
 
-    def __init__(self, policy: Policy, task: TaskConfig, make_world: SimulationFactory) -> None:
+    def __init__(self, policy: Policy, task: TaskConfig, world: str) -> None:
         pushes = replace(task.pushes, enabled=False)
         task = replace(task, pushes=pushes, max_steps=_MAX_STEPS, randomize={})
         self._command = CommandGenerator(1)
-        self.policy = policy
-        self.env = LocomotionEnv(task, 1, make_world, seed=1, autoreset=False, threads=1, source=self._command)
+        self.policy, self.world = policy, world
+        self.env = LocomotionEnv(task, 1, find_world(world), seed=1, autoreset=False, threads=1, source=self._command)
         self.robot, self.step_time = self.env.robot, float(self.env.world.params.control_step[0])
         self.limits = task.commands.limits(self.robot)
         self.rows: deque[DrivenStep] = deque(maxlen=4000)
         self.falls, self.steps, self.restarts = 0, 0, 0
         self._push_until = self._stand_at = np.inf
         self._observation, _ = self.env.reset()
+        self._recording: Recording | None = None
+
+    @property
+    def commanded(self) -> Array:
+        """The command (3,) [m/s, m/s, rad/s] within the limits, before the filter."""
+        command: Array = self._command.command[0]
+        return command
+
+    @property
+    def push_force_world(self) -> Array:
+        """Force (3,) [N] that pushes the base now."""
+        force: Array = self.env.pusher.force[0]
+        return force
+
+    @property
+    def must_stand_up(self) -> bool:
+        """Whether the robot fell so long ago that the next step begins at its start."""
+        return self.time >= self._stand_at
 
     @property
     def time(self) -> float:
@@ -111,24 +177,42 @@ class DrivenRobot:
         if vector.shape != (3,) or not (np.linalg.norm(vector) <= _MAX_FORCE) or not 0.0 < duration <= 10.0:
             raise SurefootError(f"push: must be up to {_MAX_FORCE:g} N, for up to 10 s")
         yaw = self.env.truth.roll_pitch_yaw[0, 2]
-        self.env.world.push(in_heading_frame(vector[None], np.array([-yaw])))
+        self._push(in_heading_frame(vector[None], np.array([-yaw])))
         self._push_until = self.time + duration
 
+    def _push(self, force_world: Array) -> None:
+        self.env.pusher.force[:] = force_world
+        self.env.world.push(force_world)
+
     def knobs(self) -> list[Knob]:
-        """Return the numbers that can be set."""
+        """Return the numbers that can be set: what the robot's motors have and the world's engine models."""
         knobs = []
         for name, declared in PARAMETERS.items():
-            if name in FIXED or not declared.belongs_to(self.robot):
+            if not self._has(name, declared):
                 continue
-            low, high = self.robot.allowed[name]
-            about = (declared.unit, declared.meaning, low, high)
-            values = getattr(self.env.world.params, name)
-            if declared.per in ("", "motors"):
-                knobs.append(Knob(name, *about, float(values.mean())))
-            else:
-                columns = zip(declared.parts(()), values[0], strict=True)
-                knobs += [Knob(f"{name}.{column}", *about, float(value)) for column, value in columns]
+            unit = "x nominal" if declared.nominal == 1.0 else declared.unit_for(self.robot)
+            unit = "" if unit == "1" else unit
+            values, nominal = (getattr(one, name)[0] for one in (self.env.world.params, self.env.nominal))
+            parts = {"": (nominal.mean(), values.mean())}
+            if declared.per not in ("", "motors"):
+                parts = dict(zip(declared.parts(()), zip(nominal, values, strict=True), strict=True))
+            knobs += [
+                Knob(
+                    f"{name}.{part}".removesuffix("."),
+                    declared.group,
+                    f"{declared.label}, {part}".removesuffix(", "),
+                    unit,
+                    declared.meaning,
+                    *self.robot.allowed[name],
+                    *map(float, pair),
+                )
+                for part, pair in parts.items()
+            ]
         return knobs
+
+    def _has(self, name: str, declared: Parameter) -> bool:
+        ignored = declared.servo_only and self.env.task.actuator == "constraint"
+        return name not in FIXED and declared.belongs_to(self.robot) and is_modelled(self.world, name) and not ignored
 
     def set(self, knob: str, value: float) -> None:
         """Set a knob's parameter in the running simulation.
@@ -152,23 +236,32 @@ class DrivenRobot:
         world.set_params([0], world.params.rows([0]).with_values(self.robot, **{name: values}))
 
     def restart(self) -> None:
-        """Reset the robot to its start; parameters stay."""
+        """Reset the robot to its start; parameters stay, and a recording ends."""
         self.restarts += 1
+        if self._recording is not None:
+            self._recording.end("stopped")
         self._observation, _ = self.env.reset()
-        self.env.world.push(np.zeros((1, 3)))
+        self._push(np.zeros((1, 3)))
         self._push_until = self._stand_at = np.inf
+
+    def record(self) -> Recording:
+        """Start to record the control steps from now on, in place of an earlier recording; return the recording."""
+        self._recording = Recording(self.env)
+        return self._recording
 
     def step(self) -> DrivenStep:
         """Run one control step; a robot that fell stands up again after a while."""
         env = self.env
-        if self.time >= self._stand_at:
+        if self.must_stand_up:
             self.restart()
         if self.time >= self._push_until:
-            env.world.push(np.zeros((1, 3)))
+            self._push(np.zeros((1, 3)))
             self._push_until = np.inf
-        before = env.truth
-        self._observation, _, fell, over, _ = env.step(env.gait.action(self.policy.feedback(self._observation)))
+        before, observation = env.truth, self._observation
+        self._observation, _, fell, over, _ = env.step(env.gait.action(self.policy.feedback(observation)))
         self.steps += 1
+        if self._recording is not None:
+            self._recording.add(observation, bool(fell[0]))
         if fell[0] or over[0]:
             self.falls += int(fell[0])
             self._stand_at = self.time + _LIE_TIME

@@ -85,11 +85,11 @@ def run_to_end(
     )
 
 
-class _Recorder:
-    """Records every control step of all robots."""
+class EpisodeRecorder:
+    """Records every control step of all robots of an environment from now on; `pushed`: forces of pushes too."""
 
-    def __init__(self, env: LocomotionEnv) -> None:
-        self.env = env
+    def __init__(self, env: LocomotionEnv, pushed: bool) -> None:
+        self.env, self._pushed, self._start = env, pushed, env.readings.time.copy()
         self.position, self.quat = [env.truth.base_position_world.copy()], [env.truth.base_quat_world.copy()]
         self.steps: list[dict[str, Array]] = []
         self.command = self._command()
@@ -103,10 +103,9 @@ class _Recorder:
         env, readings, truth = self.env, self.env.readings, self.env.truth
         self.position.append(truth.base_position_world.copy())
         self.quat.append(truth.base_quat_world.copy())
-        pushed = env.task.pushes.enabled
         self.steps.append(
             {
-                "time": readings.time,
+                "time": readings.time - self._start,
                 "roll_pitch_yaw": readings.roll_pitch_yaw,
                 "angular_velocity_base": readings.angular_velocity_base,
                 "motor_angle": readings.motor_angle,
@@ -122,22 +121,40 @@ class _Recorder:
                 "true_motor_angle": truth.motor_angle,
                 "command": self.command,
                 "reward": env.reward,
-                "push_force_world": env.pusher.force.copy() if pushed else np.full((env.num_envs, 3), np.nan),
+                "push_force_world": env.pusher.force.copy() if self._pushed else np.full((env.num_envs, 3), np.nan),
             }
         )
         self.command = self._command()
 
     def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
+        """Return the trace of a robot's first control steps, with further entries of its meta."""
         if steps < 1:
             raise SurefootError("the simulation diverged in the first control step; no episode can be recorded")
         arrays = {name: np.array([step[name][robot] for step in self.steps[:steps]]) for name in self.steps[0]}
         return EpisodeTrace(
             base_position_world=np.array([row[robot] for row in self.position[: steps + 1]]),
             base_quat_world=np.array([row[robot] for row in self.quat[: steps + 1]]),
-            meta=meta,
+            meta=self._meta(robot) | meta,
             robot_archive=self.env.robot.archive,
             **arrays,
         )
+
+    def _meta(self, robot: int) -> dict[str, Any]:
+        env, task = self.env, self.env.task
+        params = param_values(env.world.params.rows([robot]))
+        return {
+            "robot": env.robot.name,
+            "actuator": task.actuator,
+            "leg_names": list(env.robot.leg_names),
+            "motor_names": list(env.robot.motor_names),
+            "observation_names": list(env.observer.columns),
+            **task.return_meta(env.robot),
+            "gait_period": env.gait.reference.period,
+            "max_steps": task.max_steps,
+            "params_source": task.params_source,
+            "params": params,
+            "control_step": params["control_step"],
+        }
 
 
 def run_episodes(
@@ -169,30 +186,14 @@ def run_episodes(
     """
     env = LocomotionEnv(task, episodes, make_world, seed, autoreset=False, threads=threads)
     observation, _ = env.reset()
-    recorder = _Recorder(env)
+    recorder = EpisodeRecorder(env, task.pushes.enabled)
 
     def act(observation: NDArray[np.float32]) -> Array:
         return env.gait.action(policy.feedback(observation))
 
     runs = run_to_end(act, env, observation, progress=progress, record=recorder.record)
     ended = np.where(runs.balanced, "time", np.where(runs.fell, "fall", "fault"))
-    rows = [param_values(env.world.params.rows([i])) for i in range(episodes)]
-    meta = {
-        "robot": env.robot.name,
-        "world": world_name,
-        "actuator": task.actuator,
-        "policy": policy_name,
-        "seed": seed,
-        "leg_names": list(env.robot.leg_names),
-        "motor_names": list(env.robot.motor_names),
-        "observation_names": list(env.observer.columns),
-        **task.return_meta(env.robot),
-        "gait_period": env.gait.reference.period,
-        "max_steps": task.max_steps,
-        "params_source": task.params_source,
-    }
-    traces = []
-    for i, row in enumerate(rows):
-        own = {"episode": i, "ended": str(ended[i]), "params": row, "control_step": row["control_step"]}
-        traces.append(recorder.trace(i, int(runs.steps[i]), meta | own))
-    return traces
+    meta = {"world": world_name, "policy": policy_name, "seed": seed}
+    return [
+        recorder.trace(i, int(runs.steps[i]), {**meta, "episode": i, "ended": str(ended[i])}) for i in range(episodes)
+    ]

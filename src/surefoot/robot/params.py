@@ -27,10 +27,18 @@ class _Robot(Protocol):
     def check_allowed(self, name: str, values: Array) -> None: ...
 
 
+GROUPS = ("body", "motors", "contact", "sensors")
+"""What parameters belong to; latencies are the sensors'."""
+
+
 @dataclass(frozen=True)
 class Parameter:
     """The declaration of a physical parameter."""
 
+    group: str
+    """One of `GROUPS`."""
+    label: str
+    """Short name for people, such as "latency of readings"."""
     unit: str
     """Unit; 1 for ratios."""
     meaning: str
@@ -49,28 +57,36 @@ class Parameter:
     """Kind of the motors that have it, for others it is 0; empty: every motor."""
     engines: tuple[str, ...] = ()
     """Worlds whose engines model it, elsewhere it must be 0; empty: every engine."""
+    servo_only: bool = False
+    """Whether constraint motors, which have no servo, ignore it."""
 
     def belongs_to(self, robot: _Robot) -> bool:
         """Return whether a robot's kind of motors has the parameter."""
         return self.actuator in ("", robot.actuator.kind)
+
+    def unit_for(self, robot: _Robot) -> str:
+        """Return the unit for a robot's kind of motors: gains of DC motors and of joint actuators have two."""
+        dc, _, joint = self.unit.partition(", ")
+        return joint if joint and robot.actuator.kind == "joint" else dc
 
     def parts(self, motor_names: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names of the motors or axes that have values of their own; none for a parameter of one number."""
         return motor_names if self.per == "motors" else tuple(self.per.split(", ")) if self.per else ()
 
 
-def _parameter(unit: str, meaning: str, bounds: tuple[float, float], per: str = "", **options: Any) -> Any:
-    """Declare a parameter; see `Parameter`."""
-    return field(metadata={"parameter": Parameter(unit, meaning, bounds, per, **options)})
+def _parameter(name: str, unit: str, meaning: str, bounds: tuple[float, float], per: str = "", **options: Any) -> Any:
+    """Declare a parameter, by its group and label "GROUP: LABEL"; see `Parameter`."""
+    group, _, label = name.partition(": ")
+    return field(metadata={"parameter": Parameter(group, label, unit, meaning, bounds, per, **options)})
 
 
-def _ratio(meaning: str, bounds: tuple[float, float] = (0.2, 5.0), per: str = "") -> Any:
-    return _parameter("1", meaning, bounds, per, nominal=1.0, independent=bool(per))
+def _ratio(name: str, meaning: str, bounds: tuple[float, float] = (0.2, 5.0), per: str = "") -> Any:
+    return _parameter(name, "1", meaning, bounds, per, nominal=1.0, independent=bool(per))
 
 
-def _deviation(unit: str, meaning: str, bounds: tuple[float, float], per: str = "", **options: Any) -> Any:
+def _deviation(name: str, unit: str, meaning: str, bounds: tuple[float, float], per: str = "", **options: Any) -> Any:
     """Declare a parameter that is 0 for most robots."""
-    return _parameter(unit, meaning, bounds, per, scalable=False, independent=bool(per), **options)
+    return _parameter(name, unit, meaning, bounds, per, scalable=False, independent=bool(per), **options)
 
 
 @dataclass(frozen=True)
@@ -81,77 +97,152 @@ class PhysicalParams:
     description's value. A further parameter goes to the end: random draws are taken in the order of this list.
     """
 
-    base_mass_ratio: Array = _ratio("mass of the base with its fixed links, over the description's")
-    leg_mass_ratio: Array = _ratio("mass of every moving link, over the description's")
-    motor_friction: Array = _parameter("N m", "Coulomb friction in each motor", (0.0, 20.0), "motors")
-    base_inertia_ratio: Array = _ratio("rotational inertia of the base, over the description's")
-    leg_inertia_ratio: Array = _ratio("rotational inertia of every moving link, over the description's")
-    motor_strength: Array = _ratio("motor torque, over the motor model's", (0.0, 2.0), "motors")
-    control_step: Array = _parameter("s", "time between two commands of the policy", (0.001, 0.05))
-    control_latency: Array = _parameter("s", "age of the readings that the policy observes", (0.0, 0.1))
-    voltage: Array = _parameter("V", "battery voltage", (5.0, 30.0), actuator="dc")
-    contact_friction: Array = _parameter("1", "lateral friction coefficient of the feet", (0.05, 3.0))
-    imu_bias: Array = _deviation("rad", "constant error of roll and pitch", (-0.5, 0.5), "roll, pitch")
-    imu_noise: Array = _deviation("rad", "standard deviation of the white noise on roll and pitch", (0.0, 0.5))
-    torque_constant: Array = _parameter(
-        "N m/A", "torque constant K_t, also the back-EMF constant", (0.01, 1.0), actuator="dc"
+    base_mass_ratio: Array = _ratio("body: body mass", "mass of the base with its fixed links, over the description's")
+    leg_mass_ratio: Array = _ratio("body: leg mass", "mass of every moving link, over the description's")
+    motor_friction: Array = _parameter(
+        "motors: Coulomb friction", "N m", "Coulomb friction in each motor", (0.0, 20.0), "motors"
     )
-    resistance: Array = _parameter("Ohm", "armature resistance R", (0.02, 5.0), actuator="dc")
-    servo_latency: Array = _parameter("s", "age of the motor angles and speeds that the servo uses", (0.0, 0.02))
-    contact_stiffness: Array = _parameter("N/m", "stiffness of the feet against the ground", (300.0, 100_000.0))
+    base_inertia_ratio: Array = _ratio("body: body inertia", "rotational inertia of the base, over the description's")
+    leg_inertia_ratio: Array = _ratio(
+        "body: leg inertia", "rotational inertia of every moving link, over the description's"
+    )
+    motor_strength: Array = _ratio("motors: torque", "motor torque, over the motor model's", (0.0, 2.0), "motors")
+    control_step: Array = _parameter(
+        "sensors: control step", "s", "time between two commands of the policy", (0.001, 0.05)
+    )
+    control_latency: Array = _parameter(
+        "sensors: latency of readings", "s", "age of the readings that the policy observes", (0.0, 0.1)
+    )
+    voltage: Array = _parameter("motors: battery voltage", "V", "battery voltage", (5.0, 30.0), actuator="dc")
+    contact_friction: Array = _parameter(
+        "contact: friction coefficient", "1", "lateral friction coefficient of the feet", (0.05, 3.0)
+    )
+    imu_bias: Array = _deviation(
+        "sensors: IMU bias", "rad", "constant error of roll and pitch", (-0.5, 0.5), "roll, pitch"
+    )
+    imu_noise: Array = _deviation(
+        "sensors: IMU noise", "rad", "standard deviation of the white noise on roll and pitch", (0.0, 0.5)
+    )
+    torque_constant: Array = _parameter(
+        "motors: torque constant",
+        "N m/A",
+        "torque constant K_t, also the back-EMF constant",
+        (0.01, 1.0),
+        actuator="dc",
+    )
+    resistance: Array = _parameter(
+        "motors: armature resistance", "Ohm", "armature resistance R", (0.02, 5.0), actuator="dc"
+    )
+    servo_latency: Array = _parameter(
+        "sensors: latency in the servos",
+        "s",
+        "age of the motor angles and speeds that the servo uses",
+        (0.0, 0.02),
+        servo_only=True,
+    )
+    contact_stiffness: Array = _parameter(
+        "contact: stiffness of the feet", "N/m", "stiffness of the feet against the ground", (300.0, 100_000.0)
+    )
     contact_spinning_friction: Array = _parameter(
-        "m", "friction torque of a foot about the contact normal, over the normal force", (0.0, 0.5)
+        "contact: spinning friction",
+        "m",
+        "friction torque of a foot about the contact normal, over the normal force",
+        (0.0, 0.5),
     )
     knee_friction: Array = _deviation(
-        "N m", "Coulomb friction in each knee joint; Bullet only", (0.0, 0.5), engines=("bullet",)
+        "motors: friction of the knees",
+        "N m",
+        "Coulomb friction in each knee joint; Bullet only",
+        (0.0, 0.5),
+        engines=("bullet",),
     )
     knee_play: Array = _deviation(
-        "m", "radial clearance of the pins that close the loops; Bullet only", (0.0, 0.005), engines=("bullet",)
+        "motors: play of the knees",
+        "m",
+        "radial clearance of the pins that close the loops; Bullet only",
+        (0.0, 0.005),
+        engines=("bullet",),
     )
     floor_unevenness: Array = _deviation(
-        "m", "standard deviation of the floor's height; Bullet only", (0.0, 0.02), engines=("bullet",)
+        "contact: unevenness of the floor",
+        "m",
+        "standard deviation of the floor's height; Bullet only",
+        (0.0, 0.02),
+        engines=("bullet",),
     )
     imu_mount: Array = _deviation(
-        "rad", "roll, pitch and yaw of the IMU against the base", (-0.5, 0.5), "roll, pitch, yaw"
+        "sensors: IMU mount", "rad", "roll, pitch and yaw of the IMU against the base", (-0.5, 0.5), "roll, pitch, yaw"
     )
     servo_kp: Array = _parameter(
+        "motors: proportional gain",
         "1/rad, N m/rad",
         "proportional gain: duty of a DC motor's servo, torque of a joint actuator",
         (0.0, 2000.0),
         "motors",
     )
     servo_kd: Array = _parameter(
+        "motors: derivative gain",
         "s/rad, N m s/rad",
         "derivative gain: duty of a DC motor's servo, torque of a joint actuator",
         (0.0, 100.0),
         "motors",
     )
-    motor_viscous_friction: Array = _parameter("N m s/rad", "viscous friction in each motor", (0.0, 10.0), "motors")
+    motor_viscous_friction: Array = _parameter(
+        "motors: viscous friction", "N m s/rad", "viscous friction in each motor", (0.0, 10.0), "motors"
+    )
     load_friction: Array = _parameter(
-        "1", "friction of a joint actuator over its torque", (0.0, 0.9), "motors", actuator="joint"
+        "motors: friction over torque",
+        "1",
+        "friction of a joint actuator over its torque",
+        (0.0, 0.9),
+        "motors",
+        actuator="joint",
+        servo_only=True,
     )
     speed_filter: Array = _parameter(
-        "s", "time constant of the first-order filter on a joint actuator's speed", (0.0, 0.1), actuator="joint"
+        "motors: filter on speeds",
+        "s",
+        "time constant of the first-order filter on a joint actuator's speed",
+        (0.0, 0.1),
+        actuator="joint",
+        servo_only=True,
     )
     rotor_inertia: Array = _parameter(
-        "kg m2", "inertia of each rotor, at its joint", (0.0, 1.0), "motors", actuator="joint"
+        "motors: rotor inertia", "kg m2", "inertia of each rotor, at its joint", (0.0, 1.0), "motors", actuator="joint"
     )
     torque_limit: Array = _parameter(
-        "N m", "greatest torque of a joint actuator at low speed", (1e-6, 1e9), "motors", actuator="joint"
+        "motors: torque limit",
+        "N m",
+        "greatest torque of a joint actuator at low speed",
+        (1e-6, 1e9),
+        "motors",
+        actuator="joint",
     )
     motor_offset: Array = _deviation(
-        "rad", "angle that each encoder measures, less the true one", (-0.5, 0.5), "motors"
+        "sensors: offset of encoders",
+        "rad",
+        "angle that each encoder measures, less the true one",
+        (-0.5, 0.5),
+        "motors",
     )
-    base_offset: Array = _deviation("m", "centre of mass of the base, less the description's", (-0.1, 0.1), "x, y, z")
-    imu_yaw_drift: Array = _deviation("rad/s", "bias of the gyro about z, with which the IMU's yaw drifts", (-0.5, 0.5))
+    base_offset: Array = _deviation(
+        "body: centre of mass", "m", "centre of mass of the base, less the description's", (-0.1, 0.1), "x, y, z"
+    )
+    imu_yaw_drift: Array = _deviation(
+        "sensors: drift of the yaw", "rad/s", "bias of the gyro about z, with which the IMU's yaw drifts", (-0.5, 0.5)
+    )
     presliding: Array = _deviation(
+        "motors: presliding angle",
         "rad",
         "angle over which a joint actuator's friction builds up; 0: at once",
         (0.0, 0.2),
         "motors",
         actuator="joint",
+        servo_only=True,
     )
-    contact_shear_ratio: Array = _ratio("stiffness of the feet along the ground, over that against it", (0.01, 10.0))
+    contact_shear_ratio: Array = _ratio(
+        "contact: shear stiffness", "stiffness of the feet along the ground, over that against it", (0.01, 10.0)
+    )
 
     @property
     def num_envs(self) -> int:

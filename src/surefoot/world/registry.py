@@ -118,10 +118,16 @@ def check_takes_params(name: str) -> None:
         raise SurefootError(f"world is '{name}'; {suggest(name, names)}")
 
 
+def is_modelled(name: str, parameter: str) -> bool:
+    """Return whether the engine of a world models a physical parameter; where it does not, it must be 0."""
+    engines = PARAMETERS[parameter].engines
+    return not engines or WORLDS[name].engine in (WORLDS[world].engine for world in engines)
+
+
 def check_modelled(name: str, params: PhysicalParams) -> None:
     """Raise `SurefootError` for a physical parameter other than 0 that the engine of a world does not model."""
     for parameter, declared in PARAMETERS.items():
-        if declared.engines and WORLDS[name].engine not in (WORLDS[world].engine for world in declared.engines):
+        if not is_modelled(name, parameter):
             values = getattr(params, parameter)
             if values.any():
                 raise SurefootError(

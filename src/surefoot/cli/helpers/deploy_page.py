@@ -97,7 +97,7 @@ class Page:
         self._place([0.0, 0.0, 0.0], robot.resting_angles)
         server.set_options(
             deployed=True,
-            policies=[setup["policy"]],
+            policies=[[setup["policy"], setup["policy"], ""]],
             worlds=["robot"],
             policy=setup["policy"],
             world="robot",
@@ -106,6 +106,7 @@ class Page:
             limits=setup["limits"],
             knobs=[],
             speeds=[1],
+            node=f"/world/{robot.base}",
         )
 
     def update(self, message: dict[str, Any]) -> None:
@@ -119,7 +120,7 @@ class Page:
     def _place(self, attitude: Any, angles: Any) -> None:
         # The robot's position is not measured: it is drawn in one place, at the height at which it stands.
         quat = np.array(rpy_quat(*map(float, attitude)))
-        self._view.move([0.0, 0.0, self._height], quat, angles)
+        self._view.move(([0.0, 0.0, self._height], quat, angles))
 
     def step(self) -> None:
         """Pass commands on, and report the robot's state to the browser."""

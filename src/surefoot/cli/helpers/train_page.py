@@ -78,7 +78,7 @@ class NewestPolicy(DrivePage):
     """
 
     def __init__(self, file: Path, world: str) -> None:
-        super().__init__(str(file), world)
+        super().__init__(str(file), world, recordings=file.parent / "recordings")
         self._file, self._modified, self._checked = file, file.stat().st_mtime_ns, time.monotonic()
         if self.robot.limits is not None:
             self.robot.command(np.array([_CRUISE_SHARE * self.robot.limits.high[0], 0.0, 0.0]))

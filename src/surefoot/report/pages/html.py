@@ -45,6 +45,6 @@ def document(name: str) -> str:
     """Return the page in a file beside this one, with the shared style and plots."""
     here = Path(__file__).parent
     text = (here / name).read_text("utf-8")
-    for mark, part in (("/* page.css */", "page.css"), ("// plots.js", "plots.js")):
+    for mark, part in (("/* page.css */", "page.css"), ("// plots.js", "plots.js"), ("// drive.js", "drive.js")):
         text = text.replace(mark, (here / part).read_text("utf-8").rstrip())
     return text

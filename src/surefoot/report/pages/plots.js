@@ -1,40 +1,60 @@
 // Plots on canvases. `x` gives the share of the width for a time; points are [time, value], value null where unknown.
-const $ = id => document.getElementById(id);
+// Labels stand to the left of the curves, in a column of GUTTER pixels.
+const $ = id => document.getElementById(id), GUTTER = 40;
+const axisLeft = share => `calc(${GUTTER}px + (100% - ${GUTTER}px) * ${share})`;
 function sheet(id) {
-  const canvas = $(id), width = canvas.clientWidth, height = canvas.clientHeight;
-  if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
-  const pen = canvas.getContext("2d"); pen.clearRect(0, 0, width, height); pen.font = "11px system-ui";
+  const canvas = $(id), width = canvas.clientWidth, height = canvas.clientHeight, dense = window.devicePixelRatio || 1;
+  const size = [Math.round(width * dense), Math.round(height * dense)];
+  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
+  const pen = canvas.getContext("2d"); pen.setTransform(dense, 0, 0, dense, 0, 0); pen.clearRect(0, 0, width, height);
+  pen.font = "11px system-ui, sans-serif"; pen.textBaseline = "middle"; pen.textAlign = "right";
   return [pen, width, height];
 }
-// A text that can be read on top of lines; y is its base line.
-function label(pen, text, y, color) {
-  pen.fillStyle = "rgba(255, 255, 255, .8)"; pen.fillRect(2, y - 10, pen.measureText(text).width + 2, 13);
-  pen.fillStyle = color; pen.fillText(text, 3, y);
+// The share of the width, from GUTTER on, as pixels.
+const across = (width, share) => GUTTER + (width - GUTTER) * share;
+// Steps of an axis: 1, 2 or 5 times a power of ten, at most `count` of them.
+function tickStep(span, count) {
+  const rough = span / count, power = 10 ** Math.floor(Math.log10(rough));
+  return [1, 2, 5, 10].find(step => step * power >= rough) * power;
 }
 // Lines of a color; what is plotted reaches from `low` or below to `high` or above. `dash` is a pattern of a line.
 function drawLines(id, x, lines, low = 0, high = 0.1) {
-  const [pen, width, height] = sheet(id), values = lines.flatMap(line => line.points.map(p => p[1])).filter(v => v !== null);
-  low = values.reduce((a, b) => Math.min(a, b), low); high = values.reduce((a, b) => Math.max(a, b), high);
+  const [pen, width, height] = sheet(id);
+  for (const { points } of lines) for (const [, value] of points) if (value !== null) { low = Math.min(low, value); high = Math.max(high, value); }
   if (!(high > low)) { high += 0.01; low -= 0.01; }
-  const y = v => height - 4 - (height - 8) * (v - low) / (high - low);
+  const step = tickStep(high - low, 3), y = v => height - 7 - (height - 14) * (v - low) / (high - low);
+  low = Math.floor(low / step + 1e-9) * step; high = Math.ceil(high / step - 1e-9) * step;
+  const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), large = Math.max(Math.abs(low), Math.abs(high)) >= 1e4;
+  pen.lineWidth = 1;
+  for (let k = Math.round(low / step); k * step <= high + step / 2; ++k) {
+    const level = Math.round(y(k * step)) + .5;
+    pen.strokeStyle = k ? "#e6eaee" : "#b9c1ca"; pen.setLineDash([]); pen.beginPath();
+    pen.moveTo(GUTTER, level); pen.lineTo(width, level); pen.stroke();
+    pen.fillStyle = "#5d6876"; pen.fillText(large ? (k * step).toExponential(0) : (k * step).toFixed(digits), GUTTER - 5, level);
+  }
+  pen.save(); pen.beginPath(); pen.rect(GUTTER, 0, width - GUTTER, height); pen.clip();
   for (const { color, points, dash } of lines) {
-    pen.beginPath(); pen.strokeStyle = color; pen.lineWidth = 1.5; pen.setLineDash(dash || []);
+    pen.beginPath(); pen.strokeStyle = color; pen.lineWidth = 1.6; pen.lineJoin = "round"; pen.setLineDash(dash || []);
     let known = false;
     for (const [time, value] of points) {
-      if (value !== null) pen[known ? "lineTo" : "moveTo"](width * x(time), y(value));
+      if (value !== null) pen[known ? "lineTo" : "moveTo"](across(width, x(time)), y(value));
       known = value !== null;
     }
     pen.stroke();
   }
-  label(pen, high.toFixed(2), 12, "#6b7480"); label(pen, low.toFixed(2), height - 4, "#6b7480");
+  pen.restore();
 }
-// Rows with a name, filled up to each time whose value is true.
+// Rows with a name, filled up to each time whose value is true. A name that is too long is given by its initials.
 function drawSteps(id, x, rows) {
   const [pen, width, height] = sheet(id), tall = height / rows.length;
   rows.forEach(({ name, color, points }, k) => {
-    pen.fillStyle = color;
-    points.forEach(([time, on], i) => { if (i && on) pen.fillRect(width * x(points[i - 1][0]), k * tall + 2,
-      width * (x(time) - x(points[i - 1][0])) + .5, Math.max(tall - 4, 1)); });
-    label(pen, name, (k + .7) * tall, "#22272e");
+    const words = name.split(/[ _]+/), fits = pen.measureText(name).width <= GUTTER - 6;
+    pen.fillStyle = "#5d6876";
+    pen.fillText(fits ? name : words.length > 1 ? words.map(word => word[0].toUpperCase()).join("") : name.slice(0, 5), GUTTER - 5, (k + .5) * tall);
+    pen.fillStyle = "#eef1f4"; pen.fillRect(GUTTER, k * tall + 2, width - GUTTER, Math.max(tall - 4, 1));
+    pen.save(); pen.beginPath(); pen.rect(GUTTER, 0, width - GUTTER, height); pen.clip(); pen.fillStyle = color;
+    points.forEach(([time, on], i) => { if (i && on) pen.fillRect(across(width, x(points[i - 1][0])), k * tall + 2,
+      (width - GUTTER) * (x(time) - x(points[i - 1][0])) + .5, Math.max(tall - 4, 1)); });
+    pen.restore();
   });
 }

@@ -25,7 +25,15 @@ from surefoot.evaluation.foot_forces import foot_forces
 from surefoot.evaluation.tracking import motion
 from surefoot.report.drawing.scene import extent, poses
 from surefoot.report.pages.html import document
-from surefoot.report.pages.view import add_path, add_robot, add_world, bare_viewer, quiet_server
+from surefoot.report.pages.view import (
+    PUSH_COLOR,
+    WEIGHT_ARROW,
+    add_path,
+    add_robot,
+    add_world,
+    bare_viewer,
+    quiet_server,
+)
 from surefoot.robot import RobotDescription
 from surefoot.robot.urdf import GREY
 from surefoot.rotations import in_heading_frame, matrix_quat, quat_yaw, rpy_quat
@@ -39,8 +47,6 @@ _MAX_DURATION = 3600.0
 _MAX_VALUE = 1e6
 _MEAN_TIME = 0.25
 """Time over which plotted speeds and powers are averaged [s]."""
-_WEIGHT_ARROW = 0.8
-"""Length of an arrow as large as the robot's weight, over the robot's extent."""
 _COLORS = (
     (59, 110, 168),
     (208, 102, 43),
@@ -50,7 +56,7 @@ _COLORS = (
     (58, 158, 165),
     (184, 71, 107),
 )
-_FORCE_COLOR, _PUSH_COLOR = (230, 150, 30), (179, 38, 30)
+_FORCE_COLOR = (230, 150, 30)
 _MISSING = -32768
 
 
@@ -163,7 +169,7 @@ def _run(shown: ShownTrace, rate: float, node: str) -> tuple[dict[str, Any], Arr
         "legs": [name.replace("_", " ") for name in robot.leg_names],
         "motors": list(robot.motor_names),
         "size": size,
-        "newton": _WEIGHT_ARROW * size / robot.weight,
+        "newton": WEIGHT_ARROW * size / robot.weight,
         "rows": len(time),
         "columns": {name: _pack(time, shown.time, values) for name, values in columns.items()},
         "joints": [
@@ -290,7 +296,7 @@ def _add_robot(
         stage.add_frame(frame, show_axes=False, position=offset[:3, 3], wxyz=matrix_quat(offset[:3, :3]))
     add_robot(stage, robot.appearance(), frames, tint)
     arrows = [(f"base/force{leg}", _FORCE_COLOR) for leg in range(len(robot.legs)) if "force" in run["columns"]]
-    for name, color in [*arrows, *([("push", _PUSH_COLOR)] if "push" in run["columns"] else [])]:
+    for name, color in [*arrows, *([("push", PUSH_COLOR)] if "push" in run["columns"] else [])]:
         up = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
         stage.add_arrows(f"{node}/{name}", up, color, shaft_radius=0.028, head_radius=0.07, head_length=0.22)
     length = np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0, prepend=path[:1, :2]), axis=1))

@@ -13,9 +13,11 @@ import json
 import logging
 import queue
 import secrets
+import socket
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import websockets
@@ -33,6 +35,24 @@ _MAX_MESSAGE_BYTES = 2000
 _MAX_MESSAGE_RATE = 400
 """Messages that a tab may send in a second; one that sends more is closed."""
 _MAX_TABS = 16
+_TYPES = {".html": "text/html; charset=utf-8", ".mp4": "video/mp4"}
+"""Types of files to download; others are `application/octet-stream`."""
+
+
+def machine_addresses(host: str) -> list[str]:
+    """Return the addresses by which others reach a server that listens at `host`: all of this machine's for 0.0.0.0.
+
+    Loopback is not among them, unless there is nothing else. No packet is sent.
+    """
+    if host not in ("0.0.0.0", "::", ""):
+        return [host]
+    found: list[str] = []
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))  # an address for documentation: the route to it names the interface
+        found.append(probe.getsockname()[0])
+    with contextlib.suppress(OSError):
+        found += [str(entry[4][0]) for entry in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
+    return [address for address in dict.fromkeys(found) if not address.startswith("127.")] or ["127.0.0.1"]
 
 
 class PageServer:
@@ -59,6 +79,8 @@ class PageServer:
         self._frames = "http://localhost:* http://127.0.0.1:*" if in_notebook else ""
         self.inbox: queue.Queue[dict[str, Any]] = queue.Queue(maxsize=1000)
         """Messages of the tab that drives; `{"left": true}` when it is closed."""
+        self.files: dict[str, Path] = {}
+        """Files that tabs may download, by name."""
         self._options: dict[str, Any] = {}
         self._tabs: list[ServerConnection] = []
         self._stop = asyncio.Event()
@@ -70,13 +92,20 @@ class PageServer:
         if isinstance(bound, OSError):
             raise SurefootError(f"port {port} at {address}: {bound.strerror or bound}; give another with --page-port")
         self.port = bound
-        self.address = f"http://{host or 'localhost'}:{bound}{self._prefix}/"
-        """URL of the page."""
+        names = ["localhost"] if host is None else machine_addresses(host)
+        names = [f"[{name}]" if ":" in name else name for name in names]
+        self.addresses = [f"http://{name}:{bound}{self._prefix}/" for name in names]
+        """URLs of the page: for a `host` that means all of the machine's addresses, one each."""
+        self.address = self.addresses[0]
 
     @property
     def tabs(self) -> int:
         """Number of open tabs."""
         return len(self._tabs)
+
+    def print_addresses(self) -> None:
+        """Print where the page is."""
+        print("\n".join(self.addresses) + "   (Ctrl-C ends)", flush=True)
 
     def set_options(self, **options: Any) -> None:
         """Send all tabs, also future ones, what there is to choose from."""
@@ -132,13 +161,34 @@ class PageServer:
             if request.headers.get("Origin") != f"http://{host}":
                 return connection.respond(http.HTTPStatus.FORBIDDEN, "foreign origin\n")
             return None
-        if name not in ("", "view"):
+        try:
+            body, kind = self._content(name)
+        except (KeyError, OSError):
             return connection.respond(http.HTTPStatus.NOT_FOUND, "not here\n")
-        body = self._page if name == "" else bare_viewer().encode()
-        kind = [("Content-Type", "text/html; charset=utf-8"), ("Content-Length", str(len(body)))]
         frames = ("Content-Security-Policy", f"frame-ancestors 'self' {self._frames}".rstrip())
         safe = [frames, ("Referrer-Policy", "no-referrer"), ("Connection", "close")]
-        return Response(200, "OK", Headers([*kind, *safe]), body)
+        return Response(200, "OK", Headers([*kind, ("Content-Length", str(len(body))), *safe]), body)
+
+    def _content(self, name: str | None) -> tuple[bytes, list[tuple[str, str]]]:
+        """Return what a path below the page holds, and headers that say what it is.
+
+        Raises:
+            KeyError: nothing has that name.
+            OSError: a file that can't be read.
+        """
+        page = [("Content-Type", "text/html; charset=utf-8")]
+        if name == "":
+            return self._page, page
+        if name == "view":
+            return bare_viewer().encode(), page
+        file = self.files[(name or "").removeprefix("files/")]
+        kind = _TYPES.get(file.suffix, "application/octet-stream")
+        # Downloaded, never opened as a page of this origin, where its script could drive.
+        headers = [
+            ("Content-Disposition", f'attachment; filename="{file.name}"'),
+            ("X-Content-Type-Options", "nosniff"),
+        ]
+        return file.read_bytes(), [("Content-Type", kind), *headers, ("Cross-Origin-Resource-Policy", "same-origin")]
 
     async def _handle(self, connection: ServerConnection) -> None:
         assert connection.request is not None

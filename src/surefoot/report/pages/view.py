@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import io
+import time
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import viser
@@ -22,12 +25,20 @@ from surefoot.report.drawing.scene import extent, poses
 from surefoot.robot import RobotDescription
 from surefoot.robot.appearance import Appearance
 from surefoot.robot.urdf import GREY, Color
-from surefoot.rotations import matrix_quat
+from surefoot.rotations import in_heading_frame, matrix_quat, quat_yaw
 from surefoot.world.ground import FLAT
 
 _TRAIL_POINTS = 300
 _FOLLOW = 0.4
 """Share of the way to the robot that the frame moves with each picture."""
+_GHOST_COLOR, _GHOST_OPACITY = (208, 102, 43), 0.4
+WEIGHT_ARROW = 0.8
+"""Length of an arrow as large as the robot's weight, over the robot's extent."""
+PUSH_COLOR = (179, 38, 30)
+_PUSH_SCALE = 1.5
+"""Length of a push's arrow over that of another force: pushes are small beside the weight."""
+_ARROW_TIME = 0.3
+"""How long the arrow of a push is seen at least [s]: many pushes are over within three pictures."""
 _STYLE = """<style>
 .mantine-Paper-root, .mantine-Notifications-root { display: none !important; }
 canvas[data-engine] { background: linear-gradient(#96b8d8, #e8eef3 45%); }
@@ -75,14 +86,24 @@ def add_path(scene: viser.SceneApi, name: str, points: Array, color: tuple[int, 
 
 
 def add_robot(
-    scene: viser.SceneApi, appearance: Appearance, frames: Mapping[str, str], tint: Color | None = None
+    scene: viser.SceneApi,
+    appearance: Appearance,
+    frames: Mapping[str, str],
+    tint: Color | None = None,
+    opacity: float | None = None,
 ) -> None:
     """Add a robot's parts in the frames of their links, by name; their colors are mixed with a tint, if given."""
     for number, (link, color, points, faces) in enumerate(link_meshes(appearance)):
         if tint is not None:
             red, green, blue = ((own + other) // 2 for own, other in zip(color, tint, strict=True))
             color = (red, green, blue)
-        scene.add_mesh_simple(f"{frames[link]}/m{number}", points, faces, color=color, side="double")
+        scene.add_mesh_simple(f"{frames[link]}/m{number}", points, faces, color=color, side="double", opacity=opacity)
+
+
+@dataclass(frozen=True)
+class _DrawnRobot:
+    robot: RobotDescription
+    links: dict[str, viser.FrameHandle]
 
 
 class RobotView:
@@ -94,38 +115,82 @@ class RobotView:
         self.frames = 0
         """Number of pictures that were sent."""
 
-    def show(self, robot: RobotDescription) -> None:
-        """Show another robot, at the start of a new trail."""
-        self._robot, size, server = robot, extent(robot), self._server
+    def show(self, robot: RobotDescription, ghost: RobotDescription | None = None) -> None:
+        """Show another robot, at the start of a new trail, and a transparent one beside it, if any."""
+        size, server = extent(robot), self._server
         self._trail: deque[Array] = deque(maxlen=_TRAIL_POINTS)
-        self._at, self._size = np.zeros(2), size
+        self._at, self._size, self._base, self._yaw = np.zeros(2), size, np.zeros(3), 0.0
+        self._arrow: viser.ArrowsHandle | None = None
+        self._arrow_until, self._push = 0.0, np.zeros(3)
         with server.atomic():
             server.scene.reset()
             self._world = add_world(server.scene, size)
-            appearance = robot.appearance()
-            frames = {part.link: f"/world/{part.link}" for part in appearance.parts}
-            self._links = {link: server.scene.add_frame(name, show_axes=False) for link, name in frames.items()}
-            add_robot(server.scene, appearance, frames)
+            self._robots = [self._add_robot("/world", robot)]
+            if ghost is not None:
+                self._robots.append(self._add_robot("/world/ghost", ghost, tint=_GHOST_COLOR, opacity=_GHOST_OPACITY))
             server.initial_camera.position = (0.85 * size, -1.15 * size, 0.5 * size)
             server.initial_camera.look_at = (0.0, 0.0, 0.2 * size)
 
-    def move(self, base_position: ArrayLike, base_quat: ArrayLike, motor_angles: ArrayLike) -> None:
-        """Show the robot at a base position (3,) [m], orientation (4,) w x y z and motor angles (M,) [rad]."""
+    def _add_robot(self, node: str, robot: RobotDescription, **look: Any) -> _DrawnRobot:
+        appearance = robot.appearance()
+        frames = {part.link: f"{node}/{part.link}" for part in appearance.parts}
+        links = {link: self._server.scene.add_frame(name, show_axes=False) for link, name in frames.items()}
+        add_robot(self._server.scene, appearance, frames, **look)
+        return _DrawnRobot(robot, links)
+
+    def move(self, *states: tuple[ArrayLike, ArrayLike, ArrayLike]) -> None:
+        """Show the robot, and the ghost, if there is one.
+
+        Each state is a base position (3,) [m], orientation (4,) w x y z and motor angles (M,) [rad].
+        """
         with contextlib.suppress(SurefootError), self._server.atomic():  # a diverged state is not drawn
-            placed = poses(self._robot, base_position, base_quat, motor_angles)
-            at = np.asarray(base_position, float)
+            placed = [poses(one.robot, *state) for one, state in zip(self._robots, states, strict=True)]
+            at = np.asarray(states[0][0], float)
             far = np.linalg.norm(at[:2] - self._at) > 2 * self._size
             self._at = at[:2].copy() if far else self._at + _FOLLOW * (at[:2] - self._at)
             self._world.position = np.array([*-self._at, 0.0])
-            for name, link in self._links.items():
-                pose = placed[name][0]
-                link.position, link.wxyz = pose[:3, 3], matrix_quat(pose[:3, :3])
+            for one, frames in zip(self._robots, placed, strict=True):
+                for name, link in one.links.items():
+                    pose = frames[name][0]
+                    link.position, link.wxyz = pose[:3, 3], matrix_quat(pose[:3, :3])
+            self._yaw = float(quat_yaw(np.asarray(states[0][1], float)))
+            self._base = at
+            if self._arrow is not None:
+                self._arrow.position = at
             if far:
                 self._trail.clear()
             if not self._trail or np.linalg.norm(at[:2] - self._trail[-1][:2]) > 0.05 * self._size:
                 self._trail.append(np.array([*at[:2], FLAT.height(at[:2]) + 0.004]))
                 add_path(self._server.scene, "/world/trail", np.array(self._trail), GREY)
         self.frames += 1
+
+    def show_push(self, force_world: Array) -> None:
+        """Show a force (3,) [N] on the base as an arrow that ends at the body; zero ends it, when it was seen."""
+        size, now = float(np.linalg.norm(force_world)), time.monotonic()
+        if size == 0.0:
+            if self._arrow is not None and now > self._arrow_until:
+                self._arrow.remove()
+                self._arrow = None
+            return
+        if self._arrow is None or not np.array_equal(force_world, self._push):
+            robot, self._push = self._robots[0].robot, force_world.copy()
+            along, length = force_world / size, _PUSH_SCALE * WEIGHT_ARROW * self._size * size / robot.weight
+            # Where the arrow meets the box around the body, which reaches as far as the legs' mounts.
+            half = np.array([robot.body_length / 2, np.abs(robot.leg_mounts[:, 1]).max()])
+            heading = in_heading_frame(along[None], np.array([self._yaw]))[0, :2]
+            tip = -along * np.min(half / np.abs(heading).clip(1e-6))
+            points = np.array([[tip - along * length, tip]])
+            thick = 0.022 * self._size
+            self._arrow = self._server.scene.add_arrows(
+                "/world/push",
+                points,
+                PUSH_COLOR,
+                shaft_radius=thick,
+                head_radius=2.4 * thick,
+                head_length=min(6 * thick, 0.6 * length),
+                position=self._base,
+            )
+        self._arrow_until = now + _ARROW_TIME
 
     def stop(self) -> None:
         """Close the port."""

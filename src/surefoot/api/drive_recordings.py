@@ -1,0 +1,179 @@
+"""Recordings of the drive page: traces in a folder, and pages and videos that another process makes of them.
+
+`python -m surefoot.api.drive_recordings OUT ROBOT TRACE...` writes OUT, a page (.html) or a video (.mp4) of the
+traces of a robot.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from surefoot.errors import SurefootError, choices
+from surefoot.evaluation.driven import MAX_RECORDING
+
+if TYPE_CHECKING:
+    from surefoot.evaluation.driven import DrivenRobot, Recording
+    from surefoot.robot import RobotDescription
+
+KINDS = ("html", "mp4")
+"""What can be made of a recorded trace."""
+_NICENESS = 10
+"""Niceness of the process that makes it: the simulation goes first."""
+
+
+class DriveRecordings:
+    """Records driven robots, one recording at a time.
+
+    Args:
+        folder: where files are written; it is made when it is needed.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.files: dict[str, Path] = {}
+        """Files of the last recording, by kind: npz, ghost (the ghost's trace), html and mp4."""
+        self.error = ""
+        """What went wrong; who reports it sets it back."""
+        self._recordings: list[tuple[str, Recording]] = []
+        self._thread: threading.Thread | None = None
+        self._process: subprocess.Popen[str] | None = None
+        self._kind, self._duration, self._note = "", 0.0, ""
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether a recording goes on."""
+        return bool(self._recordings)
+
+    def start(self, world: str, robots: dict[str, DrivenRobot]) -> None:
+        """Record robots, by names of their policies, from now on.
+
+        Raises:
+            SurefootError: the last recording is still being written.
+        """
+        if self._thread is not None or self._process is not None:
+            raise SurefootError("the last recording is still being written; record again in a moment")
+        self.files, self._note, self._world = {}, "", world
+        self._robot = next(iter(robots.values())).robot
+        self._recordings = [(policy, robot.record()) for policy, robot in robots.items()]
+
+    def stop(self) -> None:
+        """End the recording and write its traces, in a thread."""
+        recordings, self._recordings = self._recordings, []
+        for _, recording in recordings:
+            recording.end("stopped")
+        self._duration = recordings[0][1].duration
+        self._thread = threading.Thread(target=self._write, args=(recordings,))
+        self._thread.start()
+
+    def _write(self, recordings: list[tuple[str, Recording]]) -> None:
+        stem = re.sub(r"[^\w.-]+", "-", recordings[0][0])[:60] + time.strftime("-%Y-%m-%d_%H-%M-%S")
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            for kind, (policy, recording) in zip(("npz", "ghost"), recordings, strict=False):
+                path = self.folder / f"{stem}{'-ghost' if kind == 'ghost' else ''}.npz"
+                self.files[kind] = recording.trace(policy, self._world).save(path)
+        except (SurefootError, OSError) as error:
+            self.error = f"the recording is lost: {error}"
+
+    def export(self, kind: str) -> None:
+        """Make a page or a video of the last recording, in a process.
+
+        Raises:
+            SurefootError: no such kind, no recording, or one that is being made.
+        """
+        if kind not in KINDS:
+            raise SurefootError(f"a recording is exported as {choices(KINDS)}")
+        if "npz" not in self.files or self._thread is not None:
+            raise SurefootError("there is no recording to export")
+        if self._process is not None:
+            raise SurefootError(f"the {self._kind} is still being made")
+        out = self.files["npz"].with_suffix(f".{kind}")
+        traces = [self.files[name] for name in ("npz", "ghost") if name in self.files]
+        words = [sys.executable, "-m", __name__, str(out), str(self._robot.folder), *map(str, traces)]
+        self._kind = kind
+        self._process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+    def update(self) -> None:
+        """Notice what has ended: the recorded episode, the files that are written."""
+        if self._recordings and (ended := self._recordings[0][1].ended):
+            self._note = {"fall": "the robot fell", "time": f"it is {MAX_RECORDING:g} s long"}.get(ended, "")
+            self.stop()
+        if self._thread is not None and not self._thread.is_alive():
+            self._thread = None
+        if self._process is not None and self._process.poll() is not None:
+            _, output = self._process.communicate()
+            if self._process.returncode == 0:
+                self.files[self._kind] = self.files["npz"].with_suffix(f".{self._kind}")
+            else:
+                last = (output.strip().splitlines() or ["its process ended"])[-1]
+                self.error = f"the {self._kind} was not made: {last[:200]}"
+            self._process = None
+
+    def report(self) -> dict[str, Any]:
+        """Return the state for the page."""
+        if self._recordings:
+            return {"on": True, "duration": round(self._recordings[0][1].duration, 1), "limit": MAX_RECORDING}
+        if not self.files:
+            return {}
+        return {
+            "duration": round(self._duration, 1),
+            "note": self._note,
+            "folder": str(self.folder.resolve()),
+            "files": {kind: path.name for kind, path in self.files.items()},
+            "making": self._kind if self._process is not None else "",
+        }
+
+    def close(self) -> None:
+        """Write a recording that goes on; end a process that makes a page or video."""
+        if self._recordings:
+            self.stop()
+        if self._thread is not None:
+            self._thread.join()
+        if self._process is not None:
+            self._process.terminate()
+            self._process.communicate()
+
+
+def write_recording(out: Path, robot: RobotDescription, traces: list[Path]) -> None:
+    """Write a page (.html) of traces of a robot, laid over each other, or a video (.mp4) of the first."""
+    from surefoot.api.episodes import film
+    from surefoot.files import atomic_write
+    from surefoot.report.pages.recorded_runs import ShownTrace, recording_page
+    from surefoot.task.trace import EpisodeTrace
+
+    loaded = [EpisodeTrace.load(path) for path in traces]
+    if out.suffix == ".mp4":
+        film(robot, loaded[0], out)
+        return
+    names = [str(trace.meta["policy"]) or path.stem for trace, path in zip(loaded, traces, strict=True)]
+    if len(set(names)) < len(names):
+        names = [path.stem for path in traces]
+    shown = [ShownTrace(name, robot, trace) for name, trace in zip(names, loaded, strict=True)]
+    atomic_write(out, recording_page(shown, "over"))
+
+
+def main(argv: list[str]) -> int:
+    """Run the process with the arguments OUT ROBOT TRACE...; return the exit code."""
+    from surefoot.robot import RobotDescription
+
+    with contextlib.suppress(OSError):
+        os.nice(_NICENESS)
+    out, robot, *traces = argv
+    try:
+        write_recording(Path(out), RobotDescription.load(robot), [Path(trace) for trace in traces])
+    except (SurefootError, ImportError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

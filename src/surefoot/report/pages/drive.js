@@ -1,0 +1,247 @@
+const SPAN = 8, COLORS = ["#2f66a8", "#c55a1e"], NAMES = [["forward", "m/s"], ["sideways", "m/s"], ["turn", "rad/s"]];
+const keys = new Set(), here = location.pathname.replace(/[^/]*$/, ""), socketBase = `ws://${location.host}${here}`;
+$("view").src = `view?websocket=${encodeURIComponent(socketBase + "viser")}`;
+const socket = new WebSocket(socketBase + "socket");
+let options = null, points = [], stick = [0, 0], typed = [0, 0, 0], dragging = false, last = "0,0,0", lastSent = 0, padUsed = false;
+const send = message => { if (socket.readyState === 1) socket.send(JSON.stringify(message)); };
+function element(tag, properties = {}, ...children) {
+  const made = Object.assign(document.createElement(tag), properties);
+  made.append(...children);
+  return made;
+}
+let errorTimer = 0;
+function showError(text) { $("error").textContent = text; clearTimeout(errorTimer); errorTimer = setTimeout(() => { $("error").textContent = ""; }, 6000); }
+socket.onclose = event => { $("role").textContent = `The connection has ended${event.reason ? ": " + event.reason : ""}.`; };
+socket.onmessage = event => {
+  const message = JSON.parse(event.data);
+  if (message.error) showError(message.error);
+  if (message.policies) showOptions(message);
+  if (message.report) showReport(message.report);
+};
+// What there is to choose from. A policy is [name, label, group].
+function fillPolicies(select, policies, chosen, first) {
+  const groups = new Map();
+  for (const [name, label, group] of policies) {
+    if (!groups.has(group)) groups.set(group, []);
+    groups.get(group).push(new Option(label, name, false, name === chosen));
+  }
+  const whole = [...groups].flatMap(([label, entries]) => label && groups.size > 1 ? [element("optgroup", { label }, ...entries)] : entries);
+  select.replaceChildren(...first, ...whole);
+}
+const fill = (select, values, chosen) => select.replaceChildren(...values.map(([value, text]) => new Option(text, value, false, value === chosen)));
+const labelOf = name => (options.policies.find(one => one[0] === name) || ["", name])[1];
+function showOptions(given) {
+  if (!options || ["policy", "world", "ghost"].some(name => given[name] !== options[name])) points = [];
+  options = given; document.body.classList.toggle("real", !!given.deployed); document.body.classList.toggle("two", !!given.ghost);
+  if (given.deployed) {
+    $("h0").textContent = "command forward [m/s]"; $("h2").textContent = "hottest motor [degC]";
+    $("h3").textContent = "roll (blue), pitch (orange) [rad]"; $("legend").hidden = true;
+  }
+  fillPolicies($("policy"), given.policies, given.policy, []);
+  fillPolicies($("ghost"), given.policies, given.ghost, [new Option("none", "", false, !given.ghost)]);
+  fill($("world"), given.worlds.map(name => [name, name]), given.world);
+  fill($("speed"), given.speeds.map(s => [s, s === 1 ? "real" : `1/${Math.round(1 / s)}`]));
+  if (given.pushes && !$("duration").length) fill($("duration"), given.pushes.map(s => [s, `${s} s`]));
+  const steers = given.driver && given.limits && !given.source;
+  for (const one of document.querySelectorAll("#side select, #side button, #side input")) one.disabled = !given.driver;
+  for (const one of document.querySelectorAll("#numbers input")) one.disabled = !steers;
+  (given.limits || []).forEach(([low, high], k) => {
+    const input = $(`c${k}`);
+    input.min = low; input.max = high; input.title = `${low} to ${high} ${NAMES[k][1]}`; if (low === high) input.disabled = true;
+  });
+  $("role").textContent = given.driver ? "" : "You are watching: another browser drives.";
+  $("stick").classList.toggle("off", !steers);
+  $("strafe").disabled = !given.driver || !given.limits || given.limits[1][1] === 0;
+  $("strafe").parentNode.hidden = !given.limits || given.limits[1][1] === 0;
+  $("why").textContent = given.source && given.limits ? `Commands come from ${given.source}.` : given.limits ? "W S forward, back; A D sideways; Q E turn; Esc stand; or a gamepad." :
+    `${labelOf(given.policy)} follows no commands: it was trained for one gait at its own speed. Choose a policy that is steered.`;
+  $("key").replaceChildren(...(given.ghost ? [["", given.policy], ["other", given.ghost]] : []).map(([kind, name]) =>
+    element("div", {}, element("span", {}, element("i", { className: `dot ${kind}` }), labelOf(name)))));
+  showKnobs(given.knobs, given.driver); showForce(); showRecording(shownRecording);
+}
+// Sliders, in groups; a row is built once, and shows the value that the simulation has.
+let knobKey = "", rows = {};
+const compact = value => `${+value.toPrecision(4)}`;
+function showKnobs(knobs, driver) {
+  const key = JSON.stringify([knobs.map(knob => [knob.name, knob.nominal]), driver]);
+  if (key !== knobKey) {
+    const open = new Set([...$("knobs").querySelectorAll("details[open]")].map(one => one.dataset.group));
+    if (!knobKey && innerWidth > 760) open.add("body");
+    knobKey = key; rows = {};
+    const groups = [...new Set(knobs.map(knob => knob.group))].map(group => {
+      const whole = element("details", { open: open.has(group) }, element("summary", { textContent: group }, element("small")));
+      whole.dataset.group = group;
+      whole.append(...knobs.filter(knob => knob.group === group).map(knob => knobRow(knob, driver, whole)));
+      return whole;
+    });
+    $("knobs").replaceChildren(...groups);
+  }
+  for (const knob of knobs) rows[knob.name].show(knob.value);
+}
+function knobRow(knob, driver, whole) {
+  const reach = knob.nominal ? 10 * Math.abs(knob.nominal) : knob.high - knob.low;
+  const id = `k-${knob.name}`, unit = knob.unit.replace("x ", "× ");
+  const slide = element("input", { type: "range", step: "any", name: knob.name, disabled: !driver, id });
+  slide.min = Math.max(knob.low, knob.nominal - reach); slide.max = Math.min(knob.high, knob.nominal + reach);
+  const number = element("input", { type: "number", step: "any", min: knob.low, max: knob.high, disabled: !driver });
+  const back = element("button", { textContent: "↺", title: `nominal: ${compact(knob.nominal)}`, disabled: !driver });
+  number.setAttribute("aria-label", `${knob.label}, number`); back.setAttribute("aria-label", `${knob.label}: nominal value`);
+  const name = element("label", { htmlFor: id, title: `${knob.name}: ${knob.meaning}; ${knob.low} to ${knob.high}` }, knob.label, element("small", { textContent: unit ? ` [${unit}]` : "" }));
+  const row = element("div", { className: "set" }, name, slide, number, back);
+  const mark = value => {
+    row.classList.toggle("changed", Math.abs(value - knob.nominal) > 1e-9 + 1e-6 * Math.abs(knob.nominal));
+    const count = whole.querySelectorAll(".changed").length;
+    whole.querySelector("summary small").textContent = count ? `${count} changed` : "";
+  };
+  const set = value => { if (Number.isFinite(value)) { send({ set: [knob.name, value] }); mark(value); } };
+  slide.oninput = () => { number.value = compact(+slide.value); set(+slide.value); };
+  number.onchange = () => { slide.value = number.value; set(parseFloat(number.value)); };
+  back.onclick = () => { slide.value = knob.nominal; number.value = compact(knob.nominal); set(knob.nominal); };
+  rows[knob.name] = { show: value => {
+    if (![slide, number].includes(document.activeElement) || !row.matches(":active")) { slide.value = value; number.value = compact(value); }
+    mark(value);
+  } };
+  return row;
+}
+// The robot's state.
+function showReport(now) {
+  $("pause").textContent = now.paused ? "Go on" : "Pause"; $("speed").value = now.speed;
+  if (now.recording) showRecording(now.recording);
+  if (now.text !== undefined) $("state").textContent = now.text;
+  if (now.time === undefined) return;
+  const falls = now.falls || (now.ghost && now.ghost.falls) ? `, falls: ${now.falls}${now.ghost ? ` and ${now.ghost.falls}` : ""}` : "";
+  if (now.text === undefined) $("state").textContent = `${now.time.toFixed(1)} s, ${now.velocity[0].toFixed(2)} m/s, ` +
+    `${Math.round(100 * now.share)} % of real time${falls}${now.paused ? ", paused" : ""}`;
+  if (points.length && now.time <= points[points.length - 1].time) return;
+  points.push(now); while (points[0].time < now.time - SPAN) points.shift();
+  if (document.hidden) return;
+  showNumbers(now);
+  const speed = k => [p => p.command && p.command[k], p => p.velocity ? p.velocity[k] : null, p => p.ghost ? p.ghost.velocity[k] : null];
+  const both = name => [() => null, p => p[name], p => p.ghost ? p.ghost[name] : null];
+  plot("p0", speed(0)); plot("p1", both("torque")); plot("p2", both("heat"));
+  if (now.attitude) plot("p3", [() => null, p => p.attitude[0], p => p.attitude[1]]);
+  else { plot("p4", speed(1)); plot("p5", speed(2)); footfalls(); }
+}
+const shownTime = () => points[points.length - 1].time, x = time => 1 - (shownTime() - time) / SPAN;
+function plot(id, [command, measured, ghost]) {
+  const line = (value, color, dash) => ({ color, dash, points: points.map(p => [p.time, value(p)]) });
+  drawLines(id, x, [line(ghost, COLORS[1]), line(measured, COLORS[0]), line(command, "#1f2733", [4, 3])]);
+}
+function footfalls() {
+  drawSteps("p3", x, options.legs.map((leg, k) => ({ name: leg, color: COLORS[0], points: points.map(p => [p.time, p.contact[k]]) })));
+}
+// The command in numbers.
+$("numbers").append(...NAMES.map(([name, unit], k) => {
+  const input = element("input", { type: "number", id: `c${k}`, step: .05, value: "0.00" });
+  input.setAttribute("aria-label", `command ${name}`);
+  input.onchange = () => {
+    const [low, high] = options.limits[k], value = parseFloat(input.value);
+    typed = typed.map((old, n) => n === k ? (Number.isFinite(value) ? Math.max(low, Math.min(high, value)) : 0) : +$(`c${n}`).value || 0);
+    input.value = typed[k].toFixed(2); steer();
+  };
+  input.onkeydown = event => { if (event.key === "Enter") input.blur(); };
+  const cell = kind => element("td", { className: kind, id: `${kind}${k}`, textContent: "–" });
+  const measured = cell("measured"); measured.classList.add("simulated");
+  return element("tr", {}, element("th", {}, name, element("small", { textContent: unit })), element("td", {}, input), measured, cell("other"));
+}));
+const shown = value => value === undefined || value === null ? "–" : (Math.abs(value) < .005 ? 0 : value).toFixed(2);
+function showNumbers(now) {
+  NAMES.forEach((_, k) => {
+    if (document.activeElement !== $(`c${k}`)) $(`c${k}`).value = now.command ? shown(now.command[k]) : "";
+    $(`measured${k}`).textContent = shown((now.velocity || [])[k]); $(`other${k}`).textContent = shown(now.ghost && now.ghost.velocity[k]);
+  });
+}
+// The joystick, keys and gamepad.
+function drag(event) {
+  const box = $("stick").getBoundingClientRect(), half = box.width / 2;
+  let x = (event.clientX - box.left - half) / half, y = -(event.clientY - box.top - half) / half;
+  const size = Math.hypot(x, y); if (size > 1) { x /= size; y /= size; }
+  stick = [y, x]; steer();
+}
+const usable = () => options && options.driver && options.limits && !options.source;
+$("stick").onpointerdown = event => { if (usable()) { dragging = true; $("stick").setPointerCapture(event.pointerId); drag(event); } };
+$("stick").onpointermove = event => { if (dragging) drag(event); };
+$("stick").onpointerup = $("stick").onpointercancel = () => { dragging = false; stick = [0, 0]; steer(); };
+const KEYS = { KeyW: 1, KeyS: 1, KeyA: 1, KeyD: 1, KeyQ: 1, KeyE: 1, ArrowUp: 1, ArrowDown: 1, ArrowLeft: 1, ArrowRight: 1 };
+addEventListener("keydown", event => {
+  if (event.code === "Escape") { typed = [0, 0, 0]; document.activeElement.blur(); steer(); }
+  if (!KEYS[event.code] || /INPUT|SELECT/.test(event.target.tagName) && event.target.type !== "checkbox" || event.ctrlKey || event.metaKey) return;
+  keys.add(event.code); event.preventDefault(); steer();
+});
+addEventListener("keyup", event => { if (keys.delete(event.code)) steer(); });
+addEventListener("blur", () => { keys.clear(); steer(); });
+function shares() {
+  const key = (plus, minus) => plus.some(k => keys.has(k)) - minus.some(k => keys.has(k));
+  let forward = stick[0] + key(["KeyW", "ArrowUp"], ["KeyS", "ArrowDown"]), sideways = key(["KeyA"], ["KeyD"]);
+  let turn = key(["KeyQ", "ArrowLeft"], ["KeyE", "ArrowRight"]);
+  if ($("strafe").checked) sideways -= stick[1]; else turn -= stick[1];
+  const pad = [...(navigator.getGamepads ? navigator.getGamepads() : [])].find(one => one && one.connected), dead = v => Math.abs(v) < .12 ? 0 : v;
+  padUsed = !!pad;
+  if (pad) { forward -= dead(pad.axes[1] || 0); sideways -= dead(pad.axes[0] || 0); turn -= dead(pad.axes[2] || 0); }
+  return [forward, sideways, turn].map(v => Math.max(-1, Math.min(1, v)));
+}
+// A hand on joystick, keys or gamepad takes over from what was typed.
+function steer() {
+  if (!usable()) return;
+  const share = shares(); if (dragging || share.some(v => v !== 0)) typed = [0, 0, 0];
+  const command = share.map((v, k) => typed[k] || (v > 0 ? v * options.limits[k][1] : -v * options.limits[k][0]));
+  const part = (k, [low, high] = options.limits[k]) => command[k] > 0 ? command[k] / (high || 1) : -command[k] / (low || -1);
+  const side = $("strafe").checked ? part(1) : part(2), reach = ($("stick").clientWidth - $("knob").clientWidth) / 2;
+  $("knob").style.transform = `translate(${-side * reach}px, ${-part(0) * reach}px)`;
+  const text = command.join(), now = performance.now(), moves = command.some(v => v !== 0);
+  if (text === last && !(moves && now - lastSent > 300)) return;
+  if (moves && text !== last && now - lastSent < 8) return;  // the timer sends it
+  last = text; lastSent = now; send({ command: [...command, performance.timeOrigin + now] });
+}
+setInterval(steer, 16);
+// Pushes.
+const force = () => $("share").value * options.weight;
+function showForce() { if (options && options.weight) $("force").textContent = `${(+$("share").value).toFixed(2)} × weight = ${force().toFixed(0)} N`; }
+$("share").oninput = showForce;
+$("directions").append(...[["front", 0], ["left", 90], ["right", 270], ["back", 180]].map(([name, degrees]) => element("button", {
+  textContent: name, id: `push-${name}`, title: `push to the ${name}, seen from the robot`, onclick: () => send({ push: [force(), degrees, +$("duration").value] }),
+})));
+// Recordings.
+let shownRecording = {}, recordingKey = "", wanted = "";
+const FILES = [["npz", "trace (.npz)"], ["ghost", "ghost's trace"], ["html", "page (.html)"], ["mp4", "video (.mp4)"]];
+function showRecording(now) {
+  shownRecording = now; $("record").classList.toggle("on", !!now.on); $("record").textContent = now.on ? `Stop ${now.duration.toFixed(1)} s` : "Record";
+  const key = JSON.stringify([now.on ? "on" : now, options && options.driver]); if (key === recordingKey) return;
+  recordingKey = key;
+  if (now.on) { $("files").replaceChildren(element("small", { className: "quiet", textContent: `Up to ${now.limit} s; it ends when the robot falls or restarts.` })); return; }
+  if (!now.files) { $("files").replaceChildren(); return; }
+  const entries = FILES.filter(([kind]) => kind !== "ghost" || now.files.ghost).map(([kind, text]) => {
+    if (now.files[kind]) return element("a", { href: `files/${now.files[kind]}`, download: now.files[kind], textContent: text, id: `file-${kind}` });
+    return element("button", { textContent: now.making === kind ? `making ${text} …` : `make ${text}`, id: `make-${kind}`, disabled: !!now.making || !options.driver,
+      onclick: () => { wanted = kind; send({ export: kind }); } });
+  });
+  $("files").replaceChildren(element("div", {}, `Recorded ${now.duration.toFixed(1)} s${now.note ? `; it ended: ${now.note}` : ""}.`),
+    element("div", { className: "row" }, ...entries), element("small", { className: "quiet", textContent: `in ${now.folder}` }));
+  if (wanted && now.files[wanted]) { $(`file-${wanted}`).click(); wanted = ""; }
+}
+$("record").onclick = () => send({ record: !shownRecording.on });
+$("pause").onclick = () => send({ pause: $("pause").textContent === "Pause" });
+$("stop").onclick = () => send({ stop: true });
+$("restart").onclick = () => send({ restart: true });
+$("speed").onchange = event => send({ speed: +event.target.value });
+for (const name of ["policy", "world", "ghost"]) $(name).onchange = event => { send({ [name]: event.target.value }); event.target.blur(); };
+// Cameras: angle about the vertical from the robot's heading, and down from it [rad]. Each tab has its own.
+const CAMERAS = { free: null, behind: [0, 1.2], side: [Math.PI / 2, 1.35], front: [Math.PI, 1.25], top: [0, .01] };
+let camera = "free", cameraTime = 0;
+$("camera").append(...Object.keys(CAMERAS).map(name => element("button", { textContent: name, id: `camera-${name}`, onclick: () => setCamera(name) })));
+function setCamera(name) { camera = name; for (const one of $("camera").children) one.setAttribute("aria-pressed", one.textContent === name); }
+setCamera("free");
+const turn = angle => Math.atan2(Math.sin(angle), Math.cos(angle));
+requestAnimationFrame(function follow(time) {
+  requestAnimationFrame(follow);
+  const viewer = $("view").contentWindow && $("view").contentWindow.__viserMutable, control = viewer && viewer.cameraControl;
+  const share = 1 - Math.exp(-Math.min(time - cameraTime, 200) / 200); cameraTime = time;
+  if (!control || !options) return;
+  if (!control.surefoot) { control.surefoot = true; control.addEventListener("controlstart", () => setCamera("free")); }
+  const pose = viewer.nodePoseData[options.node];
+  if (!CAMERAS[camera] || !pose || !pose.wxyz) return;
+  const [w, x, y, z] = pose.wxyz, yaw = Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z));
+  const about = turn(CAMERAS[camera][0] + yaw - control.azimuthAngle), down = CAMERAS[camera][1] - control.polarAngle;
+  if (Math.abs(about) + Math.abs(down) < 1e-4) return;
+  control.rotateTo(control.azimuthAngle + share * about, control.polarAngle + share * down, false); viewer.requestRender();
+});
