@@ -29,11 +29,11 @@ def fit_sphere(points: Array, knee: Array, end: Array) -> tuple[Array, float] | 
     tilts = np.arctan2(shank[0], -shank[2]) + _TILTS
     down = np.column_stack([np.sin(tilts), -np.cos(tilts)])
     depths = points[:, [0, 2]] @ down.T
-    lowest, depth = depths.argmax(axis=0), depths.max(axis=0)
+    depth = depths.max(axis=0)
     system = np.column_stack([down, np.ones(len(down))])
     (x, z, radius), *_ = np.linalg.lstsq(system, depth, rcond=None)
     low, high = np.multiply(_RADII, np.hypot(shank[0], shank[2]))
     if not low < radius < high or np.abs(system @ (x, z, radius) - depth).max() > _RESIDUAL * radius:
         return None
-    sides = points[lowest, 1]
+    sides = points[(depths > depth - 0.02 * radius).any(axis=1), 1]
     return np.array([x, (sides.min() + sides.max()) / 2, z]), float(radius)

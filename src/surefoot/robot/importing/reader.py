@@ -23,11 +23,17 @@ from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import Part
 from surefoot.robot.importing.foot import fit_sphere
 from surefoot.robot.importing.imported import ImportedRobot
-from surefoot.robot.importing.meshes import Color, Surface, merge_surfaces
+from surefoot.robot.importing.meshes import MAX_MESH_BYTES, Color, Surface, merge_surfaces
 from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
-from surefoot.robot.importing.visuals import Visual, decimate_visuals, read_mjcf_visuals, read_urdf_visuals
+from surefoot.robot.importing.visuals import (
+    Visual,
+    decimate_visuals,
+    note_problems,
+    read_mjcf_visuals,
+    read_urdf_visuals,
+)
 from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
 from surefoot.robot.urdf_file import attribute, read_inertia, read_number, read_xml
 
@@ -90,20 +96,26 @@ def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iter
 def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: list[str]) -> dict[str, float]:
     """Make a URDF ready for MuJoCo: no visuals, meshes by absolute path; return the joints' speed limits."""
     unreadable: set[str] = set()
+    problems: dict[str, None] = {}
     for link in root.findall("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
         for shape in link.findall("collision"):
             if (mesh := shape.find("geometry/mesh")) is None:
                 continue
-            file = _find_mesh(mesh.get("filename", ""), path) if meshes else None
-            if file is not None and file.suffix.lower() in _MESH_SUFFIXES:
+            try:
+                file = _find_mesh(mesh.get("filename", ""), path)
+            except SurefootError as error:
+                file = None
+                problems |= {str(error).removeprefix(f"{path}: "): None} if meshes else {}
+            if file is not None and meshes and file.suffix.lower() in _MESH_SUFFIXES:
                 mesh.set("filename", str(file))
             else:
                 link.remove(shape)
-                unreadable |= {file.name} if file else set()
+                unreadable |= {file.name} if file and meshes else set()
     if unreadable:
         notes.append(f"shapes that MuJoCo can't read are left out: {choices(sorted(unreadable))}")
+    note_problems("shapes are left out", problems, notes)
     for old in root.findall("mujoco"):
         root.remove(old)
     compiler = ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler")
@@ -148,11 +160,12 @@ def _find_mesh(name: str, path: Path) -> Path:
     parts = (inside, Path(*inside.parts[1:])) if len(inside.parts) > 1 else (inside,)
     for folder in path.resolve().parents[:6]:
         for part in parts:
-            if (folder / part).is_file():
-                return folder / part
-    raise SurefootError(
-        f"{path}: mesh '{name}' is not there; put it where the file names it, or leave out meshes (--no-meshes)"
-    )
+            if (file := folder / part).is_file():
+                if (size := file.stat().st_size) > MAX_MESH_BYTES:
+                    limit = f"at most {MAX_MESH_BYTES // 10**6} MB are read"
+                    raise SurefootError(f"{path}: mesh '{name}' has {size // 10**6} MB; {limit}")
+                return file
+    raise SurefootError(f"{path}: mesh '{name}' is not there; put it where the file names it")
 
 
 _SPHERE = "the last link's sphere"
