@@ -55,7 +55,7 @@ def portrait(robot: RobotDescription, size: tuple[int, int]) -> Image.Image:
     level = poses(robot, np.zeros(3), [1.0, 0.0, 0.0, 0.0], robot.resting_angles)
     mesh, stack = Mesh(robot.appearance(), list(level)), np.array([frames[0] for frames in level.values()])
     stack[:, 2, 3] -= mesh.place(stack)[0][:, 2].min()
-    camera = Camera.for_robot(extent(robot))
+    camera = Camera.for_robot(1.1 * extent(robot))
     picture = draw(mesh, stack, View(camera, np.array([0.0, 0.0, camera.height]), size))
     write_label(picture, robot.name)
     return picture
