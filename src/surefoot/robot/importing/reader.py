@@ -421,8 +421,11 @@ class _Reader:
         return _Foot(end, radius, "the far end of the last link's shapes")
 
     def _thickness(self, geoms: NDArray[np.int64], place: Array, knee: Array) -> float:
-        """Return a radius [m] for a foot: half of the width of the shape that is nearest to it."""
-        usual = 0.12 * max(float(np.linalg.norm(place - knee)), 0.05)
+        """Return a radius [m] for a foot: half of the width of the shape that is nearest to it.
+
+        Without a shape it is a tenth of the shank, as robots' feet are.
+        """
+        usual = 0.1 * max(float(np.linalg.norm(place - knee)), 0.05)
         if not geoms.size:
             return usual
         nearest = geoms[np.argmin(np.linalg.norm(self.data.geom_xpos[geoms] - place, axis=1))]
