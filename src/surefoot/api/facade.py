@@ -227,7 +227,8 @@ def drive(
     from surefoot.api.drive_page import DrivePage
 
     loaded = load(policy, robot=robot)
-    return Drive(DrivePage(str(loaded.path), world, None if robot is None else str(robot)), host, port)
+    name = policy if isinstance(policy, str) else str(loaded.path)
+    return Drive(DrivePage(name, world, None if robot is None else str(robot)), host, port)
 
 
 @report_missing_extras

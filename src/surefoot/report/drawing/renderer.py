@@ -23,8 +23,8 @@ TILE = 0.25
 """Side of a square of the ground [m]."""
 _PARTS = 2
 """Parts of a pixel along each side in which edges are drawn."""
-_FAR = 6.0
-"""Distance from the camera at which squares have faded out [m]."""
+_FAR, _HAZY = 11.0, 13.0
+"""Distances from the camera at which squares have faded out, and over which haze grows, over the camera's height."""
 _NEAR = 0.1
 """What is nearer to the camera is not drawn [m]."""
 _TO_SUN = np.array([0.24, -0.44, 0.86]) / np.linalg.norm([0.24, -0.44, 0.86])
@@ -177,8 +177,8 @@ def _backdrop(
     place = (distance / length)[..., None] * rays[..., :2]
     # How far a pixel reaches: along its row and its column, as the ground's places differ there.
     reach = np.maximum(*(np.abs(np.gradient(place, axis=k)) for k in (0, 1))) if len(rays) > 1 else place * 0 + 1.0
-    haze = 1.0 - np.exp(-((distance / 7.0) ** 1.5))
+    haze = 1.0 - np.exp(-((distance / (_HAZY * above)) ** 1.5))
     color = 255.0 * (_GROUND + haze[..., None] * (_HAZE - _GROUND))
-    dark = _DARK * np.clip(1.0 - distance / _FAR, 0.0, 1.0) ** 0.8
+    dark = _DARK * np.clip(1.0 - distance / (_FAR * above), 0.0, 1.0) ** 0.8
     ground = np.concatenate([place, np.maximum(reach, 1e-4), color, dark[..., None]], axis=-1)
     return (255.0 * sky).astype(np.uint8), np.ascontiguousarray(ground, np.float32)
