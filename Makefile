@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
-DOCS   := $(VENV)/.ready-docs
+DOCS   := .venv-docs
 BROWSER := $(VENV)/.browser
 CODE   := src tests examples benchmarks docs
 
@@ -66,19 +66,22 @@ format: $(READY) ## Format the code and fix what can be fixed
 bench: $(READY) ## Run the benchmarks, one after the other
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script" $(ARGS) || exit 1; done
 
-# Newer than .ready, so that what makes .venv afresh or brings it up to date does so for this extra too.
-# mkdocs is not told to be quiet: its strict mode counts only the warnings that it prints.
-$(DOCS): $(READY)
-	@$(BIN)/python -m pip install -c constraints.txt -e ".[docs]"
-	@touch $(DOCS)
+# An environment of its own with the extra docs alone: the reference is read from the source, so surefoot is not installed.
+$(DOCS)/.ready: pyproject.toml constraints.txt
+	@"$(PYTHON)" -m venv --clear $(DOCS)
+	@$(DOCS)/bin/python -c 'import tomllib; file = open("pyproject.toml", "rb"); \
+	  print(*tomllib.load(file)["project"]["optional-dependencies"]["docs"], sep="\n")' > $(DOCS)/requirements.txt
+	@$(DOCS)/bin/python -m pip install -c constraints.txt -r $(DOCS)/requirements.txt
+	@touch $@
 
-docs: $(DOCS) ## Build the documentation as a site, in site/
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+# mkdocs is not told to be quiet: its strict mode counts only the warnings that it prints.
+docs: $(DOCS)/.ready ## Build the documentation as a site, in site/
+	@NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/python -m mkdocs build
 	@echo "surefoot: the documentation is site/index.html"
 
 clean: ## Remove caches and build output; runs and .venv stay
 	@rm -rf build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find $(wildcard $(CODE)) -name __pycache__ -prune -exec rm -rf {} +
 
-distclean: clean ## Remove .venv too
-	@rm -rf $(VENV)
+distclean: clean ## Remove .venv and .venv-docs too
+	@rm -rf $(VENV) $(DOCS)

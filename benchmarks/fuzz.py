@@ -533,7 +533,7 @@ def _make_recording(path: Path, robot: Any) -> None:
         elif item.name in wide:
             width = columns.get(item.name, motors)
             arrays[item.name] = 1.5 + 0.3 * np.sin(20 * time_)[:, None] * np.ones(width)
-        elif item.name != "meta":
+        elif item.name not in ("meta", "robot_archive"):
             arrays[item.name] = np.full(count, 16.0 if item.name == "voltage" else 0.0)
     meta = {
         **{"schema": SCHEMA, "experiment": "latency", "robot": robot.name, "motor_names": list(robot.motor_names)},

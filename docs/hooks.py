@@ -15,7 +15,14 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
-OUTSIDE = ("CHANGELOG.md", "policies/README.md", "results/*/*.*", "results/*/parameters/*")
+OUTSIDE = (
+    "CHANGELOG.md",
+    "policies/README.md",
+    "examples/first_hour.ipynb",
+    "examples/sb3.py",
+    "results/*/*.*",
+    "results/*/parameters/*",
+)
 MODULES = sorted(path.stem for path in ROOT.glob("src/surefoot/[a-z]*.py"))
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("src/surefoot/*/__init__.py"))
 

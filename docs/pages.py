@@ -50,6 +50,19 @@ if __name__ == "__main__":
                 hold_stick(page, 0.28, 0.16)
                 page.wait_for_timeout(9000)
                 page.screenshot(path=FOLDER / "deploy-page.png")
+        traces = [Path(folder) / f"go2-trot, {world}.npz" for world in ("mujoco", "bullet")]
+        for trace in traces:
+            words = ["--world", trace.stem[10:], "--push-force", "100", "160", "--episodes", "1", "--duration", "6"]
+            subprocess.run([*SUREFOOT, "evaluate", "go2-trot", *words, "--out", trace.with_suffix("")], check=True)
+            (trace.with_suffix("") / "episode_000.npz").rename(trace)
+        written = Path(folder) / "show.html"
+        subprocess.run([*SUREFOOT, "show", *traces, "--out", written], check=True)
+        page = browser.new_page(viewport={"width": 1184, "height": 660})
+        page.goto(written.as_uri())
+        page.wait_for_function("document.body.dataset.ready === 'yes'")
+        page.evaluate("playing = false; setTime(3.62)")
+        page.wait_for_timeout(4000)
+        page.screenshot(path=FOLDER / "show.png")
         written = Path(folder) / "paper.html"
         subprocess.run([*SUREFOOT, "paper", "--out", written], check=True)
         page = browser.new_page(viewport={"width": 985, "height": 1100})

@@ -152,7 +152,7 @@ def make_run() -> Callable[..., EpisodeTrace]:
             "base_quat_world": np.tile([1.0, 0.0, 0.0, 0.0], (steps + 1, 1)),
             "energy": np.full(steps, energy / steps),
             "foot_contact": np.ones((steps, 4)),
-            "motor_saturation": np.zeros((steps, 8)),
+            "motor_saturation": np.zeros_like((arrays or {}).get("target", np.zeros((steps, 8)))),
             **(arrays or {}),
         }
         about = {

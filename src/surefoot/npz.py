@@ -61,6 +61,23 @@ def pop_meta(arrays: dict[str, NDArray[Any]]) -> dict[str, Any] | None:
     return meta if isinstance(meta, dict) else None
 
 
+def pack_bytes(name: str, content: bytes) -> dict[str, NDArray[Any]]:
+    """Return an array with bytes under its name; none for no bytes."""
+    return {name: np.frombuffer(content, np.uint8)} if content else {}
+
+
+def pop_bytes(arrays: dict[str, NDArray[Any]], name: str) -> bytes:
+    """Take bytes out of a file's arrays; none, if they are not there.
+
+    Raises:
+        SurefootError: the array is one of other values.
+    """
+    array = arrays.pop(name, np.empty(0, np.uint8))
+    if array.dtype != np.uint8 or array.ndim != 1:
+        raise SurefootError(f"{name} must hold bytes")
+    return array.tobytes()
+
+
 def _read_array(content: bytes) -> NDArray[Any]:
     """Return the array of a .npy file, whose size must match its header."""
     file = BytesIO(content)

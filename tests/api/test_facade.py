@@ -33,12 +33,12 @@ def test_robots_and_errors_need_the_bare_install_alone():
     absent = ("mujoco", "torch", "pandas", "gymnasium", "scipy", "numba", "PIL", "viser")
     code = (
         "import surefoot\nprint(*surefoot.robots())\n"
-        "try: surefoot.train('trot')\nexcept surefoot.SurefootError as error: print(error)"
+        "try: surefoot.train('trot', figures=False)\nexcept surefoot.SurefootError as error: print(error)"
     )
     names, error = python(code, absent).splitlines()
     assert names == "go2 minitaur pupper_v2 solo8"
     assert error.startswith("this needs ")
-    assert error.endswith("which is not installed: pip install 'surefoot[sim]'")
+    assert error.endswith("which is not installed: pip install 'surefoot[train]'")
 
 
 def test_every_name_is_there_and_others_are_not():

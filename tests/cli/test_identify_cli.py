@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -154,10 +155,14 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """Folder of an experiment that was recorded on the robot's computer, and the finished process."""
     pytest.importorskip("mujoco")
     folder = tmp_path_factory.mktemp("contact")
+    # A robot in a folder of its own, which goes afterwards: the recording carries it.
+    robot = shutil.copytree(RobotDescription.load("minitaur").folder, folder / "my robots" / "mine")
     with emulators(EmulatorHere) as start:
-        port = start("--lockstep", "--set", "contact_friction=0.7").port
+        port = start("--lockstep", "--set", "contact_friction=0.7", "--robot", robot).port
         words = ["contact", "--port", port, "--lockstep", "--yes", "--record-only", "--out", folder / "run"]
-        return folder / "run", run_bare(*words)
+        done = run_bare(*words, "--robot", robot)
+    shutil.rmtree(robot)
+    return folder / "run", done
 
 
 def test_record_only_needs_the_bare_install(recorded: Recorded):

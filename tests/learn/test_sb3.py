@@ -113,10 +113,11 @@ def test_an_exported_policy_acts_as_its_model(name: str, normalized: bool, tmp_p
     robots = SB3VecEnv(batch(2))
     env = VecNormalize(robots, clip_obs=2.0) if normalized else robots
     model = getattr(stable_baselines3, name)("MlpPolicy", env, seed=0, device="cpu")
-    samples = rng.normal(scale=3.0, size=(100, robots.observation_space.shape[0])).astype(np.float32)
+    (width,) = robots.observation_space.shape
+    samples = rng.normal(scale=3.0, size=(100, width)).astype(np.float32)
     inputs = samples
     if normalized:
-        env.obs_rms.update(rng.normal([0.5, -1.0, 2.0, 0.0], [2.0, 1.0, 0.5, 3.0], size=(1000, 4)))
+        env.obs_rms.update(rng.normal(0.5, np.linspace(0.1, 3.0, width), size=(1000, width)))
         inputs = env.normalize_obs(samples)
     policy = surefoot.export(model, tmp_path / "p.onnx", name="other")
     action, _ = model.predict(inputs, deterministic=True)
@@ -132,7 +133,9 @@ def test_a_module_is_exported_for_any_form_of_its_environment(name: str, tmp_pat
         "batch": lambda: VecNormalize(SB3VecEnv(batch(2))),
         "monitored": lambda: make_vec_env("surefoot/Trot-v0", n_envs=1, seed=0),
     }.get(name, lambda: gymnasium.make(name))()
-    policy = surefoot.export(torch.nn.Linear(4, 8), tmp_path / "p.onnx", env=env, output="feedback")
+    space = getattr(env, "single_observation_space", env.observation_space)
+    module = torch.nn.Linear(space.shape[0], 8)
+    policy = surefoot.export(module, tmp_path / "p.onnx", env=env, output="feedback")
     assert policy.robot.name == "minitaur"
 
 

@@ -12,16 +12,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from edited import maxitaur
 
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.run_folder import RunFolder, read_checkpoint, write_checkpoint
 from surefoot.learn.training_loop import TrainingLoop
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import load_ranges
+from surefoot.task.reference import make_reference
 from surefoot.world.sim_world import SimWorld
 
 # Noise, pushes, ends of episodes and an evaluation all fall into these few updates.
+ROBOT_LEGS = RobotDescription.load("minitaur").leg_names
 TINY = {
     "num_envs": 16,
     "steps_per_update": 16,
@@ -66,6 +71,46 @@ def same_weights(a: TrainingLoop, b: TrainingLoop) -> bool:
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingLoop:
     return train(tmp_path_factory.mktemp("whole"), tiny_config())
+
+
+def test_a_run_of_an_own_robot_goes_on_after_both_were_moved(whole: TrainingLoop, tmp_path: Path) -> None:
+    robot = maxitaur(tmp_path / "my robot")
+    config = from_mapping(TrainConfig, {"task": {"robot": str(robot)}}, base=tiny_config())
+    loop = train(tmp_path / "runs", config, stop_after=4)
+    policy = loop.folder.policy
+    assert PolicyRuntime.load(policy).contract.figures["training"]["steps"] in (768, 1024)
+    moved = shutil.move(loop.folder.path, tmp_path / "moved")
+    shutil.rmtree(robot)
+    (tmp_path / "runs").rename(tmp_path / "gone")
+    loop = resume(Path(moved))
+    loop.run(lambda *_: None)
+    # It differs from the robot that ships in its name alone.
+    assert same_weights(loop, whole)
+    runtime = PolicyRuntime.load(loop.folder.policy)
+    assert runtime.load_robot().name == "maxitaur"
+    assert str(tmp_path) not in runtime.contract.to_json()
+
+
+def test_a_run_has_its_best_policy_from_the_first_evaluation_on(tmp_path: Path) -> None:
+    loop = TrainingLoop(tiny_config(), RunFolder.create(tiny_config(), tmp_path), SimWorld)
+    seen = []
+    loop.run(lambda figures, evaluation: seen.append((evaluation is not None, loop.folder.policy.exists())))
+    first = [evaluated for evaluated, _ in seen].index(True)
+    assert [exists for _, exists in seen] == [False] * first + [True] * (len(seen) - first)
+
+
+def test_the_table_of_a_reference_is_copied_into_the_run(tmp_path: Path) -> None:
+    table = tmp_path / "table.csv"
+    columns = [f"{part}_{leg}" for part in ("swing", "extension") for leg in ROBOT_LEGS]
+    rows = [",".join(["0.0"] * 4 + [str(1.9 + 0.1 * k)] * 4) for k in range(3)]
+    table.write_text("\n".join([",".join(columns), *rows]))
+    reference = {"kind": "table", "file": str(table), "period": 0.5}
+    config = from_mapping(TrainConfig, {"task": {"reference": reference}}, base=tiny_config())
+    path = RunFolder.create(config, tmp_path).path.rename(tmp_path / "moved")
+    table.unlink()
+    again = RunFolder.open(path)[1].task.reference
+    assert again.file == str(path / "reference.csv")
+    assert len(make_reference(again, RobotDescription.load("minitaur")).rows) == 3
 
 
 def test_another_seed_gives_another_policy(whole: TrainingLoop, tmp_path: Path) -> None:
@@ -245,6 +290,34 @@ def test_a_full_disk_under_the_log_is_one_line_of_error(whole: TrainingLoop) -> 
 def test_a_configuration_out_of_bounds_is_refused(changes: dict[str, object], rule: str) -> None:
     with pytest.raises(SurefootError, match=rule.replace(".", r"\.")):
         tiny_config(**changes)
+
+
+def test_a_steered_run_logs_errors_and_terms_to_either_logger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    short = {**TINY, "steps": 256, "evaluate_every": 256, "task": {"max_steps": 80}}
+    config = from_mapping(TrainConfig, short, base=load_train_config("go2-steer"))
+    loops = []
+    for logger in ("tensorboard", "wandb"):
+        loop = TrainingLoop(config, RunFolder.create(config, tmp_path / logger), SimWorld, logger=logger)
+        loop.run(lambda *_: None)
+        loops.append(loop)
+    assert same_weights(*loops)
+    assert list(loops[1].folder.path.glob("wandb/offline-run-*/*.wandb"))
+    (row,), (evaluation,) = loops[0].folder.rows(), loops[0].folder.evaluations()
+    seconds = 0.016 * config.steps_per_update
+    assert sum(row["reward"].values()) * seconds == pytest.approx(row["reward_rate"] * config.steps_per_update)
+    assert set(row["reward"]) == set(config.task.reward)
+    assert 0 < row["rmse"]["forward"] < 2
+    assert set(evaluation["rmse"]) == {"forward", "sideways", "yaw_rate"}
+    names = []
+    for loop in loops:
+        events = EventAccumulator(str(loop.folder.path))
+        events.Reload()
+        names.append(set(events.Tags()["scalars"]))
+    assert {f"train/reward/{term}" for term in config.task.reward} | {"evaluation/rmse/forward"} <= names[0] == names[1]
 
 
 def test_rank_prefers_no_falls_over_return(whole: TrainingLoop) -> None:

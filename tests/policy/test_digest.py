@@ -34,6 +34,25 @@ def test_a_digest_is_one_more_property_at_the_end():
     assert check_digest(whole).stated_digest == DIGEST
 
 
+def carried(robot: bytes) -> bytes:
+    """The model with a robot's property: the key has 14 letters."""
+    entry = bytes([1 << 3 | 2, 14]) + b"surefoot-robot" + bytes([2 << 3 | 2, len(robot)]) + robot
+    return MODEL + bytes([14 << 3 | 2, len(entry)]) + entry
+
+
+def test_the_digest_covers_a_carried_robot():
+    whole = add_digest(carried(b"UEs="))
+    assert check_digest(whole).robot_archive() == b"PK"
+    assert check_digest(whole).stated_digest == hashlib.sha256(b"{}\0UEs=\0abc").hexdigest().encode()
+    with pytest.raises(SurefootError, match="its digest does not match"):
+        check_digest(whole.replace(b"UEs=", b"UEt="))
+
+
+def test_a_robot_that_is_not_base64_is_refused():
+    with pytest.raises(SurefootError, match="its robot is damaged: it is not base64"):
+        check_digest(add_digest(carried(b"U*s="))).robot_archive()
+
+
 def test_a_long_field_has_a_length_of_two_bytes():
     graph = bytes(range(256)) * 2
     model = bytes([7 << 3 | 2, 0x80, 0x04]) + graph + CONTRACT  # 512 = 4 * 128 + 0

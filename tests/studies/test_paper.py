@@ -142,7 +142,9 @@ def shown(root: Path) -> int:
     ],
 )
 def test_a_line_of_the_page_has_the_number_of_the_results(page: Path, section: str, line: str, number: str):
-    (text,) = (part for part in page.read_text(encoding="utf-8").split("<h2>") if part.startswith(section))
+    (text,) = (
+        part for part in page.read_text(encoding="utf-8").split("<h2") if part.partition(">")[2].startswith(section)
+    )
     rows = (re.findall(r"<td[^>]*>(.*?)</td>", row) for row in text.split("<tr>"))
     cells = {row[0]: row[2] for row in rows if len(row) > 2}
     assert re.fullmatch(number, cells[line]), cells[line]
@@ -151,12 +153,14 @@ def test_a_line_of_the_page_has_the_number_of_the_results(page: Path, section: s
 def test_the_page_holds_every_section_and_picture_and_loads_nothing(page: Path, repository: Path):
     text = page.read_text(encoding="utf-8")
     content = load_content()
-    assert text.count("<h2>") == 1 + len(content.sections)
+    assert text.count("<h2") == 1 + len(content.sections)
+    links, places = (re.findall(rf'{name}="#?(s\d+)"', text) for name in ("href", "id"))
+    assert links == places == [f"s{k + 1}" for k in range(len(content.sections))]
     assert text.count("<figure>") == shown(repository)
     assert all(section.title.replace("'", "&#x27;") in text for section in content.sections)
     speed = json.loads((repository / "results/policies/trot.json").read_text())["speed_mean"]
     assert f"{speed:.2f} ± " in text
-    assert not re.search(r'(src|href)="(?!data:)', text)
+    assert not re.search(r'(src|href)="(?!data:|#)', text)
 
 
 def test_missing_results_are_named(tmp_path: Path):

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from edited import maxitaur
 
 from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 LEGS = ["front_left", "back_left", "front_right", "back_right"]
@@ -70,6 +73,25 @@ def test_a_saved_trace_comes_back_bit_for_bit(tmp_path: Path) -> None:
     assert back.meta == trace.meta
     assert np.isnan(back.foot_position_world).all()
     assert back.foot_position_world.shape == (5, 4, 3)
+
+
+def test_a_trace_carries_a_robot_that_does_not_ship_and_no_other(tmp_path: Path) -> None:
+    robot = RobotDescription.load(maxitaur(tmp_path / "mine"))
+    arguments = trace_arguments()
+    plain = EpisodeTrace(**arguments).save(tmp_path / "plain.npz")
+    with np.load(plain) as file:
+        assert "robot" not in file
+    arguments["meta"]["robot"] = "maxitaur"
+    with pytest.raises(
+        SurefootError, match="is of robot 'maxitaur', which does not ship; give its folder with --robot"
+    ):
+        EpisodeTrace(**arguments).load_robot()
+    path = EpisodeTrace(**arguments, robot_archive=robot.archive).save(tmp_path / "carried.npz")
+    shutil.rmtree(robot.folder)
+    assert EpisodeTrace.load(path).load_robot().name == "maxitaur"
+    rewrite(path, robot=np.zeros((2, 2)))
+    with pytest.raises(SurefootError, match="robot must hold bytes"):
+        EpisodeTrace.load(path)
 
 
 @pytest.mark.parametrize(("width", "fits"), [(8, True), (12, True), (9, False)])

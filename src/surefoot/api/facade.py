@@ -68,6 +68,8 @@ def train(
     Raises:
         SurefootError: a task, robot or setting that does not exist or does not fit.
     """
+    if figures:
+        _require_drawing()
     from rich.console import Console
 
     from surefoot.api.training import TrainingProgress, check_config, finish_run
@@ -185,8 +187,7 @@ def play(
     Raises:
         SurefootError: as `evaluate`, or a file of another ending than .mp4.
     """
-    for module in ("imageio_ffmpeg", "PIL"):
-        import_module(module)  # a missing package is reported before anything is simulated
+    _require_drawing()
     from surefoot.api.episodes import film
     from surefoot.api.policies import run_policy
     from surefoot.world.registry import find_world
@@ -226,7 +227,8 @@ def drive(
     from surefoot.api.drive_page import DrivePage
 
     loaded = load(policy, robot=robot)
-    return Drive(DrivePage(str(loaded.path), world, None if robot is None else str(robot)), host, port)
+    name = policy if isinstance(policy, str) else str(loaded.path)
+    return Drive(DrivePage(name, world, None if robot is None else str(robot)), host, port)
 
 
 @report_missing_extras
@@ -297,6 +299,12 @@ def _task(
         task = from_mapping(TaskConfig, data, base=replace(task, randomize={}))
     task = evaluation_task(task, policy.robot, {} if randomize is None else task.randomize, **conditions)
     return task if duration is None else with_duration(task, policy.robot, duration)
+
+
+def _require_drawing() -> None:
+    """Import what draws, so that a missing package is reported before anything is simulated."""
+    for module in ("matplotlib", "imageio_ffmpeg", "PIL"):
+        import_module(module)
 
 
 def in_notebook() -> bool:

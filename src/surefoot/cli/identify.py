@@ -19,9 +19,9 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, suggest
 from surefoot.identify.overlay import missing_experiments, read_prior
-from surefoot.identify.recording import COMPLETE, Recording, load_recording
+from surefoot.identify.recording import COMPLETE, Recording, load_recording, recorded_robot
 from surefoot.identify.registry import EXPERIMENTS, Experiment
-from surefoot.robot import FiveBar, RobotDescription
+from surefoot.robot import DEFAULT_ROBOT, FiveBar, RobotDescription
 from surefoot.robot.params_file import ParamsFile
 
 STOPPED = 3
@@ -169,13 +169,17 @@ def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
     name = experiment.name
     command = parse(ExperimentCommand, argv, f"surefoot identify {name}")
     _check_options(command)
-    robot = RobotDescription.load(command.robot)
+    path = command.recording
+    if path is not None and path.is_dir():
+        path /= RECORDING
+    robot = RobotDescription.load(command.robot or DEFAULT_ROBOT)
+    if path is not None and command.robot is None:
+        robot = recorded_robot(path)
     check_identifiable(robot)
     prior = read_prior(command.params, robot)
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
 
-    if command.recording is not None:
-        path = command.recording / RECORDING if command.recording.is_dir() else command.recording
+    if path is not None:
         recording, folder = load_recording(path, robot, name), command.out or path.parent
         _warn_of_missing(command, experiment, prior)
     else:

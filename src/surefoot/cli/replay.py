@@ -9,12 +9,14 @@ from typing import Annotated, Any
 
 import tyro
 
-from surefoot.cli.helpers.options import Json, Settings, World, check_suffix
+from surefoot.cli.helpers.options import Json, RobotName, Settings, World, check_suffix
 from surefoot.cli.helpers.output import print_json
 from surefoot.cli.helpers.parsing import parse
+from surefoot.evaluation.recorded import load_robot
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import load_params
 from surefoot.tables import plain_value
+from surefoot.task.trace import EpisodeTrace
 
 
 @dataclass(frozen=True)
@@ -27,8 +29,7 @@ class ReplayCommand:
 
     trace: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRACE")]
     """Trace, or an .npz file with arrays time, command, motor_angle and imu."""
-    robot: str
-    """Name or folder of the robot's description."""
+    robot: RobotName = None
     params: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
     """Physical parameters: a file (.toml) or the name of one that ships with the robot; the data sheet's, if not
     given."""
@@ -50,7 +51,10 @@ def main(argv: list[str]) -> int:
     check_suffix("out", command.out, ".png")
     if command.out is not None:
         import_module("matplotlib")
-    robot = RobotDescription.load(command.robot)
+    if command.robot is None:
+        robot = load_robot(command.trace, EpisodeTrace.load(command.trace))
+    else:
+        robot = RobotDescription.load(command.robot)
     params = load_params(robot, command.params, command.settings)
     from surefoot.identify.logs.errors import compare_logs, replay_log
     from surefoot.identify.logs.robot_log import read_log

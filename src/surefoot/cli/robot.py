@@ -13,7 +13,7 @@ from rich.prompt import Prompt
 
 from surefoot.cli.doctor import FAILED, print_result
 from surefoot.cli.helpers.options import Json, check_folder
-from surefoot.cli.helpers.output import make_console, print_json, run_action
+from surefoot.cli.helpers.output import make_console, next_command, print_json, run_action
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import check_name
 from surefoot.robot import RobotDescription
@@ -43,7 +43,7 @@ class NewCommand:
     knees: Knees | None = None
     """Where knees point; by the knees' limits or a pose of the file, if not given."""
     meshes: bool = True
-    """Read meshes; without them the base is a box with its inertia."""
+    """Read meshes and colours; without them the base is a box with its inertia, and drawn are primitive shapes."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,10 @@ def _new(argv: list[str]) -> int:
         print(f"guessed  {line}")
     save_robot_picture(robot, folder / PICTURE)
     print(f"wrote {folder}: robot.toml, robot.urdf, {PICTURE}")
-    return _run_checks(robot)
+    code = _run_checks(robot)
+    if code == 0:
+        print(next_command("train it", "train", "trot", "--robot", folder))
+    return code
 
 
 def find_knees(robot: ImportedRobot) -> Knees | None:

@@ -158,7 +158,8 @@ class MotionRunner:
             end: motor angles (M,) [rad].
             duration: [s].
             start: motor angles (M,) [rad] to start from; the present target, if not given.
-            upright, sitting: see `ControlLoop.follow`.
+            upright: see `ControlLoop.follow`.
+            sitting: see `ControlLoop.follow`.
         """
         start, steps = self.target if start is None else start, self.loop.steps_of(duration)
 

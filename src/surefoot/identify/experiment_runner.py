@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import Act, SafetyLimits
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Phase, Plan
-from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_of
+from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_of, recorded_arrays
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
@@ -171,9 +171,8 @@ class _ExperimentRunner:
             "time": np.array([sent for _, sent, _ in self._states], float),
             "host_time": np.array([received for _, _, received in self._states], float),
         }
-        for item in fields(Recording):
-            if item.name not in (*arrays, "meta"):
-                arrays[item.name] = np.array([getattr(state, item.name) for state in states], float)
+        for name in (name for name in recorded_arrays() if name not in arrays):
+            arrays[name] = np.array([getattr(state, name) for state in states], float)
         meta = {
             "schema": SCHEMA,
             "experiment": self.plan.experiment,
@@ -195,7 +194,7 @@ class _ExperimentRunner:
             "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             "digest": digest_of(arrays),
         }
-        return Recording(**arrays, meta=meta)
+        return Recording(**arrays, meta=meta, robot_archive=self.robot.archive)
 
 
 def run_plan(link: RobotLink, plan: Plan, robot: RobotDescription, monitor: RunMonitor) -> Recording:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices, prefix_errors
-from surefoot.npz import pop_meta, read_npz, write_npz
-from surefoot.robot import RobotDescription
+from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
+from surefoot.robot import ROBOT, RobotDescription, carried_robot
 
 SCHEMA = 1
 STILL = 0.002
@@ -71,6 +71,8 @@ class Recording:
     """Schema, experiment, robot, firmware, motor_names, rack, phases (name, mode, use, duration), mode_changes (the
     host's time [s] and the mode of all arming and disarming), ended (`COMPLETE`, or why not), period, lead and
     servo_period [s], resting_states (count before arming), frames (received, missing, damaged), date, digest."""
+    robot_archive: bytes = b""
+    """The robot's folder as `RobotDescription.archive` has it; empty for a robot that ships."""
 
     @property
     def num_motors(self) -> int:
@@ -150,8 +152,8 @@ class Recording:
 
     def save(self, path: Path) -> Path:
         """Write an .npz file, whole or not at all."""
-        arrays = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "meta"}
-        write_npz(path, arrays, self.meta)
+        arrays = {name: getattr(self, name) for name in recorded_arrays()}
+        write_npz(path, arrays | pack_bytes(ROBOT, self.robot_archive), self.meta)
         return path
 
 
@@ -201,6 +203,22 @@ def _first_invalid(arrays: dict[str, Any], meta: dict[str, Any], motors: int) ->
     return next((f"meta.{name}" for name, right in valid.items() if not right), "")
 
 
+def recorded_arrays() -> list[str]:
+    """Return the names of a recording's arrays, in order."""
+    return [item.name for item in fields(Recording) if item.name not in ("meta", "robot_archive")]
+
+
+def recorded_robot(path: Path) -> RobotDescription:
+    """Return the robot that a recording carries, else the one of its name that ships.
+
+    Raises:
+        SurefootError: the file can't be read, or neither is there.
+    """
+    with prefix_errors(f"recording {path}"):
+        arrays = read_npz(path)
+        return carried_robot(pop_bytes(arrays, ROBOT), (pop_meta(arrays) or {}).get("robot"))
+
+
 def load_recording(path: Path, robot: RobotDescription, experiment: str | None = None) -> Recording:
     """Read a recording.
 
@@ -213,8 +231,8 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
         meta = pop_meta(arrays) or {}
         if meta.get("schema") != SCHEMA:
             raise SurefootError(f"has schema {meta.get('schema')}; surefoot reads schema {SCHEMA}")
-        names = {item.name for item in fields(Recording)} - {"meta"}
-        if missing := [key for key in _META if key not in meta] + sorted(names ^ set(arrays)):
+        archive = pop_bytes(arrays, ROBOT)
+        if missing := [key for key in _META if key not in meta] + sorted(set(recorded_arrays()) ^ set(arrays)):
             raise SurefootError(f"missing or unknown: {choices(missing)}")
         if meta["robot"] != robot.name or meta["motor_names"] != list(robot.motor_names):
             raise SurefootError(f"is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
@@ -226,4 +244,4 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
             raise SurefootError("was changed after it was made: its digest does not fit")
         if meta["ended"] != COMPLETE:
             raise SurefootError(f"did not come to its end: {meta['ended']}")
-        return Recording(**arrays, meta=meta)
+        return Recording(**arrays, meta=meta, robot_archive=archive)

@@ -25,6 +25,8 @@ from surefoot.errors import SurefootError, describe_os_errors, quote
 from surefoot.files import atomic_write, check_readable
 
 SHEET = "robot.toml"
+ROBOT = "robot"
+"""Array with the archive in files of traces and recordings."""
 MAX_BYTES = 1 << 23
 """Size of all files together, unpacked, and of an archive."""
 MAX_FILES = 200

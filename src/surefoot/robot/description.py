@@ -21,7 +21,7 @@ from surefoot.configuration import from_mapping, read_toml
 from surefoot.errors import SurefootError, check_name, choices, prefix_errors, quote, suggest
 from surefoot.robot.actuator import ActuatorData, DcMotorData, nominal_params, read_actuator
 from surefoot.robot.appearance import Appearance
-from surefoot.robot.archive import SHEET, pack_robot
+from surefoot.robot.archive import SHEET, pack_robot, unpack_robot
 from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PARAMETERS
@@ -78,6 +78,11 @@ class RobotDescription:
     def find_folder(cls, robot: str | Path) -> Path:
         """Return the folder of a robot that ships, by name, or the path itself."""
         return _HERE / str(robot) if str(robot) in cls.available() else Path(robot)
+
+    @classmethod
+    def resolve(cls, robot: str, folder: Path) -> str:
+        """Return what a file in a folder calls a robot so that `load` takes it: paths count from the folder."""
+        return robot if robot in cls.available() else str((folder / robot).resolve())
 
     @classmethod
     def load(cls, robot: str | Path) -> RobotDescription:
@@ -310,6 +315,19 @@ class RobotDescription:
         if bad.size:
             allowed = f"{self.name} allows {low:g} to {high:g} (unit: {PARAMETERS[name].unit})"
             raise SurefootError(f"{source}{name} is {bad.flat[0]:g}; {allowed}")
+
+
+def carried_robot(archive: bytes, name: object) -> RobotDescription:
+    """Return the robot that a file of a run carries, else the one of the name in the file, which must ship.
+
+    Raises:
+        SurefootError: neither is there, or the robot is invalid.
+    """
+    if archive:
+        return RobotDescription.load(unpack_robot(archive))
+    if not isinstance(name, str) or name not in RobotDescription.available():
+        raise SurefootError(f"is of robot {quote(name)}, which does not ship; give its folder with --robot")
+    return RobotDescription.load(name)
 
 
 def _place_joints(urdf: Urdf, base: str, legs: Sequence[Leg]) -> tuple[Array, Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -76,9 +77,14 @@ class HandcraftedGait:
         return RaibertController(robot, reference, self.raibert, self.task.observations, self.task.history)
 
     def save(self, path: Path) -> None:
-        """Write a file of the task, without defaults, that `surefoot train` takes too."""
+        """Write a file of the task, without defaults, that `surefoot train` takes too.
+
+        The path of a robot's folder counts from the file's, so that both can be moved together.
+        """
         data, default = to_mapping(self.task), to_mapping(TaskConfig())
         task = {name: value for name, value in data.items() if value != default[name]}
+        if "robot" in task and not RobotDescription.load(self.task.robot).ships:
+            task["robot"] = os.path.relpath(Path(self.task.robot).resolve(), path.resolve().parent)
         task["reference"] = {"kind": "foot", "foot": data["reference"]["foot"]}
         gains = None if self.raibert is None else to_mapping(self.raibert)
         atomic_write(path, yaml.safe_dump({**task, KEY: {"raibert": gains, "about": self.about}}, sort_keys=False))

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -131,13 +132,18 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
     """
     content = load_content()
     missing: list[str] = []
-    parts = [f"<h1>{escape(content.title)}</h1>", f"<p>{escape(content.about)}</p>", "<h2>Main differences</h2>"]
+    parts = [
+        f"<h1>{escape(content.title)}</h1>",
+        f"<p>{escape(content.about)}</p>",
+    ]
+    parts.append(_contents([section.title for section in content.sections]))
+    parts.append("<h2>Main differences</h2>")
     if note:
         parts.insert(2, f"<p><b>{escape(note)}</b></p>")
     parts += ["<ul>", *(f"<li>{escape(text)}</li>" for text in content.differences), "</ul>"]
     parts += _all_differences(root)
-    for section in content.sections:
-        parts += [f"<h2>{escape(section.title)}</h2>", f"<p><b>Paper:</b> {escape(section.paper)}</p>"]
+    for number, section in enumerate(content.sections, start=1):
+        parts += [f'<h2 id="s{number}">{escape(section.title)}</h2>', f"<p><b>Paper:</b> {escape(section.paper)}</p>"]
         if section.surefoot:
             parts.append(f"<p><b>surefoot:</b> {escape(section.surefoot)}</p>")
         if section.items:
@@ -161,6 +167,12 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
     path.parent.mkdir(parents=True, exist_ok=True)
     atomic_write(path, page(content.title, parts))
     return list(dict.fromkeys(missing))
+
+
+def _contents(titles: Sequence[str]) -> str:
+    """Return the list of contents: links to the sections."""
+    links = (f'<li><a href="#s{number}">{escape(title)}</a></li>' for number, title in enumerate(titles, start=1))
+    return f"<nav aria-label=Contents><ul>{''.join(links)}</ul></nav>"
 
 
 def _line(root: Path, item: PaperItem, missing: list[str]) -> tuple[str, ...]:
@@ -268,7 +280,15 @@ def _all_differences(root: Path) -> list[str]:
     path = root / "docs" / "paper.md"
     if not path.is_file():
         return []
-    lines = [line.strip("|").split("|") for line in path.read_text(encoding="utf-8").splitlines() if line[:2] == "| "]
+    heads: list[str] = []
+
+    def join(match: re.Match[str]) -> str:
+        heads.append(match[2])
+        return f"| **{match[1]}** | | | |\n"
+
+    # Every section's table has a head of its own; here the sections are rows of one table.
+    text = re.sub(r"^## (.+)\n\n(\| .*)\n", join, path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    lines = [line.strip("|").split("|") for line in [*heads[:1], *text.splitlines()] if line[:2] == "| "]
     cells = [[_inline(cell.strip()) for cell in line] for line in lines]
     rows = row(cells[0], "hhhh", "th") + "".join(row(line, "hhhh") for line in cells[1:] if len(line) == 4)
     return [f"<details><summary>Every difference</summary><table>{rows}</table></details>"]

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from surefoot.configuration import Seed, Within, from_mapping, read_yaml
 from surefoot.errors import SurefootError, check_name, choices, prefix_errors, suggest
 from surefoot.learn.config import TrainConfig
+from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import resolve_table
 from surefoot.studies.training import Training, base_config
 from surefoot.task.config import preset_names
@@ -124,12 +125,15 @@ def load_study(path: Path) -> StudyConfig:
 
 
 def _with_paths(train: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return settings with named tables of ranges as their rows, and with files of references by their whole path."""
+    """Return settings with named tables of ranges as their rows, and robots and files of references by whole paths."""
     task = train.get("task")
     if not isinstance(task, Mapping):
         return train
     # A named table of ranges replaces every range there was.
+    robot = task.get("robot")
     task = resolve_table(dict(task), folder)
+    if isinstance(robot, str):
+        task["robot"] = RobotDescription.resolve(robot, folder)
     reference = task.get("reference")
     if isinstance(reference, Mapping) and isinstance(reference.get("file"), str):
         task["reference"] = {**reference, "file": str((folder / reference["file"]).resolve())}

@@ -59,7 +59,7 @@ class TaskConfig:
     name: str = "gait"
     """Name of the task; run folders carry it."""
     robot: NoOption[str] = DEFAULT_ROBOT
-    """Name of a robot that ships with surefoot, or the path of a robot's folder."""
+    """Name of a robot that ships with surefoot, or the path of a robot's folder; in a file from the file's folder."""
     observations: tuple[str, ...] = IMU_AND_MOTORS_12D
     """Parts of the observation, in order."""
     history: Annotated[int, Within(1, 100)] = 1
@@ -180,6 +180,8 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
     data.pop("handcrafted", None)  # Belongs to `HandcraftedGait`, whose task this is.
     if robot is not None or path.parent == _PRESETS:
         data["robot"] = robot or DEFAULT_ROBOT
+    elif isinstance(data.get("robot"), str):
+        data["robot"] = RobotDescription.resolve(data["robot"], path.parent)
     with prefix_errors(path):
         config = from_mapping(
             TaskConfig, {"name": path.stem, **resolve_table(data, path.parent, data.get("robot", DEFAULT_ROBOT))}

@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.configuration import Within, from_mapping, to_mapping
-from surefoot.errors import SurefootError, choices, prefix_errors, quote
-from surefoot.npz import pop_meta, read_npz, write_npz
-from surefoot.robot import RobotDescription
-from surefoot.robot.archive import unpack_robot
+from surefoot.errors import SurefootError, choices, prefix_errors
+from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
+from surefoot.robot import ROBOT, RobotDescription, carried_robot
 
 ENERGY_WEIGHT = 0.008  # w of the paper's reward, the same in all its experiments
 
@@ -61,8 +60,6 @@ LOG = "log"
 time of their row, readings are taken right after, times may repeat, and everything but time and target may be NaN."""
 _OPTIONAL = ("command", "push_force_world", "reward", "motor_saturation")
 """Arrays that are not in the file where all is NaN."""
-_ROBOT = "robot"
-"""Array of bytes in the file of a trace that carries its robot."""
 _NO_ARRAYS = {"meta", "robot_archive"}
 # Arrays that may be NaN: a robot without motion capture or foot switches does not measure them.
 _MAY_BE_NAN = frozenset(
@@ -185,9 +182,7 @@ class EpisodeTrace:
         for name in _OPTIONAL:
             if np.isnan(arrays[name]).all():
                 del arrays[name]
-        if self.robot_archive:
-            arrays[_ROBOT] = np.frombuffer(self.robot_archive, np.uint8)
-        write_npz(path, arrays, self.meta)
+        write_npz(path, arrays | pack_bytes(ROBOT, self.robot_archive), self.meta)
         return path
 
     @classmethod
@@ -202,12 +197,10 @@ class EpisodeTrace:
                 meta = _checked_meta(meta)  # Another schema may have other arrays.
             except RecursionError:
                 raise SurefootError("not an episode trace: its meta is nested too deep") from None
-            robot = arrays.pop(_ROBOT, np.empty(0, np.uint8))
-            if robot.dtype != np.uint8 or robot.ndim != 1:
-                raise SurefootError(f"not an episode trace: {_ROBOT} must hold bytes")
+            archive = pop_bytes(arrays, ROBOT)
             if odd := {f.name for f in fields(cls)} - _NO_ARRAYS ^ {*arrays, *_OPTIONAL}:
                 raise SurefootError(f"not an episode trace: missing or unknown {choices(sorted(odd))}")
-            return cls(meta=meta, robot_archive=robot.tobytes(), **arrays)
+            return cls(meta=meta, robot_archive=archive, **arrays)
 
     def load_robot(self) -> RobotDescription:
         """Return the robot that the trace carries, else the one of its name that ships.
@@ -215,12 +208,7 @@ class EpisodeTrace:
         Raises:
             SurefootError: neither is there, or the robot is invalid.
         """
-        if self.robot_archive:
-            return RobotDescription.load(unpack_robot(self.robot_archive))
-        name = str(self.meta["robot"])
-        if name not in RobotDescription.available():
-            raise SurefootError(f"is of robot {quote(name)}, which does not ship; give its folder with --robot")
-        return RobotDescription.load(name)
+        return carried_robot(self.robot_archive, self.meta["robot"])
 
 
 def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:

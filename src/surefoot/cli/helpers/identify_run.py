@@ -26,7 +26,7 @@ from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import Plan
 from surefoot.identify.recording import Recording
-from surefoot.robot import DEFAULT_ROBOT, RobotDescription
+from surefoot.robot import RobotDescription
 
 PLACES = {True: "hang free, its legs in the air", False: "sit on flat ground with a metre of room"}
 """Where the robot must be, by whether it is an experiment for the rack."""
@@ -52,8 +52,8 @@ class ExperimentCommand(LinkOptions):
     record_only: bool = False
     """Record and do not fit; needs the bare install only."""
     yes: Yes = False
-    robot: str = DEFAULT_ROBOT
-    """Name or folder of the robot's description."""
+    robot: str | None = None
+    """Name or folder of the robot's description; the recording's, or else minitaur, if not given."""
     json: Json = False
 
 

@@ -53,7 +53,7 @@ Ray = Annotated[
 World = Annotated[str, tyro.conf.arg(help=f"Where to run: {choices(WORLDS)}.")]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object.")]
 RobotName = Annotated[
-    str | None, tyro.conf.arg(help="Name or folder of the robot; the one of the policy's task, if not given.")
+    str | None, tyro.conf.arg(help="Name or folder of the robot; the one of the policy or trace, if not given.")
 ]
 PluginNames = Annotated[
     tuple[str, ...],

@@ -26,6 +26,8 @@ from surefoot.world.ground import FLAT
 if TYPE_CHECKING:
     from surefoot.emulator.plant import Plant
 
+_LEAST_AREA = 1e-9
+"""Area [m2] of a mesh below which it is not shown: MuJoCo refuses meshes without any, or of fewer than 4 points."""
 _PERIOD = 33_000
 """Time between two poses of an emulated robot [us]."""
 _BASE = 7
@@ -46,6 +48,10 @@ def build_stage(appearance: Appearance) -> mujoco.MjModel:
     links = dict.fromkeys(part.link for part in appearance.parts)
     bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in links}
     for number, (link, color, points, faces) in enumerate(link_meshes(appearance)):
+        corners = points[faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+        if len(points) < 4 or area < _LEAST_AREA:
+            continue
         mesh = spec.add_mesh(name=f"mesh{number}", uservert=points.ravel(), userface=faces.ravel())
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # open surfaces have no volume
         rgba = [*(channel / 255 for channel in color), 1]

@@ -228,7 +228,8 @@ def paint_faces(
                 for column in range(j * parts, (j + 1) * parts):
                     f = face_at[row, column]
                     if f >= 0:
-                        if f != last:
+                        # Of neighbours in a pixel, every other one is lit by itself.
+                        if f != last and (count == 0 or (row + column) % 2 == 0):
                             color = _color(column + 0.5, row + 0.5, f, surface, eye, rays, light)
                             last = f
                         red, green, blue, count = red + color[0], green + color[1], blue + color[2], count + 1

@@ -23,8 +23,8 @@ TILE = 0.25
 """Side of a square of the ground [m]."""
 _PARTS = 2
 """Parts of a pixel along each side in which edges are drawn."""
-_FAR = 6.0
-"""Distance from the camera at which squares have faded out [m]."""
+_FAR, _HAZY = 11.0, 13.0
+"""Distances from the camera at which squares have faded out, and over which haze grows, over the camera's height."""
 _NEAR = 0.1
 """What is nearer to the camera is not drawn [m]."""
 _TO_SUN = np.array([0.24, -0.44, 0.86]) / np.linalg.norm([0.24, -0.44, 0.86])
@@ -107,8 +107,10 @@ def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
     pixels, depth = view.project(points)
     seen = depth > _NEAR
     if seen.any():
-        low = np.clip(np.floor(pixels[seen].min(axis=0)).astype(int), 0, [view.width, view.height])
-        high = np.clip(np.ceil(pixels[seen].max(axis=0)).astype(int), low, [view.width, view.height])
+        x, y = pixels[seen].T.copy()
+        size = np.array([view.width, view.height])
+        low = np.clip(np.floor([x.min(), y.min()]).astype(int), 0, size)
+        high = np.clip(np.ceil([x.max(), y.max()]).astype(int), low, size)
         columns, rows = _PARTS * (high - low)
         nearest, face_at = np.zeros((rows, columns), np.float32), np.full((rows, columns), -1, np.int32)
         flat = np.column_stack([_PARTS * (pixels - low), np.where(seen, 1.0 / np.maximum(depth, _NEAR), 0.0)])
@@ -122,16 +124,19 @@ def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
 def _light(mesh: Mesh, points: Array) -> Light:
     """Return the sun with the shadow of a mesh with points (P, 3) in the world."""
     height = points[:, 2] - _LEVEL
-    places = points[:, :2] - np.outer(height / _TO_SUN[2], _TO_SUN[:2])
-    span = float(np.ptp(places, axis=0).max())
+    slant = height / _TO_SUN[2]
+    # Columns by themselves: numpy finds the least and greatest of each far faster.
+    x, y = points[:, 0] - _TO_SUN[0] * slant, points[:, 1] - _TO_SUN[1] * slant
+    low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
+    span = float((high - low).max())
     texel = max(span, 0.01) / _TEXELS
     # Soft edges reach beyond the shadow.
     margin = 0.08 * span
-    low = places.min(axis=0) - margin
-    columns, rows = np.ceil((np.ptp(places, axis=0) + 2 * margin) / texel).astype(int) + 2
+    low = low - margin
+    columns, rows = np.ceil((high + margin - low) / texel).astype(int) + 2
     occluder, face_at = np.zeros((rows, columns), np.float32), np.full((rows, columns), -1, np.int32)
-    flat = np.column_stack([(places - low) / texel, np.maximum(height, 1e-6)]).astype(np.float32)
-    rasterize(flat, mesh.faces, occluder, face_at)
+    flat = np.column_stack([(x - low[0]) / texel, (y - low[1]) / texel, np.maximum(height, 1e-6)])
+    rasterize(flat.astype(np.float32), mesh.faces, occluder, face_at)
     shadow = _soften(occluder, texel)
     return Light(_TO_SUN.astype(np.float32), occluder, shadow, low.astype(np.float32), texel)
 
@@ -172,8 +177,8 @@ def _backdrop(
     place = (distance / length)[..., None] * rays[..., :2]
     # How far a pixel reaches: along its row and its column, as the ground's places differ there.
     reach = np.maximum(*(np.abs(np.gradient(place, axis=k)) for k in (0, 1))) if len(rays) > 1 else place * 0 + 1.0
-    haze = 1.0 - np.exp(-((distance / 7.0) ** 1.5))
+    haze = 1.0 - np.exp(-((distance / (_HAZY * above)) ** 1.5))
     color = 255.0 * (_GROUND + haze[..., None] * (_HAZE - _GROUND))
-    dark = _DARK * np.clip(1.0 - distance / _FAR, 0.0, 1.0) ** 0.8
+    dark = _DARK * np.clip(1.0 - distance / (_FAR * above), 0.0, 1.0) ** 0.8
     ground = np.concatenate([place, np.maximum(reach, 1e-4), color, dark[..., None]], axis=-1)
     return (255.0 * sky).astype(np.uint8), np.ascontiguousarray(ground, np.float32)

@@ -63,7 +63,7 @@ def render_video(
         place = np.array([np.interp(now, track_times, part) for part in track.T])
         aim = np.array([*place, FLAT.level(place) + camera.height])
         picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, aim, size))
-        _write(picture, overlay[int(np.abs(times - now).argmin())])
+        write_label(picture, overlay[int(np.abs(times - now).argmin())])
         content: bytes = picture.tobytes()
         return content
 
@@ -113,7 +113,7 @@ def interpolate_poses(times: Array, poses: Array, now: float) -> Array:
     return pose
 
 
-def _write(picture: Image.Image, text: str) -> None:
+def write_label(picture: Image.Image, text: str) -> None:
     """Write lines of text on a light panel at the top left."""
     if not text:
         return
