@@ -28,7 +28,7 @@ MAX_MESH_BYTES = 100_000_000
 _MAX_COORDINATE = 1e6
 _MIN_TRIANGLES = 24
 """What decimation leaves of the smallest parts."""
-_TOLERANCE = 0.004
+_TOLERANCE = 0.01
 """How far decimation may move a surface, in sizes of the largest one."""
 _FEW_TRIANGLES = 500
 """Triangles that are not worth a search for hidden ones."""

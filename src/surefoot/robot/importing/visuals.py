@@ -90,7 +90,7 @@ def read_urdf_visuals(
                 problems.append(str(error).removeprefix(f"{path}: "))
                 continue
             visuals += [Visual(name, surface, frame, surface.color or (red, green, blue)) for surface in surfaces]
-    _note(problems, notes)
+    note_problems("not drawn", problems, notes)
     return visuals
 
 
@@ -112,7 +112,7 @@ def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:
                         check_readable(file, MAX_MESH_BYTES)
             model = spec.compile()
     except SurefootError as error:
-        _note([str(error).removeprefix(f"{path}: ")], notes)
+        note_problems("not drawn", [str(error).removeprefix(f"{path}: ")], notes)
         return []
     part, mesh_geoms = model.body_weldid[model.geom_bodyid], model.geom_type == mjtGeom.mjGEOM_MESH
     shown = model.geom_group < _SHOWN_GROUPS
@@ -169,8 +169,8 @@ def _geom_rgba(model: mujoco.MjModel, geom: int) -> Array:
     return rgba
 
 
-def _note(problems: Iterable[str], notes: list[str]) -> None:
-    """Add one note about what is not drawn."""
+def note_problems(consequence: str, problems: Iterable[str], notes: list[str]) -> None:
+    """Add one note about problems that were met, the first of them in full."""
     if messages := list(dict.fromkeys(problems)):
-        more = f"; and {len(messages) - 1} more" if len(messages) > 1 else ""
-        notes.append(f"not drawn: {messages[0]}{more}")
+        more = f" (and {len(messages) - 1} more)" if len(messages) > 1 else ""
+        notes.append(f"{consequence}: {messages[0]}{more}")
