@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +16,8 @@ pytest.importorskip("viser")
 
 import surefoot
 from surefoot.api import facade
+from surefoot.api.drive_page import DrivePage
+from surefoot.api.extras import describe_missing
 from surefoot.evaluation.runs import summarize
 
 
@@ -98,3 +102,44 @@ def test_errors_are_one_line(call, message: str):
         call()
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_drive_runs_the_robot_that_a_policy_was_loaded_with(tmp_path: Path):
+    own = tmp_path / "mine"
+    shutil.copytree(surefoot.robots()["minitaur"].folder, own)
+    policy = surefoot.load("trot", robot=own)
+    with surefoot.drive(policy) as drive:
+        assert drive.page.robot.robot.folder == own
+
+
+def test_settings_change_a_reward_and_an_interrupted_training_is_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    training = pytest.importorskip("surefoot.api.training")
+    run_folder = pytest.importorskip("surefoot.learn.run_folder")
+    monkeypatch.setattr(
+        training.TrainingProgress, "report", lambda self, figures, evaluation: signal.raise_signal(signal.SIGINT)
+    )
+    small = {"num_envs": 4, "steps_per_update": 32, "evaluation_episodes": 1, "threads": 1}
+    settings = small | {"task": {"max_steps": 30, "reward": {"energy": -0.004}}}
+    with pytest.raises(KeyboardInterrupt):
+        surefoot.train("trot", steps=100_000, settings=settings, runs=tmp_path, figures=False)
+    (path,) = tmp_path.glob("trot/*")
+    folder, config = run_folder.RunFolder.open(path)
+    assert config.task.reward == {"progress": 1.0, "energy": -0.004}
+    assert folder.load()["steps"] == 128
+    assert surefoot.load(path).name == "trot"
+
+
+def test_a_page_runs_on_when_its_policy_is_moved(tmp_path: Path):
+    shutil.copy(surefoot.load("trot").path, tmp_path / "own.onnx")
+    page = DrivePage(str(tmp_path / "own.onnx"), "mujoco")
+    (tmp_path / "own.onnx").rename(tmp_path / "moved.onnx")
+    before = page.policies
+    assert not page._list_policies()
+    assert page.policies == before
+
+
+def test_packages_that_read_meshes_are_of_an_extra():
+    for name in ("trimesh", "collada", "fast_simplification"):
+        assert str(describe_missing(ModuleNotFoundError(name=name))).endswith("pip install 'surefoot[sim]'")

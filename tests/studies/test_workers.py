@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("torch")
 
+from surefoot.learn.run_config import copied_files, write_run_config
+from surefoot.robot import RobotDescription
 from surefoot.studies.training import Training, base_config
 from surefoot.studies.workers import _FILES, ProgressReport, _store_files
 
@@ -26,3 +31,33 @@ def test_files_of_a_computer_that_shares_no_folder_are_kept_and_the_policy_comes
     training.policy.write_text("the worker's own")
     _store_files(training, ProgressReport(1, finished=True, files=files))
     assert training.policy.read_text() == "the worker's own"
+
+
+def test_a_run_that_was_resumed_on_its_own_and_stopped_is_not_finished(tmp_path: Path):
+    training = Training("small", replace(base_config("trot"), steps=1000), tmp_path)
+    (tmp_path / "checkpoints").mkdir()
+    for name in ("policy.onnx", "checkpoints/latest.ckpt"):
+        (tmp_path / name).touch()
+    write_run_config(training.config, tmp_path)
+    for steps, state in ((999, "started"), (1024, "finished")):
+        (tmp_path / "figures.jsonl").write_text(json.dumps({"steps": steps}) + "\n")
+        assert training.state == state
+    # A pruned trial ends early.
+    (tmp_path / "figures.jsonl").write_text(json.dumps({"steps": 999}) + "\n")
+    assert replace(training, trial=True).state == "finished"
+
+
+def test_a_run_comes_back_with_its_copy_of_an_own_robot(tmp_path: Path):
+    shutil.copytree(RobotDescription.find_folder("solo8"), tmp_path / "mine")
+    base = base_config("trot")
+    config = replace(base, task=replace(base.task, robot=str(tmp_path / "mine")))
+    there, here = tmp_path / "there", Training("small", config, tmp_path / "here")
+    there.mkdir()
+    write_run_config(config, there)
+    for name in _FILES[1:]:
+        (there / name).touch()
+    names = (*_FILES, *copied_files(there))
+    assert {"robot/robot.toml", "robot/solo8.urdf"} <= {*names}
+    _store_files(here, ProgressReport(1, finished=True, files={name: (there / name).read_bytes() for name in names}))
+    assert here.stored().task.robot == str(tmp_path / "here" / "robot")
+    here.check()

@@ -149,6 +149,12 @@ def test_a_file_that_is_no_plugin_is_refused_and_leaves_nothing(write, text: str
     assert registered_plugins() == []
 
 
+def test_an_empty_file_is_no_plugin(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").touch()
+    with pytest.raises(SurefootError, match=r"mine\.py: registers no reward term and no observation"):
+        load_plugins([tmp_path / "mine.py"])
+
+
 def test_names_of_two_plugins_must_differ(write) -> None:
     write(CONSTANT)
     with pytest.raises(SurefootError, match=r"other\.py, line \d+: reward term 'constant': .*mine\.py has one"):

@@ -117,7 +117,10 @@ class DrivePage:
     def _list_policies(self) -> bool:
         """Look for policies of the robot; return whether there are others than before."""
         before = getattr(self, "policies", None)
-        self.policies, self._listed = list_policies(self._first, self.robot.robot.name), time.monotonic()
+        self._listed = time.monotonic()
+        # The robot runs on where a policy's folder has been moved or removed.
+        with contextlib.suppress(SurefootError) if before else contextlib.nullcontext():
+            self.policies = list_policies(self._first, self.robot.robot.name)
         return self.policies != before
 
     def _load(self, policy: str, world: str) -> tuple[DrivenRobot, str]:

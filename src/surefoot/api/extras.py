@@ -12,7 +12,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _EXTRAS = {
-    "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas"),
+    "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas", "trimesh", "collada", "fast_simplification"),
     "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
     "report": ("matplotlib", "imageio_ffmpeg", "PIL"),
     "search": ("optuna", "ray", "grpc"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+import threading
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
@@ -51,8 +52,8 @@ def train(
 ) -> Run:
     """Train a policy, as `surefoot train` does, with a progress display.
 
-    The run folder is printed first. If the training is interrupted, the folder holds the newest policy, and
-    `surefoot train --resume` goes on.
+    The run folder is printed first. Ctrl-C, or an interrupt of a notebook's kernel, stops after the present update with
+    a `KeyboardInterrupt`: the folder holds the newest policy then, and `surefoot train --resume` goes on.
 
     Args:
         task: name of a task, such as "trot", or a YAML file.
@@ -60,7 +61,7 @@ def train(
         steps: control steps of all robots together; the task's, if None.
         seed: the one seed of the run; the task's, if None. The same seed gives the same policy.
         world: name of the world, such as "mujoco" or "bullet"; the task's, if None.
-        settings: further settings as a task's file nests them, for example
+        settings: further settings as a task's file nests them, over the task's own, for example
             `{"num_envs": 64, "ppo": {"gamma": 0.98}, "task": {"reward": {"energy": -0.004}}}`.
         runs: folder for run folders.
         figures: evaluate the policy at the end, and write a table, figures and a video to the run folder.
@@ -79,23 +80,37 @@ def train(
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
     from surefoot.robot.randomization import resolve_table
+    from surefoot.stop_signals import StopSignals
     from surefoot.world.registry import find_world
 
     base = load_train_config(str(task), None if robot is None else str(robot))
     chosen = {name: value for name, value in (("steps", steps), ("seed", seed), ("world", world)) if value is not None}
     data = {**(settings or {}), **chosen}
     if isinstance(changes := data.get("task"), Mapping):
-        data["task"] = resolve_table(dict(changes), robot=base.task.robot)
+        changes = resolve_table(dict(changes), robot=base.task.robot)
+        for name in ("reward", "reward_limits", "params"):  # as a task's file over its base
+            if isinstance(table := changes.get(name), Mapping):
+                changes[name] = {**getattr(base.task, name), **table}
+        data["task"] = changes
     config = from_mapping(TrainConfig, data, base=base)
     check_config(config)
     # The configuration in the folder names copies, which stay where they are.
     folder, config = RunFolder.open(RunFolder.create(config, Path(runs)).path)
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, soft_wrap=True, markup=False)
     console.print(f"Training {config.task.name} in {folder.path}")
+
+    def stop(count: int) -> None:
+        if count > 1:
+            raise KeyboardInterrupt
+
+    # Only the main thread has signals.
+    signals = ("SIGINT",) if threading.current_thread() is threading.main_thread() else ()
     with folder_lock(folder.path):
         loop = TrainingLoop(config, folder, find_world(config.world))
-        with TrainingProgress(config, console) as progress:
-            loop.run(progress.report)
+        with TrainingProgress(config, console) as progress, StopSignals(signals, stop) as stops:
+            loop.run(progress.report, lambda: stops.count > 0)
+        if not loop.finished:
+            raise KeyboardInterrupt
         if not figures:
             loop.export(folder.policy)
             return Run(folder.path, {})
@@ -228,7 +243,7 @@ def drive(
 
     loaded = load(policy, robot=robot)
     name = policy if isinstance(policy, str) else str(loaded.path)
-    return Drive(DrivePage(name, world, None if robot is None else str(robot)), host, port)
+    return Drive(DrivePage(name, world, loaded.robot.location), host, port)
 
 
 @report_missing_extras

@@ -146,6 +146,8 @@ class Drive:
         from surefoot.report.pages.server import PageServer
         from surefoot.report.pages.view import RobotView
 
+        self.page = page
+        """The simulation behind it."""
         self._view = RobotView()
         try:
             self._server = PageServer(host, port, self._view.port, in_notebook=True)

@@ -44,7 +44,7 @@ def main(argv: list[str]) -> int:
     if not argv or argv[0] in ("-h", "--help"):
         print(_USAGE.format(tasks=choices(preset_names()), ranges=ranges_help()))
         return 0 if argv else 2
-    if argv[0] == "--resume":
+    if argv[0].partition("=")[0] == "--resume":
         resume = parse(ResumeCommand, argv, "surefoot train")
         return _resume(resume)
     if argv[0].startswith("-"):
@@ -140,12 +140,13 @@ def _resume(command: ResumeCommand) -> int:
     from surefoot.learn.run_folder import RunFolder
 
     folder, _ = RunFolder.open(command.resume)
+    options = command.page, command.logger_name
     if command.steps is not None:
         with folder_lock(folder.path):
             if command.steps <= (done := folder.load()["steps"]):
                 raise SurefootError(f"steps is {command.steps}, and {folder.path} has done {done}; give more")
             set_steps(folder.path, command.steps)
-    return _train(folder, True, command.page, command.logger_name)
+    return _train(folder, True, *options)
 
 
 def _print_next_commands(console: Console, folder: RunFolder) -> None:

@@ -53,6 +53,12 @@ def read_run_config(folder: Path) -> TrainConfig:
     return replace(config, task=task)
 
 
+def copied_files(folder: Path) -> list[str]:
+    """Return the names of the copies in a run's folder."""
+    paths = [path for pattern in (f"{ROBOT}/**/*", f"{_TABLE}.*") for path in folder.glob(pattern) if path.is_file()]
+    return sorted(path.relative_to(folder).as_posix() for path in paths)
+
+
 def set_steps(folder: Path, steps: int) -> None:
     """Write another number of control steps into a run's configuration; all else stays as it is."""
     write_yaml(folder / _CONFIG, replace(_read(folder), steps=steps))

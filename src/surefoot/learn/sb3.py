@@ -121,6 +121,7 @@ class Actor(nn.Module):
             scale = np.sqrt(statistics.var + normalizer.epsilon)
             self.register_buffer("mean", torch.tensor(statistics.mean, dtype=torch.float32))
             self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
+            self.to(model.device)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Return the actions, which may lie outside of [-1, 1]."""

@@ -55,9 +55,13 @@ class Training:
     @property
     def state(self) -> State:
         """State of the run, from its files alone."""
-        if self.policy.exists():
-            return "finished"
-        return "started" if (self.path / "checkpoints" / "latest.ckpt").exists() else "new"
+        has_checkpoint = (self.path / "checkpoints" / "latest.ckpt").exists()
+        if not self.policy.exists():
+            return "started" if has_checkpoint else "new"
+        # A run that `surefoot train --resume` went on with and that was stopped has a policy too.
+        rows = self.rows() if has_checkpoint and not self.trial else []
+        is_short = bool(rows) and rows[-1]["steps"] < self.config.steps and rows[-1]["steps"] < self.stored().steps
+        return "started" if is_short else "finished"
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the figures of its updates; a last line that was cut off is left out."""

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from surefoot.errors import SurefootError, describe_os_errors
+from surefoot.learn.run_config import copied_files
 from surefoot.studies.training import Training
 from surefoot.task.plugins import Plugin, register_plugin, registered_plugins
 
@@ -36,7 +37,8 @@ _REPORT_PERIOD = 1.0
 _CONNECT_TIMEOUT = 5.0
 """How long [s] a cluster may take to answer."""
 _FILES = ("config.yaml", "run.json", "figures.jsonl", "policy.onnx")
-"""Files that a computer without the shared folder sends back; the policy, which marks the end, comes last."""
+"""Files that a computer without the shared folder sends back beside the copies of robot and table; the policy, which
+marks the end, comes last."""
 _SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # no warning about graphics cards
@@ -148,7 +150,8 @@ class Worker:
         if self._training.trial:
             shutil.rmtree(folder.checkpoints, ignore_errors=True)
         self._lock.close()
-        files = {name: (folder.path / name).read_bytes() for name in _FILES}
+        names = (*_FILES, *copied_files(folder.path))
+        files = {name: (folder.path / name).read_bytes() for name in names}
         return ProgressReport(folder.rows()[-1]["steps"], None, tuple(folder.evaluations()), True, files)
 
 
@@ -329,6 +332,6 @@ def _store_files(training: Training, report: ProgressReport) -> None:
     """Write the files from a computer that does not share the folder."""
     if training.policy.exists():
         return
-    training.path.mkdir(parents=True, exist_ok=True)
-    for name in _FILES:
+    for name in sorted({*report.files, *_FILES}, key=lambda name: (name == _FILES[-1], name)):
+        (training.path / name).parent.mkdir(parents=True, exist_ok=True)
         (training.path / name).write_bytes(report.files[name])

@@ -253,7 +253,7 @@ def _remove(plugin: Plugin) -> None:
 
 
 def _execute(plugin: Plugin) -> None:
-    if not plugin.source:
+    if not plugin.path.endswith(".py"):
         entry = _entry_point(plugin.name)
         sys.modules.pop(entry.module, None)
         entry.load()

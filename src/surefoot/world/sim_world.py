@@ -239,8 +239,10 @@ class SimWorld:
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from `get_state`, exactly."""
         self.set_params(np.arange(self.num_envs), PhysicalParams(**state["params"]))
+        # States of version 0.6 lack the ticks at the limit, of which every control step begins with none.
+        arrays = {"limit_ticks": 0.0, **state["actuation"]}
         for name, array in self.actuation._asdict().items():
-            array[...] = state["actuation"][name]
+            array[...] = arrays[name]
         self.engine.set_state(np.arange(self.num_envs), state["engine"])
         self._control_steps[:] = state["control_steps"]
         self._noise[:] = state["noise"]
