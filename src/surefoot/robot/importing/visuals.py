@@ -84,8 +84,9 @@ def read_urdf_visuals(
                     surfaces = [Surface(*triangulate(shape.kind, shape.size))]
                 else:
                     continue
-                if np.linalg.det(frame) == 0.0:
-                    raise SurefootError(f"{where}: scale is 0")
+                if not 1e-15 < abs(np.linalg.det(frame)) < 1e15:
+                    size = mesh.get("scale") if mesh is not None else ""
+                    raise SurefootError(f"{where}: scale is {size}; nothing is left, or it is out of bounds")
             except SurefootError as error:
                 problems.append(str(error).removeprefix(f"{path}: "))
                 continue
