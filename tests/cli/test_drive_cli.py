@@ -31,8 +31,9 @@ from surefoot.cli import play
 from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
 from surefoot.evaluation.driven import DrivenStep
-from surefoot.report.pages.server import PageServer
+from surefoot.report.pages.server import PageServer, machine_addresses
 from surefoot.report.pages.view import RobotView
+from surefoot.task.trace import EpisodeTrace
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -192,6 +193,29 @@ def test_address_for_other_machines_holds_a_token():
         assert urllib.request.urlopen(server.address).status == 200
         with pytest.raises(urllib.error.HTTPError, match="404"):
             urllib.request.urlopen(f"http://127.0.0.1:{server.port}/")
+    finally:
+        server.stop()
+
+
+def test_all_addresses_of_the_machine_are_printed_as_others_can_open_them(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    entries = [
+        (socket.AF_INET, socket.SOCK_STREAM, 6, "", (name, 0)) for name in ("127.0.1.1", "192.0.2.7", "127.0.0.1")
+    ]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_: entries)
+    addresses = machine_addresses("0.0.0.0")
+    assert "192.0.2.7" in addresses
+    assert not any(address.startswith(("0.", "127.")) for address in addresses)
+    assert machine_addresses("10.0.0.3") == ["10.0.0.3"]
+    monkeypatch.undo()
+    server = PageServer("0.0.0.0", 0, 1)
+    try:
+        server.print_addresses()
+        lines = capsys.readouterr().out.splitlines()
+        assert [line.split()[0] for line in lines] == server.addresses
+        for address in server.addresses:
+            assert urllib.request.urlopen(address).status == 200
     finally:
         server.stop()
 
@@ -383,6 +407,72 @@ def test_second_tab_watches_until_the_first_is_closed(running: Running, page: Pa
     second.close()
     page.wait_for_function(f"!{watches}")
     running.until(lambda: running.server.tabs == 1)
+
+
+@in_browser
+def test_typed_command_holds_until_a_hand_steers_and_a_ghost_has_it_too(running: Running, page: Page):
+    page.locator("#c0").fill("0.4")
+    page.keyboard.press("Enter")
+    running.until(lambda: running.last.command[0] == 0.4)
+    page.locator("#ghost").select_option("go2-steer")
+    running.until(lambda: running.drive.ghost is not None)
+    ghost = running.drive.ghost
+    assert ghost is not None
+    page.wait_for_function("document.getElementById('other0').textContent !== '–'")
+    # Begun together, with the same policy, they are one robot: command, push and slider act on both.
+    page.evaluate("send({ push: [60, 90, .3], set: ['base_mass_ratio', 1.2] })")
+    rows = running.measure(0.5)
+    assert [row.command[0] for row in rows][-1] == 0.4
+    assert ghost.env.world.params.base_mass_ratio.tolist() == [1.2]
+    mine = {round(row.time, 6): row.position for row in list(running.drive.robot.rows)}
+    others = [row for row in list(ghost.rows) if round(row.time + running.drive._ghost_offset, 6) in mine]
+    assert len(others) > 20
+    for row in others:
+        assert row.position.tolist() == mine[round(row.time + running.drive._ghost_offset, 6)].tolist()
+    # The command is still there, and ends when a hand has steered.
+    page.locator("#ghost").select_option("")
+    running.until(lambda: running.drive.ghost is None)
+    assert running.drive.robot.commanded[0] == 0.4
+    page.evaluate("send({ set: ['base_mass_ratio', 1] })")
+    page.locator("#why").click()
+    page.keyboard.press("s")
+    running.until(lambda: running.drive.robot.commanded[0] == 0.0)
+    page.wait_for_function("document.getElementById('c0').value === '0.00'")
+
+
+@in_browser
+def test_recording_is_downloaded_as_trace_and_as_page(running: Running, page: Page, tmp_path: Path):
+    page.locator("#record").click()
+    running.until(lambda: running.drive.recordings.is_recording)
+    begin = running.drive.robot.steps
+    running.measure(0.3)
+    page.locator("#record").click()
+    with page.expect_download() as trace_file:
+        page.locator("#file-npz").click()
+    trace = EpisodeTrace.load(trace_file.value.path().rename(tmp_path / "trace.npz"))
+    assert 10 <= trace.num_steps <= running.drive.robot.steps - begin + 1
+    assert (trace.meta["policy"], trace.meta["world"], trace.meta["robot"]) == ("go2-steer", "mujoco", "go2")
+    with page.expect_download() as html_file:
+        page.locator("#make-html").click()
+    assert "go2 in mujoco" in html_file.value.path().read_text("utf-8")
+    assert {path.suffix for path in running.drive.recordings.folder.iterdir()} == {".npz", ".html"}
+    # It is of this origin, where its script could drive: no browser opens it there.
+    url = f"{running.server.address}files/{html_file.value.suggested_filename}"
+    assert urllib.request.urlopen(url).headers["Content-Disposition"].startswith("attachment")
+
+
+@in_browser
+def test_camera_follows_the_heading_until_it_is_dragged(running: Running, page: Page):
+    azimuth = "document.getElementById('view').contentWindow.__viserMutable.cameraControl.azimuthAngle"
+    page.locator("#camera-side").click()
+    page.wait_for_function(f"Math.abs(Math.sin({azimuth}) - 1) < .02")
+    page.locator("#camera-behind").click()
+    page.wait_for_function(f"Math.abs(Math.cos({azimuth}) - 1) < .02")
+    page.mouse.move(200, 90)
+    page.mouse.down()
+    page.mouse.move(260, 95)
+    page.mouse.up()
+    page.wait_for_function("document.querySelector('#camera [aria-pressed=true]').textContent === 'free'")
 
 
 @in_browser

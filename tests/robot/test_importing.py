@@ -12,7 +12,7 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, SerialLegs
-from surefoot.robot.importing.imported import LEGS, ImportedRobot
+from surefoot.robot.importing.imported import LEGS
 from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot
@@ -227,7 +227,6 @@ TWO_CHAINS = """<body name="b{n}" pos="{x} {y} 0"><joint name="m{n}a" axis="0 1 
 
 BAD = [
     ("dog.urdf", urdf(link("a", mass="") + link("b", mass="")), "no link has an <inertial> with a mass"),
-    ("dog.urdf", urdf(link("a", MESH)), "mesh 'package://r/trunk.stl' is not there"),
     ("dog.urdf", BOMB, "declares XML entities"),
     ("dog.urdf", "<robot", "is not well-formed XML in line 1, column 1: unclosed token"),
     ("dog.urdf", urdf(link("a")), "is an object or a scene: nothing in it turns on a hinge"),
@@ -312,13 +311,13 @@ def test_a_file_without_a_quadruped_is_refused_in_one_line(name: str, text: str,
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_mesh_can_be_left_out(tmp_path: Path) -> None:
+def test_a_missing_mesh_is_left_out_with_a_note(tmp_path: Path) -> None:
     text = SHIPPED["solo8"].urdf.path.read_text()
     text = text.replace('<link name="base">', f'<link name="base">{MESH}', 1)
     path = write(tmp_path, text, "solo.urdf")
-    with pytest.raises(SurefootError, match="leave out meshes"):
-        read_robot(path)
-    assert isinstance(read_robot(path, meshes=False), ImportedRobot)
+    missing = "shapes are left out: mesh 'package://r/trunk.stl' is not there; put it where the file names it"
+    assert missing in read_robot(path).notes
+    assert missing not in read_robot(path, meshes=False).notes
 
 
 def test_inertias_that_no_body_has_are_noted(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ class NewCommand:
     knees: Knees | None = None
     """Where knees point; by the knees' limits or a pose of the file, if not given."""
     meshes: bool = True
-    """Read meshes; without them the base is a box with its inertia."""
+    """Read meshes and colours; without them the base is a box with its inertia, and drawn are primitive shapes."""
 
 
 @dataclass(frozen=True)

@@ -123,6 +123,8 @@ class DrivenRobot:
 
     def __init__(self, policy: Policy, task: TaskConfig, world: str) -> None:
         pushes = replace(task.pushes, enabled=False)
+        # Every start is the same, so that robots that start together can be compared.
+        task = replace(task, start_linear_speed=0.0, start_angular_speed=0.0)
         task = replace(task, pushes=pushes, max_steps=_MAX_STEPS, randomize={})
         self._command = CommandGenerator(1)
         self.policy, self.world = policy, world

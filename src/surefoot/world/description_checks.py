@@ -29,6 +29,8 @@ MAX_STANDING_TORQUE = 0.6
 """Share of a motor's torque that standing may take: a trot stands on half of the legs."""
 MIRROR_TOLERANCE = 0.02
 """Share by which mirrored masses and lengths may differ."""
+FOOT_TOLERANCE = 0.05
+"""Share by which radii of feet may differ."""
 MAX_TILT = 0.2
 """Roll or pitch [rad] of a robot that stands."""
 MAX_SAG = 0.2
@@ -48,8 +50,7 @@ def run_description_checks(robot: RobotDescription) -> Iterator[CheckResult]:
     yield _check_masses(robot)
     yield _check_torque_limits(robot)
     yield _check_sides(robot)
-    radius = float(model.geom_size[foot_geoms(robot, model), 0].mean())
-    yield CheckResult("feet", True, f"{len(robot.legs)} spheres of {1e3 * radius:.0f} mm")
+    yield _check_feet(robot, model)
     yield from _check_stand(robot, model)
     frequencies, limits = _step_limits(robot, model)
     yield CheckResult("frequencies", True, frequencies, value=math.sqrt(GRAVITY / robot.leg_geometry.length) / math.tau)
@@ -103,6 +104,18 @@ def _check_sides(robot: RobotDescription) -> CheckResult:
     remedy = "correct the places of the hips and the masses of the legs, or go on if the robot is built so"
     message = rule if differing else "left and right are mirror images"
     return judge("left and right", not differing, message, "", remedy)
+
+
+def _check_feet(robot: RobotDescription, model: mujoco.MjModel) -> CheckResult:
+    """Compare the radii of the feet left to right and front to back."""
+    radii = model.geom_size[foot_geoms(robot, model), 0]
+    equal = bool(np.ptp(radii) <= FOOT_TOLERANCE * radii.max())
+    sizes = f"{1e3 * radii.mean():.3g} mm"
+    if not equal:
+        sizes = choices(f"{name} {1e3 * radius:.3g} mm" for name, radius in zip(robot.leg_names, radii, strict=True))
+    rule = f"; left and right, front and back may differ by {FOOT_TOLERANCE:.0%}"
+    remedy = "correct the radii of the feet's spheres in the URDF, or go on if the robot is built so"
+    return judge("feet", equal, f"{len(robot.legs)} spheres of {sizes}", rule, remedy, float(radii.mean()))
 
 
 def _check_stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[CheckResult]:

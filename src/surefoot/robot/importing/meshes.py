@@ -32,7 +32,7 @@ _MAX_INSTANCES = 2000
 """Placed copies of geometries in a COLLADA file."""
 _MIN_TRIANGLES = 24
 """What decimation leaves of the smallest parts."""
-_TOLERANCE = 0.004
+_TOLERANCE = 0.01
 """How far decimation may move a surface, in sizes of the largest one."""
 _FEW_TRIANGLES = 500
 """Triangles that are not worth a search for hidden ones."""

@@ -21,12 +21,19 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, Part
+from surefoot.robot.importing.foot import fit_sphere
 from surefoot.robot.importing.imported import ImportedRobot
-from surefoot.robot.importing.meshes import Color, Surface, merge_surfaces
+from surefoot.robot.importing.meshes import MAX_MESH_BYTES, Color, Surface, merge_surfaces
 from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
-from surefoot.robot.importing.visuals import Visual, decimate_visuals, read_mjcf_visuals, read_urdf_visuals
+from surefoot.robot.importing.visuals import (
+    Visual,
+    decimate_visuals,
+    note_problems,
+    read_mjcf_visuals,
+    read_urdf_visuals,
+)
 from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
 from surefoot.robot.urdf_file import attribute, read_inertia, read_number, read_xml
 
@@ -89,20 +96,26 @@ def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iter
 def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: list[str]) -> dict[str, float]:
     """Make a URDF ready for MuJoCo: no visuals, meshes by absolute path; return the joints' speed limits."""
     unreadable: set[str] = set()
+    problems: dict[str, None] = {}
     for link in root.findall("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
         for shape in link.findall("collision"):
             if (mesh := shape.find("geometry/mesh")) is None:
                 continue
-            file = _find_mesh(mesh.get("filename", ""), path) if meshes else None
-            if file is not None and file.suffix.lower() in _MESH_SUFFIXES:
+            try:
+                file = _find_mesh(mesh.get("filename", ""), path)
+            except SurefootError as error:
+                file = None
+                problems |= {str(error).removeprefix(f"{path}: "): None} if meshes else {}
+            if file is not None and meshes and file.suffix.lower() in _MESH_SUFFIXES:
                 mesh.set("filename", str(file))
             else:
                 link.remove(shape)
-                unreadable |= {file.name} if file else set()
+                unreadable |= {file.name} if file and meshes else set()
     if unreadable:
         notes.append(f"shapes that MuJoCo can't read are left out: {choices(sorted(unreadable))}")
+    note_problems("shapes are left out", problems, notes)
     for old in root.findall("mujoco"):
         root.remove(old)
     compiler = ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler")
@@ -147,11 +160,15 @@ def _find_mesh(name: str, path: Path) -> Path:
     parts = (inside, Path(*inside.parts[1:])) if len(inside.parts) > 1 else (inside,)
     for folder in path.resolve().parents[:6]:
         for part in parts:
-            if (folder / part).is_file():
-                return folder / part
-    raise SurefootError(
-        f"{path}: mesh '{name}' is not there; put it where the file names it, or leave out meshes (--no-meshes)"
-    )
+            if (file := folder / part).is_file():
+                if (size := file.stat().st_size) > MAX_MESH_BYTES:
+                    limit = f"at most {MAX_MESH_BYTES // 10**6} MB are read"
+                    raise SurefootError(f"{path}: mesh '{name}' has {size // 10**6} MB; {limit}")
+                return file
+    raise SurefootError(f"{path}: mesh '{name}' is not there; put it where the file names it")
+
+
+_SPHERE = "the last link's sphere"
 
 
 class _Foot(NamedTuple):
@@ -159,6 +176,15 @@ class _Foot(NamedTuple):
     radius: float
     source: str
     """How it was recognized."""
+
+
+def _pair_feet(feet: list[_Foot]) -> list[_Foot]:
+    """Return the feet, by `LEGS`, with one radius left and right where both are estimates."""
+    for left, right in ((0, 1), (2, 3)):
+        if _SPHERE not in (feet[left].source, feet[right].source):
+            radius = (feet[left].radius + feet[right].radius) / 2
+            feet[left], feet[right] = feet[left]._replace(radius=radius), feet[right]._replace(radius=radius)
+    return feet
 
 
 class _Reader:
@@ -207,7 +233,7 @@ class _Reader:
         places = data.xanchor[model.body_jntadr[chains]]
         feet = [self._foot(chain[-1], place[-1]) for chain, place in zip(chains, places, strict=True)]
         order = self._order(places[:, -2], np.array([foot.centre for foot in feet]))
-        chains, feet = [chains[leg] for leg in order], [feet[leg] for leg in order]
+        chains, feet = [chains[leg] for leg in order], _pair_feet([feet[leg] for leg in order])
         knees = self._joint_names(chain[-1] for chain in chains)
         for source in dict.fromkeys(foot.source for foot in feet):
             radii = {name: foot.radius for foot, name in zip(feet, knees, strict=True) if foot.source == source}
@@ -260,7 +286,7 @@ class _Reader:
             return ()
         if len(drawn) < len(merged):
             links = choices(dict.fromkeys(link for link, color in merged if (link, color) not in drawn))
-            self.notes.append(f"not drawn: shapes of {links} without an area, or farther away than {MAX_EXTENT:g} m")
+            self.notes.append(f"not drawn: shapes of {links} have no area, or are farther away than {MAX_EXTENT:g} m")
         return tuple(
             Part(link, surface.vertices.astype(np.float32), surface.faces.astype(np.int32), color)
             for (link, color), surface in drawn.items()
@@ -383,27 +409,36 @@ class _Reader:
         return np.flatnonzero(self.group[self.model.geom_bodyid] == mover)
 
     def _foot(self, body: int, knee: Array) -> _Foot:
-        """Return a leg's foot: the last link's sphere, else a link that is named so, else the end of its shapes."""
+        """Return a leg's foot: the last link's sphere, else a sphere fitted to its end, else a guess of its size.
+
+        The end is at a link that is named so, else where the last link's shapes are farthest from the knee.
+        """
         model, data, geoms = self.model, self.data, self._geoms(body)
         spheres = geoms[model.geom_type[geoms] == mjtGeom.mjGEOM_SPHERE]
         if spheres.size:
             last = spheres[np.argmax(np.linalg.norm(data.geom_xpos[spheres] - knee, axis=1))]
-            return _Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), "the last link's sphere")
-        if named := [b for b in np.flatnonzero(self.group == body) if _FOOT.search(model.body(int(b)).name)]:
-            centre = data.xpos[named[-1]]
-            return _Foot(centre, self._thickness(geoms, centre), "a link named so")
-        if not geoms.size:
+            return _Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), _SPHERE)
+        named = [b for b in np.flatnonzero(self.group == body) if _FOOT.search(model.body(int(b)).name)]
+        if not geoms.size and not named:
             raise self._error(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
-        ends = np.concatenate([self._corners(geom) for geom in geoms])
-        end = ends[np.argmax(np.linalg.norm(ends - knee, axis=1))]
-        end[1] = (ends[:, 1].min() + ends[:, 1].max()) / 2  # in the middle plane of the shapes
-        radius = self._thickness(geoms, end)
+        points = np.concatenate([np.empty((0, 3)), *map(self._corners, geoms)])
+        end = data.xpos[named[-1]].copy() if named else points[np.argmax(np.linalg.norm(points - knee, axis=1))]
+        meshes = (model.geom_type[geoms] == mjtGeom.mjGEOM_MESH).all()
+        if geoms.size and meshes and (sphere := fit_sphere(points, knee, end)) is not None:
+            return _Foot(*sphere, "a sphere fitted to the end of the last link's meshes")
+        radius = self._thickness(geoms, end, knee)
+        if named:
+            return _Foot(end, radius, "a link named so")
+        end[1] = (points[:, 1].min() + points[:, 1].max()) / 2  # in the middle plane of the shapes
         end[2] += radius
         return _Foot(end, radius, "the far end of the last link's shapes")
 
-    def _thickness(self, geoms: NDArray[np.int64], place: Array) -> float:
-        """Return a radius [m] for a foot: half of the width of the shape that is nearest to it."""
-        usual = 0.06 * max(float(np.linalg.norm(place - self.data.xanchor[0])), 0.1)
+    def _thickness(self, geoms: NDArray[np.int64], place: Array, knee: Array) -> float:
+        """Return a radius [m] for a foot: half of the width of the shape that is nearest to it.
+
+        Without a shape it is a tenth of the shank, as robots' feet are.
+        """
+        usual = 0.1 * max(float(np.linalg.norm(place - knee)), 0.05)
         if not geoms.size:
             return usual
         nearest = geoms[np.argmin(np.linalg.norm(self.data.geom_xpos[geoms] - place, axis=1))]

@@ -84,14 +84,13 @@ def read_urdf_visuals(
                     surfaces = [Surface(*triangulate(shape.kind, shape.size))]
                 else:
                     continue
-                if not 1e-15 < abs(np.linalg.det(frame)) < 1e15:
-                    size = mesh.get("scale") if mesh is not None else ""
-                    raise SurefootError(f"{where}: scale is {size}; nothing is left, or it is out of bounds")
+                if mesh is not None and not 1e-15 < abs(np.linalg.det(frame)) < 1e15:
+                    raise SurefootError(f"{where}: scale is {mesh.get('scale')}; a volume is scaled by 1e-15 to 1e+15")
             except SurefootError as error:
                 problems.append(str(error).removeprefix(f"{path}: "))
                 continue
             visuals += [Visual(name, surface, frame, surface.color or (red, green, blue)) for surface in surfaces]
-    _note(problems, notes)
+    note_problems("not drawn", problems, notes)
     return visuals
 
 
@@ -113,7 +112,7 @@ def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:
                         check_readable(file, MAX_MESH_BYTES)
             model = spec.compile()
     except SurefootError as error:
-        _note([str(error).removeprefix(f"{path}: ")], notes)
+        note_problems("not drawn", [str(error).removeprefix(f"{path}: ")], notes)
         return []
     part, mesh_geoms = model.body_weldid[model.geom_bodyid], model.geom_type == mjtGeom.mjGEOM_MESH
     shown = model.geom_group < _SHOWN_GROUPS
@@ -170,8 +169,8 @@ def _geom_rgba(model: mujoco.MjModel, geom: int) -> Array:
     return rgba
 
 
-def _note(problems: Iterable[str], notes: list[str]) -> None:
-    """Add one note about what is not drawn."""
+def note_problems(consequence: str, problems: Iterable[str], notes: list[str]) -> None:
+    """Add one note about problems that were met, the first of them in full."""
     if messages := list(dict.fromkeys(problems)):
-        more = f"; and {len(messages) - 1} more" if len(messages) > 1 else ""
-        notes.append(f"not drawn: {messages[0]}{more}")
+        more = f" (and {len(messages) - 1} more)" if len(messages) > 1 else ""
+        notes.append(f"{consequence}: {messages[0]}{more}")
