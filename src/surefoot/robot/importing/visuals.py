@@ -97,8 +97,8 @@ def read_urdf_visuals(
 def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:
     """Return what an MJCF draws.
 
-    Of a part with meshes that collide with nothing: what collides with nothing; with other meshes: what MuJoCo's viewer
-    shows; without any: all its shapes.
+    Bodies that are welded together are one part. If one of its shapes that collide with nothing is a mesh, those shapes
+    are drawn; else, if one that MuJoCo's viewer shows is a mesh, what the viewer shows; else all shapes.
     """
     try:
         with mujoco_errors(path):
