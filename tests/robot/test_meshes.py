@@ -103,6 +103,35 @@ def test_damaged_meshes_are_refused_in_one_line(name: str, content: bytes, messa
     assert "\n" not in str(caught.value)
 
 
+def doubling(levels: int) -> str:
+    """Return nodes b0, b1, ..., of which each holds the one before twice."""
+    nodes = '<node id="b0"><instance_geometry url="#g"/></node>'
+    for k in range(1, levels + 1):
+        nodes += f'<node id="b{k}">{2 * f"""<instance_node url="#b{k - 1}"/>"""}</node>'
+    return f"<library_nodes>{nodes}</library_nodes>"
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('meter="0.001"', 'meter="nan"'),
+        ('meter="0.001"', 'meter="1e300"'),
+        ("<rotate>0 0 1 90</rotate>", "<scale>nan 1 1</scale>"),
+        ("<rotate>0 0 1 90</rotate>", "<scale>1 1e200 1</scale>"),
+        ("<rotate>0 0 1 90</rotate>", '<instance_node url="#n"/>'),
+        ("<library_visual", f"{doubling(40)}<library_visual"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_nodes_and_units_without_bounds_are_refused_in_one_line(old: str, new: str, tmp_path: Path) -> None:
+    path = write_dae(tmp_path)
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(SurefootError, match=r"solid\.dae can't be read as DAE: ") as caught:
+        read_mesh(path)
+    assert "\n" not in str(caught.value)
+
+
 def test_decimation_keeps_the_shape_within_about_its_budget() -> None:
     ball, dot = trimesh.creation.icosphere(5, 0.5), trimesh.creation.icosphere(1, 0.01)
     surfaces = [Surface(np.array(mesh.vertices), np.array(mesh.faces)) for mesh in (ball, dot)]
@@ -152,6 +181,20 @@ def test_meshes_are_placed_in_the_written_links_frames(tmp_path: Path) -> None:
     assert volume(own.vertices - own.vertices.mean(axis=0), own.faces) == pytest.approx(0.001, rel=1e-3)
     np.testing.assert_allclose(parts[1.0, 0.0, 0.0].vertices.max(axis=0), np.array([0.7, 0.6, 0.5]) - place, atol=1e-4)
     assert read_robot(tmp_path / "solo.urdf", meshes=False).parts == ()
+
+
+def test_what_can_not_be_drawn_is_noted_and_the_written_folder_loads(tmp_path: Path) -> None:
+    write_obj(tmp_path)
+    (tmp_path / "line.obj").write_text("v 0 0 0\nv 1 0 0\nf 1 2 2\n")
+    visuals = visual("solid.obj", "1e4 1e4 1e4") + visual("solid.obj", "1 0 1") + visual("line.obj", "1 1 1")
+    (tmp_path / "solo.urdf").write_text(add_visuals(visuals))
+    imported = read_robot(tmp_path / "solo.urdf")
+    message = "link 'front_left_upper': visual: scale is 1 0 1; a volume is scaled by 1e-15 to 1e+15"
+    assert f"not drawn: {message}" in imported.notes
+    message = "shapes of front_left_upper have no area, or are farther away than 1000 m"
+    assert f"not drawn: {message}" in imported.notes
+    write_robot(imported, tmp_path / "mine", "mine")
+    assert RobotDescription.load(tmp_path / "mine").appearance().parts
 
 
 def foot(radius: float, width: float, tilt: float) -> np.ndarray:

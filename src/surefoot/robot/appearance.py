@@ -29,7 +29,7 @@ MAX_BYTES = 1 << 21
 MAX_PARTS = 2000
 MAX_TRIANGLES = 200_000
 """Largest count of triangles that is read."""
-_MAX_EXTENT = 1e3
+MAX_EXTENT = 1e3
 """How far a vertex may be from its link's origin [m]."""
 _STEPS = 65535
 _SEGMENTS = 20
@@ -177,8 +177,8 @@ def _read_parts(links: list[str], arrays: dict[str, NDArray[Any]]) -> tuple[Part
         raise SurefootError("'counts' has a part without vertices or triangles, or does not sum to their counts")
     if totals[1] > MAX_TRIANGLES:
         raise SurefootError(f"has {totals[1]} triangles; at most {MAX_TRIANGLES} are drawn")
-    if not (np.abs(low) < _MAX_EXTENT).all() or not ((span >= 0) & (span < _MAX_EXTENT)).all():
-        raise SurefootError(f"'low' or 'span' is not within {_MAX_EXTENT:g} m, or a span is negative")
+    if not (np.abs(low) <= MAX_EXTENT).all() or not ((span >= 0) & (low + span <= MAX_EXTENT)).all():
+        raise SurefootError(f"'low' or 'low' plus 'span' is not within {MAX_EXTENT:g} m, or a span is negative")
     vertices, faces = (np.split(arrays[name], np.cumsum(counts[:-1, k])) for k, name in enumerate(_POINT_ARRAYS))
     parts = []
     for k, link in enumerate(links):

@@ -5,9 +5,9 @@ const socket = new WebSocket(socketBase + "socket");
 let options = null, points = [], stick = [0, 0], typed = [0, 0, 0], dragging = false, last = "0,0,0", lastSent = 0, padUsed = false;
 const send = message => { if (socket.readyState === 1) socket.send(JSON.stringify(message)); };
 function element(tag, properties = {}, ...children) {
-  const made = Object.assign(document.createElement(tag), properties);
-  made.append(...children);
-  return made;
+  const node = Object.assign(document.createElement(tag), properties);
+  node.append(...children);
+  return node;
 }
 let errorTimer = 0;
 function showError(text) { $("error").textContent = text; clearTimeout(errorTimer); errorTimer = setTimeout(() => { $("error").textContent = ""; }, 6000); }
@@ -30,34 +30,34 @@ function fillPolicies(select, policies, chosen, first) {
 }
 const fill = (select, values, chosen) => select.replaceChildren(...values.map(([value, text]) => new Option(text, value, false, value === chosen)));
 const labelOf = name => (options.policies.find(one => one[0] === name) || ["", name])[1];
-function showOptions(given) {
-  if (!options || ["policy", "world", "ghost"].some(name => given[name] !== options[name])) points = [];
-  options = given; document.body.classList.toggle("real", !!given.deployed); document.body.classList.toggle("two", !!given.ghost);
-  if (given.deployed) {
+function showOptions(message) {
+  if (!options || ["policy", "world", "ghost"].some(name => message[name] !== options[name])) points = [];
+  options = message; document.body.classList.toggle("real", !!message.deployed); document.body.classList.toggle("two", !!message.ghost);
+  if (message.deployed) {
     $("h0").textContent = "command forward [m/s]"; $("h2").textContent = "hottest motor [degC]";
     $("h3").textContent = "roll (blue), pitch (orange) [rad]"; $("legend").hidden = true;
   }
-  fillPolicies($("policy"), given.policies, given.policy, []);
-  fillPolicies($("ghost"), given.policies, given.ghost, [new Option("none", "", false, !given.ghost)]);
-  fill($("world"), given.worlds.map(name => [name, name]), given.world);
-  fill($("speed"), given.speeds.map(s => [s, s === 1 ? "real" : `1/${Math.round(1 / s)}`]));
-  if (given.pushes && !$("duration").length) fill($("duration"), given.pushes.map(s => [s, `${s} s`]));
-  const steers = given.driver && given.limits && !given.source;
-  for (const one of document.querySelectorAll("#side select, #side button, #side input")) one.disabled = !given.driver;
+  fillPolicies($("policy"), message.policies, message.policy, []);
+  fillPolicies($("ghost"), message.policies, message.ghost, [new Option("none", "", false, !message.ghost)]);
+  fill($("world"), message.worlds.map(name => [name, name]), message.world);
+  fill($("speed"), message.speeds.map(s => [s, s === 1 ? "real" : `1/${Math.round(1 / s)}`]));
+  if (message.pushes && !$("duration").length) fill($("duration"), message.pushes.map(s => [s, `${s} s`]));
+  const steers = message.driver && message.limits && !message.source;
+  for (const one of document.querySelectorAll("#side select, #side button, #side input")) one.disabled = !message.driver;
   for (const one of document.querySelectorAll("#numbers input")) one.disabled = !steers;
-  (given.limits || []).forEach(([low, high], k) => {
+  (message.limits || []).forEach(([low, high], k) => {
     const input = $(`c${k}`);
     input.min = low; input.max = high; input.title = `${low} to ${high} ${NAMES[k][1]}`; if (low === high) input.disabled = true;
   });
-  $("role").textContent = given.driver ? "" : "You are watching: another browser drives.";
+  $("role").textContent = message.driver ? "" : "You are watching: another browser drives.";
   $("stick").classList.toggle("off", !steers);
-  $("strafe").disabled = !given.driver || !given.limits || given.limits[1][1] === 0;
-  $("strafe").parentNode.hidden = !given.limits || given.limits[1][1] === 0;
-  $("why").textContent = given.source && given.limits ? `Commands come from ${given.source}.` : given.limits ? "W S forward, back; A D sideways; Q E turn; Esc stand; or a gamepad." :
-    `${labelOf(given.policy)} follows no commands: it was trained for one gait at its own speed. Choose a policy that is steered.`;
-  $("key").replaceChildren(...(given.ghost ? [["", given.policy], ["other", given.ghost]] : []).map(([kind, name]) =>
+  $("strafe").disabled = !message.driver || !message.limits || message.limits[1][1] === 0;
+  $("strafe").parentNode.hidden = !message.limits || message.limits[1][1] === 0;
+  $("why").textContent = message.source && message.limits ? `Commands come from ${message.source}.` : message.limits ? "W S forward, back; A D sideways; Q E turn; Esc stand; or a gamepad." :
+    `${labelOf(message.policy)} follows no commands: it was trained for one gait at its own speed. Choose a policy that is steered.`;
+  $("key").replaceChildren(...(message.ghost ? [["", message.policy], ["other", message.ghost]] : []).map(([kind, name]) =>
     element("div", {}, element("span", {}, element("i", { className: `dot ${kind}` }), labelOf(name)))));
-  showKnobs(given.knobs, given.driver); showForce(); showRecording(shownRecording);
+  showKnobs(message.knobs, message.driver); showForce(); showRecording(shownRecording);
 }
 // Sliders, in groups; a row is built once, and shows the value that the simulation has.
 let knobKey = "", rows = {};

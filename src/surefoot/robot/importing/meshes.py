@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import itertools
 import math
@@ -26,6 +27,9 @@ SUFFIXES = (".stl", ".obj", ".dae")
 MAX_MESH_BYTES = 100_000_000
 """Size of the largest mesh, or file that a mesh names, that is read."""
 _MAX_COORDINATE = 1e6
+_MAX_TRIANGLES = 10_000_000
+_MAX_INSTANCES = 2000
+"""Placed copies of geometries in a COLLADA file."""
 _MIN_TRIANGLES = 24
 """What decimation leaves of the smallest parts."""
 _TOLERANCE = 0.01
@@ -64,7 +68,10 @@ class Surface:
 
 
 class _Folder(trimesh.resolvers.Resolver):
-    """What a mesh names, such as materials and textures: regular files of limited size, from its folder."""
+    """What a mesh names, such as materials and textures: regular files of limited size.
+
+    They may lie in other folders: meshes of packages name `../textures/...`.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -102,15 +109,33 @@ def read_mesh(path: Path) -> list[Surface]:
     if kind == ".dae" and b"<!ENTITY" in content:
         raise SurefootError(f"{path.name} declares XML entities")
     try:
-        surfaces = _read_surfaces(content, kind, path.parent)
-        if not surfaces and kind == ".dae":
-            surfaces = _read_surfaces(_drop_broken_materials(content), kind, path.parent)
+        with np.errstate(all="ignore"):  # what is not finite is refused
+            if kind == ".dae":
+                _check_instances(content)
+            surfaces = _read_surfaces(content, kind, path.parent)
+            if not surfaces and kind == ".dae":
+                surfaces = _read_surfaces(_drop_broken_materials(content), kind, path.parent)
     except Exception as error:  # What parsers raise on a damaged file is any kind of error.
         message = " ".join(str(error).split()) or type(error).__name__
         raise SurefootError(f"{path.name} can't be read as {kind[1:].upper()}: {message}") from error
     if not surfaces:
         raise SurefootError(f"{path.name} has no triangles")
     return surfaces
+
+
+def _check_instances(content: bytes) -> None:
+    """Refuse a COLLADA file whose nodes, which may hold each other many times, hold too many geometries."""
+    nodes = [element for element in ElementTree.fromstring(content).iter() if element.tag.endswith("}node")]
+    by_url = {f"#{node.get('id')}": node for node in nodes}
+
+    @functools.cache
+    def count(node: ElementTree.Element) -> int:
+        children = [*node.findall("{*}node")]
+        children += [by_url[url] for item in node.findall("{*}instance_node") if (url := item.get("url", "")) in by_url]
+        return len(node.findall("{*}instance_geometry")) + sum(map(count, children))
+
+    if (most := max(map(count, nodes), default=0)) > _MAX_INSTANCES:
+        raise ValueError(f"a node places {most} geometries; at most {_MAX_INSTANCES} are read")
 
 
 def _drop_broken_materials(content: bytes) -> bytes:
@@ -129,17 +154,22 @@ def _read_surfaces(content: bytes, kind: str, folder: Path) -> list[Surface]:
     """Return the surfaces of a file's content, merged by colour."""
     scene = trimesh.load_scene(io.BytesIO(content), file_type=kind[1:], resolver=_Folder(folder), process=False)
     by_color: dict[Color | None, list[Surface]] = {}
+    triangles = 0
     for node in scene.graph.nodes_geometry:
         frame, name = scene.graph[node]
         geometry = scene.geometry[name]
         if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
             continue
         vertices, faces = np.asarray(geometry.vertices, float), np.asarray(geometry.faces, np.int64)
-        if not (np.abs(vertices) < _MAX_COORDINATE).all() or faces.min() < 0 or faces.max() >= len(vertices):
-            raise ValueError("it has coordinates that are no numbers, or triangles of vertices that it does not have")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise ValueError("it has triangles of vertices that it does not have")
+        if (triangles := triangles + len(faces)) > _MAX_TRIANGLES:
+            raise ValueError(f"it has more than {_MAX_TRIANGLES} triangles")
         unit = str(geometry.metadata.get("units", "")).removesuffix("* meters").strip()
         frame = np.diag([*[float(unit)] * 3, 1.0]) @ frame if unit and unit != "meters" else np.array(frame)
         surface = Surface(vertices, faces).place(frame)
+        if not (np.abs(surface.vertices) < _MAX_COORDINATE).all():
+            raise ValueError(f"it has coordinates that are no numbers, or not within {_MAX_COORDINATE:g} m")
         by_color.setdefault(_mean_color(geometry.visual), []).append(surface)
     return [merge_surfaces(parts, color) for color, parts in by_color.items()]
 
@@ -154,7 +184,9 @@ def _mean_color(visual: Any) -> Color | None:
         if image is None:
             rgba = np.asarray(material.main_color, float)
         elif visual.uv is None:
-            rgba = np.asarray(image.convert("RGB"), float).reshape(-1, 3).mean(axis=0)
+            from PIL import ImageStat
+
+            rgba = np.array(ImageStat.Stat(image.convert("RGB")).mean)
         else:
             rgba = trimesh.visual.color.uv_to_color(visual.uv, image).mean(axis=0)
     else:
@@ -182,7 +214,7 @@ def decimate(surfaces: Sequence[Surface], scales: Sequence[float], uses: Sequenc
     surfaces = [_weld(surface, _CELLS) for surface in surfaces]
     available = np.array([len(surface.faces) for surface in surfaces])
     sizes = np.sqrt([surface.area for surface in surfaces]) * scales
-    extents = [float(np.ptp(surface.vertices, axis=0).max()) for surface in surfaces]
+    extents = [float(np.ptp(surface.vertices, axis=0).max()) if len(surface.faces) else 0.0 for surface in surfaces]
     tolerance = _TOLERANCE * float(np.max(np.multiply(extents, scales), initial=0.0))
 
     def counts(density: float) -> Array:
@@ -249,7 +281,12 @@ def _drop_hidden(surface: Surface) -> Surface:
 
 
 def _weld(surface: Surface, cells: int) -> Surface:
-    """Merge vertices within cells of a fraction of the surface's size; drop triangles without area and vertices."""
+    """Merge vertices within cells of a fraction of the surface's size; drop triangles without area and vertices.
+
+    Nothing may be left.
+    """
+    if not len(surface.faces):
+        return surface
     low, size = surface.vertices.min(axis=0), float(np.ptp(surface.vertices, axis=0).max())
     x, y, z = np.rint((surface.vertices - low) * (cells / max(size, 1e-12))).astype(np.int64).T
     _, first, index = np.unique((x << 42) | (y << 21) | z, return_index=True, return_inverse=True)

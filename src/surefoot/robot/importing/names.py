@@ -13,8 +13,9 @@ _ENDS = re.compile(r"(_(simple|description|robot|urdf|mjcf|scene))+$")
 def robot_name(path: Path, inside: str) -> str:
     """Return a name of letters, digits and _.
 
-    It is the file's; that in the file, where the file's goes on from it (hyq_no_sensors: hyq) or says nothing (scene);
-    that of the package, where this goes on from it (anymal in anymal_c_simple_description: anymal_c).
+    It is the file's name, with two exceptions. The robot's name in the file is taken if the file's name starts with it
+    (hyq_no_sensors: hyq) or says nothing (scene). The package's name is taken if it starts with what was chosen so far
+    (anymal in anymal_c_simple_description: anymal_c).
 
     Args:
         path: the file.

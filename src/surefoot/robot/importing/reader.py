@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
-from surefoot.robot.appearance import Part
+from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, Part
 from surefoot.robot.importing.foot import fit_sphere
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.meshes import MAX_MESH_BYTES, Color, Surface, merge_surfaces
@@ -254,7 +254,8 @@ class _Reader:
             poses=tuple((source, np.array([pose.get(name, np.nan) for name in knees])) for source, pose in self.poses),
             notes=tuple(self.notes),
         )
-        return replace(robot, parts=self._parts(visuals, robot, chains, base))
+        parts = self._parts(visuals, robot, chains, base)
+        return replace(robot, parts=parts, notes=tuple(self.notes))
 
     def _parts(
         self, visuals: Sequence[Visual], robot: ImportedRobot, chains: list[list[int]], base: int
@@ -274,9 +275,21 @@ class _Reader:
             surface = visual.surface.place(frame @ visual.frame)
             parts.setdefault((names[mover], visual.color), []).append(surface)
         merged = {key: merge_surfaces(surfaces) for key, surfaces in parts.items()}
+        drawn = {
+            key: surface
+            for key, surface in merged.items()
+            if len(surface.faces) and np.abs(surface.vertices).max() < MAX_EXTENT - 1
+        }
+        triangles = sum(len(surface.faces) for surface in drawn.values())
+        if len(drawn) > MAX_PARTS or triangles > MAX_TRIANGLES:
+            self.notes.append(f"not drawn: {triangles} triangles of {len(drawn)} links and colours are too many")
+            return ()
+        if len(drawn) < len(merged):
+            links = choices(dict.fromkeys(link for link, color in merged if (link, color) not in drawn))
+            self.notes.append(f"not drawn: shapes of {links} have no area, or are farther away than {MAX_EXTENT:g} m")
         return tuple(
             Part(link, surface.vertices.astype(np.float32), surface.faces.astype(np.int32), color)
-            for (link, color), surface in merged.items()
+            for (link, color), surface in drawn.items()
         )
 
     def _chains(self) -> tuple[list[list[int]], int]:

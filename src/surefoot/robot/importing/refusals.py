@@ -1,4 +1,4 @@
-"""What a file is that holds no quadruped, and what to do: the words of the import's errors."""
+"""Errors of the import: what a file without a quadruped is, and what to do."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _REASONS = {
     "positive eigenvalues": "has an inertia with a moment that is not over 0; correct its <inertial>",
     "mesh volume is too small": "is a mesh without a volume; leave out meshes (--no-meshes)",
 }
-"""What it means, by words of MuJoCo's message."""
+"""Explanations by words of MuJoCo's message."""
 
 
 def check_suffix(path: Path) -> None:

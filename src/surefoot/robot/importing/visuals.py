@@ -84,8 +84,8 @@ def read_urdf_visuals(
                     surfaces = [Surface(*triangulate(shape.kind, shape.size))]
                 else:
                     continue
-                if np.linalg.det(frame) == 0.0:
-                    raise SurefootError(f"{where}: scale is 0")
+                if mesh is not None and not 1e-15 < abs(np.linalg.det(frame)) < 1e15:
+                    raise SurefootError(f"{where}: scale is {mesh.get('scale')}; a volume is scaled by 1e-15 to 1e+15")
             except SurefootError as error:
                 problems.append(str(error).removeprefix(f"{path}: "))
                 continue
@@ -97,8 +97,8 @@ def read_urdf_visuals(
 def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:
     """Return what an MJCF draws.
 
-    Of a part with meshes that collide with nothing: what collides with nothing; with other meshes: what MuJoCo's viewer
-    shows; without any: all its shapes.
+    Bodies that are welded together are one part. If one of its shapes that collide with nothing is a mesh, those shapes
+    are drawn; else, if one that MuJoCo's viewer shows is a mesh, what the viewer shows; else all shapes.
     """
     try:
         with mujoco_errors(path):
