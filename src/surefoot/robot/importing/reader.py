@@ -285,8 +285,8 @@ class _Reader:
             self.notes.append(f"not drawn: {triangles} triangles of {len(drawn)} links and colours are too many")
             return ()
         if len(drawn) < len(merged):
-            links = choices(dict.fromkeys(link for link, color in merged if (link, color) not in drawn))
-            self.notes.append(f"not drawn: shapes of {links} have no area, or are farther away than {MAX_EXTENT:g} m")
+            absent = choices(dict.fromkeys(link for link, color in merged if (link, color) not in drawn))
+            self.notes.append(f"not drawn: shapes of {absent} have no area, or are farther away than {MAX_EXTENT:g} m")
         return tuple(
             Part(link, surface.vertices.astype(np.float32), surface.faces.astype(np.int32), color)
             for (link, color), surface in drawn.items()
