@@ -112,9 +112,7 @@ def test_drive_runs_the_robot_that_a_policy_was_loaded_with(tmp_path: Path):
         assert drive.page.robot.robot.folder == own
 
 
-def test_settings_change_a_reward_and_an_interrupted_training_is_saved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_settings_change_a_reward_and_an_interrupted_training_is_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     training = pytest.importorskip("surefoot.api.training")
     run_folder = pytest.importorskip("surefoot.learn.run_folder")
     monkeypatch.setattr(
