@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from surefoot.robot import RobotDescription
+from surefoot.robot.importing.imported import KNEE_SIGNS
 from surefoot.tables import markdown
 
 FILES = {
@@ -87,13 +88,7 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
     radii = [1e3 * shape.size[0] for leg in robot.legs for shape in robot.urdf.links[leg.foot].collisions]
     low, high = min(radii), max(radii)
     known = next((radius for name, (radius, _) in RADII.items() if is_version(robot.name, name)), None)
-    knees = tuple(leg.knee for leg in robot.legs)
-    kinds: dict[tuple[str, ...], str] = {
-        ("backward",) * 4: "backward",
-        ("forward",) * 4: "forward",
-        ("backward", "backward", "forward", "forward"): "inward",
-        ("forward", "forward", "backward", "backward"): "outward",
-    }
+    signs = [1 if leg.knee == "forward" else -1 for leg in robot.legs]
     report = json.loads(run("robot", "check", folder, "--json").stdout)
     failed = [item["name"] for item in report["checks"] if item["passed"] is False]
     return dict(
@@ -103,7 +98,7 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
                 robot.name,
                 label,
                 f"4 x {robot.num_motors // 4}",
-                kinds.get(knees, "mixed"),
+                next((knees for knees, value in KNEE_SIGNS.items() if value == signs), "mixed"),
                 f"{robot.urdf.total_mass:.2f}",
                 f"{low:.1f}" + (f" to {high:.1f}" if high - low > 0.05 else ""),
                 "" if known is None else f"{1e3 * known:.3g} ({(low + high) / 2e3 / known - 1:+.0%})",

@@ -153,15 +153,14 @@ def mirrored(solid: Solid, axis: int) -> Solid:
 
 
 class Drawing:
-    """Parts of a robot."""
+    """Solids of a robot, by link and color."""
 
     def __init__(self) -> None:
-        self.parts: list[Part] = []
+        self.solids: dict[tuple[str, Color], list[Solid]] = {}
 
     def add(self, link: str, color: Color, *solids: Solid) -> None:
         """Add solids of a color to a link."""
-        for points, faces in solids:
-            self.parts.append(Part(link, points.astype(np.float32), faces.astype(np.int32), color))
+        self.solids.setdefault((link, color), []).extend(solids)
 
     def add_legs(self, draw: Callable[[Callable[..., None], bool], None]) -> None:
         """Add four legs, of a function that draws a left one: into links' names without the leg's, front or not."""
@@ -330,14 +329,12 @@ def appearance(draw: Callable[[Drawing], None]) -> Appearance:
     """Return the looks that a function draws, solids of one color on a link as one part."""
     drawing = Drawing()
     draw(drawing)
-    groups: dict[tuple[str, Color], list[Part]] = {}
-    for part in drawing.parts:
-        groups.setdefault((part.link, part.color), []).append(part)
     parts = []
-    for (link, color), solids in groups.items():
-        starts = np.cumsum([0, *(len(part.vertices) for part in solids[:-1])])
-        faces = np.concatenate([part.faces + start for part, start in zip(solids, starts, strict=True)])
-        parts.append(Part(link, np.concatenate([part.vertices for part in solids]), faces.astype(np.int32), color))
+    for (link, color), solids in drawing.solids.items():
+        points, faces = zip(*solids, strict=True)
+        starts = np.cumsum([0, *map(len, points[:-1])])
+        shifted = np.concatenate([part + start for part, start in zip(faces, starts, strict=True)])
+        parts.append(Part(link, np.concatenate(points).astype(np.float32), shifted.astype(np.int32), color))
     return Appearance(tuple(parts))
 
 
