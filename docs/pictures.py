@@ -45,8 +45,7 @@ def stride(name: str, size: tuple[int, int]) -> list[Image.Image]:
     camera = Camera.for_robot(0.9 * extent(one.robot))
     pictures = []
     for step in np.linspace(touchdown[0], touchdown[1], MOMENTS, endpoint=False).astype(int):
-        aim = np.array([*placed[one.robot.base][step, :2, 3], camera.height])
-        pictures.append(draw(mesh, stack[step], View(camera, aim, size)))
+        pictures.append(draw(mesh, stack[step], View(camera, placed[one.robot.base][step, :2, 3], size)))
     return pictures
 
 
@@ -56,7 +55,7 @@ def portrait(robot: RobotDescription, size: tuple[int, int]) -> Image.Image:
     mesh, stack = Mesh(robot.appearance(), list(level)), np.array([frames[0] for frames in level.values()])
     stack[:, 2, 3] -= mesh.place(stack)[0][:, 2].min()
     camera = Camera.for_robot(1.1 * extent(robot))
-    picture = draw(mesh, stack, View(camera, np.array([0.0, 0.0, camera.height]), size))
+    picture = draw(mesh, stack, View(camera, (0.0, 0.0), size))
     write_label(picture, robot.name)
     return picture
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import os
 import re
 import shlex
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from surefoot import progress
 from surefoot.cli.main import main
 
 SUREFOOT = (sys.executable, "-m", "surefoot")
@@ -32,6 +34,8 @@ def surefoot(*words: object, cwd: Path | None = None) -> subprocess.CompletedPro
         for context in (contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), contextlib.chdir(cwd or ".")):
             stack.enter_context(context)
         stack.enter_context(mock.patch.dict(os.environ, environment))
+        # However slow the computer, standard error holds no lines of a bar that has taken long.
+        stack.enter_context(mock.patch.object(progress, "_LINE_PERIOD", math.inf))
         code = main(list(map(str, words)))
     return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
 
@@ -62,6 +66,19 @@ def wait_until(condition: Callable[[], bool], seconds: float = 400.0) -> None:
 def run_surefoot(*words: object, timeout: float = 200, **how: Any) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
     return subprocess.run([*SUREFOOT, *map(str, words)], capture_output=True, text=True, timeout=timeout, **how)
+
+
+@contextmanager
+def served(*words: object, cwd: Path | None = None) -> Iterator[str]:
+    """Run a command that serves a page, at a free port; give the page's address."""
+    command = [*SUREFOOT, *map(str, words), "--page-port", "0"]
+    process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        yield process.stdout.readline().split()[0]
+    finally:
+        process.kill()
+        process.communicate()
 
 
 class Emulator:

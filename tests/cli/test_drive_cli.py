@@ -385,6 +385,8 @@ def test_page_slows_and_pauses_time(running: Running, page: Page):
 @in_browser
 def test_second_tab_watches_until_the_first_is_closed(running: Running, page: Page, browser: Browser):
     second = browser.new_page(viewport={"width": 300, "height": 300})
+    # Without the 3D view, which the first tab draws.
+    second.route("**/view?*", lambda route: route.fulfill(body="", content_type="text/html"))
     second.goto(running.server.address)
     watches = "document.getElementById('role').textContent.includes('watching')"
     second.wait_for_function(watches)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 from unittest import mock
 
 import pytest
-from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
+from processes import EmulatorHere, emulators, refused, served, surefoot
 
 pytest.importorskip("torch")
 pytest.importorskip("viser")
@@ -74,16 +73,11 @@ def test_a_run_is_resumed_with_the_plugin_that_is_named_again(run: Path, plugin:
 
 
 def test_the_drive_page_answers(run: Path, plugin: Path) -> None:
-    words = [*SUREFOOT, "drive", str(run / "policy.onnx"), "--page-port", "0", "--plugin", str(plugin)]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    try:
-        address = process.stdout.readline().split()[0]
-        with urllib.request.urlopen(address, timeout=20) as page:
-            assert page.status == 200
-    finally:
-        process.terminate()
-        process.communicate()
+    with (
+        served("drive", run / "policy.onnx", "--plugin", plugin) as address,
+        urllib.request.urlopen(address, timeout=20) as page,
+    ):
+        assert page.status == 200
 
 
 @pytest.fixture

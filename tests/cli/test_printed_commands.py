@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 import sys
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +16,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("viser")
 
 from edited import maxitaur
-from processes import EmulatorHere, emulators, printed_commands, surefoot
+from processes import EmulatorHere, emulators, printed_commands, served, surefoot
 
 from surefoot.cli.helpers.output import next_command
 from surefoot.robot import RobotDescription
@@ -66,19 +64,6 @@ def printed(folder: Path) -> dict[str, dict[str, list[str]]]:
     return printed
 
 
-@contextmanager
-def served(command: list[str], cwd: Path) -> Iterator[str]:
-    """Run a command that serves a page at a free port; give the page's address."""
-    words = [sys.executable, "-m", "surefoot", *command, "--page-port", "0"]
-    process = subprocess.Popen(words, cwd=cwd, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        yield process.stdout.readline().split()[0]
-    finally:
-        process.kill()
-        process.wait()
-
-
 @pytest.mark.parametrize(
     ("command", "purposes"),
     [
@@ -100,7 +85,7 @@ def test_a_printed_command_works_in_another_folder_without_the_robots_folder(
 @pytest.mark.parametrize(("purpose", "first"), [("look at", "show"), ("drive it", "drive")])
 def test_a_printed_page_answers(purpose: str, first: str, printed: dict[str, dict[str, list[str]]], tmp_path: Path):
     words = printed["train"][purpose]
-    with served(words[words.index(first) :], tmp_path) as address:
+    with served(*words[words.index(first) :], cwd=tmp_path) as address:
         assert urllib.request.urlopen(address).status == 200
 
 

@@ -137,7 +137,7 @@ def test_a_robot_of_any_size_fills_the_picture(name: str) -> None:
     if name == "minitaur":
         assert camera == Camera()
     placed = poses(robot, [0.0, 0.0, 0.3 * extent(robot)], LEVEL, robot.resting_angles)
-    mesh, view = Mesh(robot.appearance(), list(placed)), View(camera, np.array([0.0, 0.0, camera.height]), (960, 540))
+    mesh, view = Mesh(robot.appearance(), list(placed)), View(camera, (0.0, 0.0), (960, 540))
     pixels, _ = view.project(mesh.place(np.array([frames[0] for frames in placed.values()]))[0])
     wide, high = np.ptp(pixels, axis=0) / [view.width, view.height]
     assert 0.35 < wide < 0.75

@@ -46,8 +46,7 @@ def render_frame(
 ) -> Image.Image:
     """Draw one picture from the camera, which looks at the first of the bodies."""
     camera, stack = camera or Camera(), np.stack(list(poses.values()))
-    aim = np.array([*stack[0, :2, 3], camera.height])
-    return draw(Mesh(looks(shapes), list(poses)), stack, View(camera, aim, size))
+    return draw(Mesh(looks(shapes), list(poses)), stack, View(camera, stack[0, :2, 3], size))
 
 
 def colored(picture: object, color: tuple[int, int, int]) -> NDArray[np.bool_]:

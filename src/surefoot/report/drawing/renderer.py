@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageFilter
 
 from surefoot.arrays import Array
@@ -65,11 +65,12 @@ class Camera:
 
 
 class View:
-    """A pinhole camera: x right, y down, depth along its axis, in pixels."""
+    """A pinhole camera that looks at a place (2,) on the ground: x right, y down, depth along its axis, in pixels."""
 
-    def __init__(self, camera: Camera, aim: Array, size: tuple[int, int]) -> None:
+    def __init__(self, camera: Camera, place: ArrayLike, size: tuple[int, int]) -> None:
         offset = np.array(camera.offset, dtype=np.float64)
-        self.eye = aim + offset
+        at = np.asarray(place, dtype=np.float64)
+        self.eye = np.array([*at, FLAT.level(at) + camera.height]) + offset
         axis = -offset / np.linalg.norm(offset)
         right = np.cross(axis, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)

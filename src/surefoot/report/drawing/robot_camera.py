@@ -10,7 +10,6 @@ from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.renderer import Camera, View, draw
 from surefoot.report.drawing.scene import extent, poses
 from surefoot.robot import RobotDescription
-from surefoot.world.ground import FLAT
 
 
 class RobotCamera:
@@ -32,6 +31,5 @@ class RobotCamera:
         stack = np.stack([placed[link] for link in self._links], axis=1)
         pictures = []
         for point, frames in zip(position, stack, strict=True):
-            aim = np.array([*point[:2], FLAT.level(point[:2]) + self._camera.height])
-            pictures.append(np.asarray(draw(self._mesh, frames, View(self._camera, aim, self._size))))
+            pictures.append(np.asarray(draw(self._mesh, frames, View(self._camera, point[:2], self._size))))
         return np.array(pictures, np.uint8)

@@ -32,7 +32,7 @@ def save_robot_picture(robot: RobotDescription, path: Path) -> None:
     bodies = list(placed)
     size = 4.6 * max(length, robot.body_length)
     camera = Camera(offset=(0.55 * size, -0.7 * size, 0.42 * size), height=0.5 * height)
-    view = View(camera, np.array([0.0, 0.0, camera.height]), SIZE)
+    view = View(camera, (0.0, 0.0), SIZE)
     picture = draw(Mesh(robot.appearance(), bodies), np.array([placed[name][0] for name in bodies]), view)
     pen, font = ImageDraw.Draw(picture), label_font(20)
 

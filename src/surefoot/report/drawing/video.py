@@ -18,7 +18,6 @@ from surefoot.errors import SurefootError
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.renderer import Camera, View, draw
 from surefoot.robot.appearance import Appearance
-from surefoot.world.ground import FLAT
 
 _THREADS, _BATCH = 2, 16
 """Threads that draw, and how many pictures they draw before these are encoded."""
@@ -60,9 +59,8 @@ def render_video(
     clock = times[0] + np.arange(max(int((times[-1] - times[0]) * fps + 1e-6), 1)) / fps
 
     def frame(now: float) -> bytes:
-        place = np.array([np.interp(now, track_times, part) for part in track.T])
-        aim = np.array([*place, FLAT.level(place) + camera.height])
-        picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, aim, size))
+        place = [np.interp(now, track_times, part) for part in track.T]
+        picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, place, size))
         write_label(picture, overlay[int(np.abs(times - now).argmin())])
         content: bytes = picture.tobytes()
         return content

@@ -108,9 +108,10 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
 def _tracking(axes: Sequence[Axes], trace: EpisodeTrace) -> None:
     """Draw speeds forward and to the left and yaw rate with their commands, and the path from above, a panel each."""
     *speeds, path = axes
+    measured = motion(trace)
     titles = ("Forward speed (m/s)", "Speed to the left (m/s)", "Yaw rate (rad/s)")
     for column, (ax, title, color) in enumerate(zip(speeds, titles, (BLUE, ORANGE, GREEN), strict=True)):
-        _raw_and_smooth(ax, trace, motion(trace)[:, column], color, math.nan, "")
+        _raw_and_smooth(ax, trace, measured[:, column], color, math.nan, "")
         ax.step(trace.time, trace.command[:, column], where="pre", color=INK, linewidth=1.0, label="command")
         ax.set_title(title)
     _legend_above(speeds[0])

@@ -2,7 +2,7 @@ const SPAN = 8, COLORS = ["#2f66a8", "#c55a1e"], NAMES = [["forward", "m/s"], ["
 const keys = new Set(), here = location.pathname.replace(/[^/]*$/, ""), socketBase = `ws://${location.host}${here}`;
 $("view").src = `view?websocket=${encodeURIComponent(socketBase + "viser")}`;
 const socket = new WebSocket(socketBase + "socket");
-let options = null, points = [], stick = [0, 0], typed = [0, 0, 0], dragging = false, last = "0,0,0", lastSent = 0, padUsed = false;
+let options = null, points = [], stick = [0, 0], typed = [0, 0, 0], dragging = false, last = "0,0,0", lastSent = 0;
 const send = message => { if (socket.readyState === 1) socket.send(JSON.stringify(message)); };
 function element(tag, properties = {}, ...children) {
   const node = Object.assign(document.createElement(tag), properties);
@@ -42,7 +42,7 @@ function showOptions(message) {
   fill($("world"), message.worlds.map(name => [name, name]), message.world);
   fill($("speed"), message.speeds.map(s => [s, s === 1 ? "real" : `1/${Math.round(1 / s)}`]));
   if (message.pushes && !$("duration").length) fill($("duration"), message.pushes.map(s => [s, `${s} s`]));
-  const steers = message.driver && message.limits && !message.source;
+  const steers = usable();
   for (const one of document.querySelectorAll("#side select, #side button, #side input")) one.disabled = !message.driver;
   for (const one of document.querySelectorAll("#numbers input")) one.disabled = !steers;
   (message.limits || []).forEach(([low, high], k) => {
@@ -176,7 +176,6 @@ function shares() {
   let turn = key(["KeyQ", "ArrowLeft"], ["KeyE", "ArrowRight"]);
   if ($("strafe").checked) sideways -= stick[1]; else turn -= stick[1];
   const pad = [...(navigator.getGamepads ? navigator.getGamepads() : [])].find(one => one && one.connected), dead = v => Math.abs(v) < .12 ? 0 : v;
-  padUsed = !!pad;
   if (pad) { forward -= dead(pad.axes[1] || 0); sideways -= dead(pad.axes[0] || 0); turn -= dead(pad.axes[2] || 0); }
   return [forward, sideways, turn].map(v => Math.max(-1, Math.min(1, v)));
 }
