@@ -15,7 +15,6 @@ from _pytest.runner import runtestprotocol
 from hypothesis import settings
 from processes import BUSY, Emulator, TooBusyError, Watchman, emulators
 
-from surefoot import progress
 from surefoot.report.figures import style
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -99,12 +98,6 @@ def pytest_try_again_in_real_time(item: pytest.Item, nextitem: pytest.Item | Non
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw figures with few pixels, which takes less time."""
     monkeypatch.setattr(style, "DPI", 40)
-
-
-@pytest.fixture(autouse=True)
-def _no_progress_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Print no lines of progress, which a slow machine would add to the output of commands."""
-    monkeypatch.setattr(progress, "_LINE_PERIOD", 1e9)
 
 
 @pytest.fixture

@@ -58,7 +58,6 @@ def test_bar_shows_a_percentage_on_a_terminal_and_nothing_in_a_short_log():
 
 def test_percentages_in_a_log_come_at_growing_intervals(monkeypatch: pytest.MonkeyPatch):
     now = 100.0
-    monkeypatch.setattr(progress, "_LINE_PERIOD", 10.0)
     monkeypatch.setattr(progress.time, "monotonic", lambda: now)
     place, stream = console(terminal=False)
     with ProgressBar("trot", place) as bar:
