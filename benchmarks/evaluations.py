@@ -45,7 +45,7 @@ COLUMNS = ("name", *FIGURES, "command", "training", "digest")
 def named_rows(names: dict[str, Any]) -> dict[str, tuple[str, str]]:
     """Return policy and options of each row that the YAML file names."""
     known = [*shipped_policies(), *names["policies"]]
-    rows = {}
+    rows: dict[str, tuple[str, str]] = {}
     for name, one in names["sets"].items():
         for pattern in one["policies"]:
             chosen = [policy for policy in known if fnmatch(policy, pattern)]
