@@ -27,7 +27,10 @@ RESULTS = [
 """Pages with results."""
 PENDING = set(RESULTS)
 """Pages whose numbers have no sources yet; none, once all are converted."""
-UNIT = r"(?:%|(?:km|kN|kg|kHz|ms|mm|cm|mJ|dB|degC|deg|rad|million|minutes?|seconds?|hours?|MB|kB|[NWmsJVAMhHg]|Hz)(?:/\w+)?\b)"
+UNIT = (
+    r"(?:%|(?:km|kN|kg|kHz|ms|mm|cm|mJ|dB|degC|deg|rad|million|minutes?|seconds?|hours?|MB|kB|[NWmsJVAMhHg]|Hz)"
+    r"(?:/\w+)?\b)"
+)
 NUMBER = re.compile(rf"(?<![\w.,/-])[+-]?(?:\d+\s+of\s+\d+|(?:\d[\d,]*)?\.\d+(?:\s*{UNIT})?|\d[\d,]*\s*{UNIT})")
 CODE = re.compile(
     r"^```.*?^```|(?:\A|\n)\n(?:    [^\n]*\n|\n)+|`(?:[^`\n]|\n(?!\n))+`|\]\([^)]*\)", re.DOTALL | re.MULTILINE
