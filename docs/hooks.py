@@ -37,6 +37,7 @@ os.environ |= {"COLUMNS": "76", "NO_COLOR": "1"}
 ROOT = Path(__file__).resolve().parents[1]
 OUTSIDE = (
     "CHANGELOG.md",
+    "CITATION.cff",
     "CONTRIBUTING.md",
     "policies/README.md",
     "examples/first_hour.ipynb",
