@@ -147,7 +147,7 @@ def test_packages_that_read_meshes_are_of_an_extra():
 @pytest.mark.parametrize(
     ("origin", "command"),
     [
-        ('{"dir_info": {"editable": true}, "url": "file:///home/me/my%20dog"}', "pip install -e '/home/me/my dog[sim]'"),
+        ('{"dir_info": {"editable": true}, "url": "file:///home/my%20dog"}', "pip install -e '/home/my dog[sim]'"),
         ('{"archive_info": {}, "url": "file:///tmp/surefoot-1-py3.whl"}', "pip install '/tmp/surefoot-1-py3.whl[sim]'"),
         (None, "pip install 'surefoot[sim]'"),
     ],
