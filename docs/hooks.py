@@ -116,21 +116,24 @@ def task_reference() -> str:
     """Return the page with every field of a task's file, and what its values can name."""
     text = [
         "# Task configuration",
-        "Every field of a task's YAML file. A file holds only what differs from the defaults, or with `base: TASK` from "
-        "a task that ships. As an option, a field is `--task.FIELD`, and one of `train` is `--FIELD`: "
+        "Every field of a task's YAML file. A file holds only what differs from the defaults, or with "
+        "`base: TASK` from a task that ships. As an option, a field is `--task.FIELD`, and one of `train` is `--FIELD`: "
         "`--task.reward.energy -0.004 --ppo.gamma 0.98`.",
     ]
     for kind, table in CONFIGURATIONS.items():
         text += [f"## {table or 'The file'}", (inspect.getdoc(kind) or "").split("\n")[0], "\n".join(fields_of(kind))]
     text += ["## Reward terms", "Names in `reward` and `reward_limits`. Costs have negative weights."]
     kinds = {True: "sum over a control step", False: "rate"}
-    text += ["\n".join(f"- `{name}`, {kinds[term.is_sum]}: {term.unit} ({term.source})" for name, term in TERMS.items())]
+    text += [
+        "\n".join(f"- `{name}`, {kinds[term.is_sum]}: {term.unit} ({term.source})" for name, term in TERMS.items())
+    ]
     text += ["## Observations", "Names in `observations`."]
     text += ["\n".join(f"- `{name}` [{part.unit}], {part.frame}" for name, part in PARTS.items())]
-    text += ["## Physical parameters", "Names in `params` and `randomize`, and of the options `--set` and `--randomize.NAME`."]
+    about = "Names in `params` and `randomize`, and of the options `--set` and `--randomize.NAME`."
+    text += ["## Physical parameters", about]
     for group in GROUPS:
-        rows = [(name, one) for name, one in PARAMETERS.items() if one.group == group]
-        text += [f"### {group.capitalize()}", "\n".join(f"- `{name}` [{one.unit}]: {one.meaning}" for name, one in rows)]
+        rows = [f"- `{name}` [{one.unit}]: {one.meaning}" for name, one in PARAMETERS.items() if one.group == group]
+        text += [f"### {group.capitalize()}", "\n".join(rows)]
     return "\n\n".join(text)
 
 

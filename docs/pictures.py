@@ -85,7 +85,7 @@ def motion(name: str, label: str, size: tuple[int, int], force: float | None = N
 
 
 def leg_lines(robot: RobotDescription, swing: float, extension: float) -> list[np.ndarray]:
-    """Return the links of a leg in its plane as lines (K, 2) [m], x forward and z up from the hip; the foot comes last."""
+    """Return the links of a leg as lines (K, 2) [m] in its plane, x forward and z up from the hip; the foot is last."""
     legs, hip = robot.leg_geometry, np.zeros(2)
     if isinstance(legs, FiveBar):
         angles = legs.to_motors([[swing], [extension]])[0]
