@@ -117,7 +117,7 @@ def task_reference() -> str:
     text = [
         "# Task configuration",
         "Every field of a task's YAML file. A file holds only what differs from the defaults, or with "
-        "`base: TASK` from a task that ships. As an option, a field is `--task.FIELD`, and one of `train` is `--FIELD`: "
+        "`base: TASK` from a task that ships. As an option, a field is `--task.FIELD`, and of `train` `--FIELD`: "
         "`--task.reward.energy -0.004 --ppo.gamma 0.98`.",
     ]
     for kind, table in CONFIGURATIONS.items():
