@@ -2,11 +2,11 @@
 
 The time runs from the start of training (models built, compiled code loaded) to its end; with one thread it is the
 process's time on a processor, which other programs change little, with more it is the wall's. Then the deterministic
-policy is run on fresh commands, one for each robot: 8 s from standing, of which the first second does not count. Errors
-are root mean squares of speed forward and sideways [m/s] and yaw rate [rad/s], of every control step and averaged over a
-stride. Episodes that fell count up to the fall.
+policy is run on fresh commands, one for each robot: 8 s from standing, of which the first second does not count.
+Errors are root mean squares of speed forward and sideways [m/s] and yaw rate [rad/s], of every control step and
+averaged over a stride. Episodes that fell count up to the fall.
 
-    python benchmarks/velocity_tracking.py --minutes 4 --every 1 --threads 1 --seed 0 --out results/steer/reference-0.csv
+    python benchmarks/velocity_tracking.py --minutes 4 --every 1 --threads 1 --out results/steer/reference-0.csv
 
 writes errors on the way too, for `velocity_curves.py`.
 """
