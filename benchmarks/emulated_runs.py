@@ -90,7 +90,8 @@ def main() -> None:
     parser.add_argument("cases", nargs="*", choices=[[], *CASES], help="all, if none is given")
     parser.add_argument("--out", type=Path, default=Path("results/emulator"), help="folder of the tables")
     options = parser.parse_args()
-    path, kept = options.out / "runs.csv", {}
+    path = options.out / "runs.csv"
+    kept: dict[str, list[dict[str, Any]]] = {}
     if path.exists():
         with path.open(newline="") as file:
             for row in csv.DictReader(file):

@@ -160,7 +160,7 @@ def errors(rows: list[dict[str, Any]], name: str) -> dict[str, float]:
     """Return medians and the worst of errors, absolute and relative; nothing for several parameters or no value."""
     if not rows or name.startswith("hidden"):
         return {}
-    values = {}
+    values: dict[str, float] = {}
     for kind, column in (("", "error"), ("_percent", "relative")):
         scale = 100.0 if kind else 1.0
         everywhere = [scale * row[column] for row in rows]
