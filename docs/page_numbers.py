@@ -91,7 +91,7 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
         parts = []
         for key in (rest if combine else column).split(" of "):
             values = [find_value(row, key) for row in rows]
-            if any(value is None or value == "" for value in values):
+            if any(value is None or (value == "" and form) for value in values):
                 raise SurefootError(f"has no {key} in {selectors or 'its keys'}")
             values = [combine(map(float, values))] if combine else values
             parts.append([printed(value, form, float(factor or 1)) for value in values])
@@ -101,7 +101,7 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
 def printed(value: Any, form: str, factor: float) -> str:
     """Return a value in a format; without one as it is."""
     if not form:
-        return str(value) if isinstance(value, str) and factor == 1 else f"{float(value) * factor:.9g}"
+        return value or "-" if isinstance(value, str) and factor == 1 else f"{float(value) * factor:.9g}"
     match = FORM.fullmatch(form)
     try:
         number = float(value) * factor
