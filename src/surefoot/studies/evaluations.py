@@ -29,12 +29,13 @@ from surefoot.tables import plain_value, with_unit
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
-from surefoot.world.ensemble import ROBOTS
-from surefoot.world.registry import find_world
+from surefoot.world.registry import WORLDS, find_world
 
 SEED = 1
 GAP_SEED = 2
 """Runs of a gap are independent of those that policies are selected by."""
+AWAY = "ensemble"
+ROBOTS = len(WORLDS[AWAY].seeds or ())
 Result = dict[str, Any]
 """Result of an evaluation, as JSON holds it."""
 Traces = dict[str, list[EpisodeTrace]]
@@ -213,9 +214,9 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         ),
     ),
     "gap": EvaluationKind(
-        f"a run on each of the ensemble's {ROBOTS} robots in Bullet, and as many in the policy's own simulator and "
+        f"a run on each of the {ROBOTS} robots of world {AWAY}, and as many in the policy's own simulator and "
         "there with the robot of the data sheet; none with pushes, each from a start of its own",
-        {"home": "mujoco", "away": "ensemble", "described": True, "episodes": ROBOTS, "seed": GAP_SEED},
+        {"home": "mujoco", "away": AWAY, "described": True, "episodes": ROBOTS, "seed": GAP_SEED},
         _run_gap,
         _read_gap,
         (
