@@ -132,6 +132,7 @@ def stray_numbers(text: str, numbers: ModuleType) -> list[str]:
     given = [
         " ".join(one.split()) for part in re.findall(r"<!-- given:(.*?)-->", text, re.DOTALL) for one in part.split(";")
     ]
+    text = numbers.CLAIMS.sub("", text)
     text = numbers.TABLE.sub(lambda match: re.sub(r"\{[^{}]*(\{\d\}[^{}]*)*\}", "", match[3]), text)
     text = re.sub(rf"(?:{numbers.TOKEN},\s+)*{numbers.TOKEN}<!--=.*?-->", "", text, flags=re.DOTALL)
     text = CODE.sub("\n\n", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
