@@ -41,7 +41,7 @@ from pathlib import Path
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.files import atomic_write
 from surefoot.studies.paper import claims_markdown
-from surefoot.studies.result_numbers import fill, find_file, first_column, look_up
+from surefoot.studies.result_numbers import fill, find_file, first_column, look_up, substitute
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "policies/README.md", "docs/*.md")
@@ -85,10 +85,7 @@ def write_table(root: Path, keys: str, lines: str) -> str:
     table = []
     for line in lines.splitlines():
         for item in items if "{0}" in line else [""]:
-            filled = line
-            for number, part in enumerate(item.split(" = ")):
-                filled = filled.replace(f"{{{number}}}", part)
-            table.append(fill(root, filled) + "\n")
+            table.append(fill(root, substitute(line, item)) + "\n")
     return "".join(table)
 
 

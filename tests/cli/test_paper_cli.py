@@ -117,7 +117,8 @@ def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repo
 
     folders = {Path(stage.makes).parts[:2] for stage in paper_runs.STAGES}
     sections = load_content().sections
-    texts = [text for part in sections for text in (part.surefoot, *(item.surefoot for item in part.items))]
+    lines = [line for part in sections for item in part.items for line in item.lines()]
+    texts = [one.surefoot for one in (*sections, *lines)]
     files = {f"results/{match[1]}" for text in texts for match in re.finditer(r"\{([^ :{}]+)", text)}
     pictures = {one.file for part in sections for one in part.pictures}
     files |= {file for file in pictures if file.startswith("results/")}

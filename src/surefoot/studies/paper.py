@@ -13,7 +13,7 @@ from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.files import atomic_write
 from surefoot.report.pages.html import page, picture, row
-from surefoot.studies.result_numbers import BRACES, cell, find_file
+from surefoot.studies.result_numbers import BRACES, cell, find_file, substitute
 
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"
@@ -45,6 +45,15 @@ class PaperItem:
     """surefoot's, with numbers as in `result_numbers.fill`."""
     how: str = ""
     """How surefoot's was measured: episodes, seeds, what the interval is over."""
+    each: tuple[str, ...] = ()
+    """The line stands there once for each: {0} is what comes before ` = `, {1} what follows."""
+
+    def lines(self) -> list[PaperItem]:
+        """Return one item for each."""
+        texts = {name: getattr(self, name) for name in ("what", "paper", "surefoot", "how")}
+        return [
+            PaperItem(**{name: substitute(text, one) for name, text in texts.items()}) for one in self.each or [""]
+        ]
 
 
 @dataclass(frozen=True)
@@ -89,6 +98,14 @@ class PaperContent:
     differences: tuple[str, ...]
     """The main differences between paper and surefoot."""
     sections: tuple[PaperSection, ...]
+
+
+def evaluations_on_page() -> list[str]:
+    """Return the rows of `results/evaluations.csv` that the page's sections show, such as `trot/ensemble-test`."""
+    sections = load_content().sections
+    texts = [line.surefoot for section in sections for item in section.items for line in item.lines()]
+    texts += [section.surefoot for section in sections]
+    return sorted({name for text in texts for name in re.findall(r"\{evaluations ([\w/-]+):", text)})
 
 
 def load_content() -> PaperContent:
@@ -143,7 +160,7 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
             parts.append(f"<p><b>surefoot:</b> {escape(_fill(root, section.surefoot, missing))}</p>")
         if section.items:
             lines: list[tuple[str, ...]] = [("", "paper", "surefoot", "difference", "how measured")]
-            lines += [_line(root, item, missing) for item in section.items]
+            lines += [_line(root, one, missing) for item in section.items for one in item.lines()]
             columns = [k for k in range(len(lines[0])) if any(line[k] for line in lines[1:])]
             kinds = [
                 "".join("n" if k in (1, 2) and len(line[k]) < _MAX_NUMBER else "t" for k in columns) for line in lines
@@ -220,21 +237,17 @@ def _all_differences(root: Path) -> list[str]:
     path = root / "docs" / "paper.md"
     if not path.is_file():
         return []
-    heads: list[str] = []
-
-    def join(match: re.Match[str]) -> str:
-        heads.append(match[2])
-        return f"| **{match[1]}** | | | |\n"
-
-    # Every section's table has a head of its own; here the sections are rows of one table.
-    text = re.sub(r"^## (.+)\n\n(\| .*)\n", join, path.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    lines = [line.strip("|").split("|") for line in [*heads[:1], *text.splitlines()] if line[:2] == "| "]
+    # Every section's table has a head of its own; here it is a row of one table, with the section's title.
+    text = re.sub(r"^## (.+)\n\n\| [^|]+\|", r"| **\1** |", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    text = re.sub(r"<!--.*?-->", "", text)
+    lines = [line.strip("|").split("|") for line in text.splitlines() if line[:2] == "| "]
     cells = [[_inline(cell.strip()) for cell in line] for line in lines]
-    rows = row(cells[0], "hhhh", "th") + "".join(row(line, "hhhh") for line in cells[1:] if len(line) == 4)
+    rows = "".join(row(line, "hhhh") for line in cells if len(line) == 4)
     return [f"<details><summary>Every difference</summary><table>{rows}</table></details>"]
 
 
 def _inline(markdown: str) -> str:
-    """Convert bold type and code of a cell to HTML."""
-    text = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", escape(markdown))
+    """Convert bold type and code of a cell to HTML, and links to their texts."""
+    text = re.sub(r"\[(.+?)\]\([^)]*\)", r"\1", escape(markdown))
+    text = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", text)
     return re.sub(r"`(.+?)`", r"<code>\1</code>", text)

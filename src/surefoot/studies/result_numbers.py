@@ -41,6 +41,13 @@ def fill(root: Path, text: str) -> str:
     return BRACES.sub(lambda match: cell(root, match[1]), text)
 
 
+def substitute(text: str, item: str) -> str:
+    """Return a text with {0}, {1}, ... replaced by the parts of an item, ` = ` between them."""
+    for number, part in enumerate(item.split(" = ")):
+        text = text.replace(f"{{{number}}}", part)
+    return text
+
+
 def cell(root: Path, content: str) -> str:
     """Return the text of a source that its format follows."""
     source, _, form = content.rpartition(" ")
