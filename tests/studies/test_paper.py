@@ -88,7 +88,7 @@ def test_claims_are_listed_by_verdict(repository: Path):
     head, rule, *lines = claims_markdown(repository, ["untried", "no"]).splitlines()
     assert (head.count("|"), rule.count("|")) == (4, 4)
     verdicts = [line.split("|")[2].strip() for line in lines]
-    assert verdicts == sorted(verdicts, key=["not tried", "not reproduced"].index)
+    assert verdicts == sorted(verdicts, key=["not tried", "no"].index)
     for page, part in (re.search(r"\]\(([^)#]*)#?([^)]*)\)", line).groups() for line in lines):
         text = (repository / "docs" / (page or "results.md")).read_text(encoding="utf-8")
         titles = [re.sub(r"[^\w-]", "", one.lower().replace(" ", "-")) for one in re.findall("^#+ (.*)", text, re.M)]

@@ -17,7 +17,7 @@ from surefoot.studies.result_numbers import BRACES, cell, find_file, substitute
 
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"
-VERDICTS = {"untried": "not tried", "no": "not reproduced", "partly": "in part", "yes": "reproduced"}
+VERDICTS = {"untried": "not tried", "no": "no", "partly": "in part", "yes": "yes"}
 _MAX_NUMBER = 30
 """Characters of a cell beside numbers; a longer one is folded as text."""
 
@@ -114,7 +114,7 @@ def load_content() -> PaperContent:
         return from_mapping(PaperContent, read_yaml(CONTENT))
 
 
-def claim_rows(root: Path, verdicts: Sequence[str], missing: list[str]) -> list[tuple[str, str, str, str]]:
+def claims(root: Path, verdicts: Sequence[str], missing: list[str]) -> list[tuple[str, str, str, str]]:
     """Return claim, verdict, finding and page of each claim with one of these verdicts."""
     return [
         (one.claim, VERDICTS[verdict], _fill(root, one.surefoot, missing), one.where)
@@ -126,9 +126,9 @@ def claim_rows(root: Path, verdicts: Sequence[str], missing: list[str]) -> list[
 
 def claims_markdown(root: Path, verdicts: Sequence[str]) -> str:
     """Return the claims with one of these verdicts as a Markdown table for a page in `docs`."""
-    rows = claim_rows(root, verdicts, [])
-    lines = [f"| {claim} | {verdict} | {text} [Details]({page}) |" for claim, verdict, text, page in rows]
-    return "\n".join(["| the paper | here | surefoot |", "|---|---|---|", *lines]) + "\n"
+    rows = claims(root, verdicts, [])
+    lines = [f"| {claim} | {verdict} | {text} [More]({page}) |" for claim, verdict, text, page in rows]
+    return "\n".join(["| the paper | reproduced | surefoot |", "|---|---|---|", *lines]) + "\n"
 
 
 def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None) -> list[str]:
@@ -148,9 +148,10 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
     parts = [f"<h1>{escape(content.title)}</h1>", f"<p>{escape(content.about)}</p>"]
     if note:
         parts.append(f"<p><b>{escape(note)}</b></p>")
-    for title, *verdicts in (("Not reproduced", "untried", "no", "partly"), ("Reproduced", "yes")):
-        rows = [("the paper", "here", "surefoot", "page"), *claim_rows(clone or root, verdicts, missing)]
-        parts += [f"<h2>{title}</h2>", _table(rows, ["tttt"] * len(rows))]
+    for title, *verdicts in (("Not reproduced, or in part", "untried", "no", "partly"), ("Reproduced", "yes")):
+        rows = [("the paper", "reproduced", "surefoot")]
+        rows += [(*one, f"{text} ({where})") for *one, text, where in claims(clone or root, verdicts, missing)]
+        parts += [f"<h2>{title}</h2>", _table(rows, ["ttt"] * len(rows))]
     parts.append(_contents([section.title for section in content.sections]))
     parts += ["<h2>Main differences</h2>", f"<ul>{''.join(f'<li>{escape(text)}</li>' for text in content.differences)}</ul>"]
     parts += _all_differences(root)

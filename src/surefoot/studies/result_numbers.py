@@ -10,7 +10,7 @@ Several rows, `A; B; C`, give several numbers; or one, if COLUMN begins with sum
 `count` is how many rows there are, and `count COLUMN` how often each value stands in a column, such as `3 trot, 1 pace`.
 
 A format follows in braces of a text: `.2`, `0.2` (with a leading zero), `0` (an integer), `+.2` (with its sign);
-without one the file's text stands as it is.
+without one the file's text stands as it is, and - for an empty one.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
             if None in values:
                 raise SurefootError(f"has no {key} in {selectors or 'its keys'}")
             values = [combine(map(float, values))] if combine else values
-            return [value if value == "" else printed(value, form, float(factor or 1)) for value in values]
+            empty = "" if form else "-"
+            return [empty if value == "" else printed(value, form, float(factor or 1)) for value in values]
 
         match = _SPREAD.fullmatch(rest if combine else column)
         assert match is not None
