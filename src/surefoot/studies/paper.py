@@ -51,9 +51,7 @@ class PaperItem:
     def lines(self) -> list[PaperItem]:
         """Return one item for each."""
         texts = {name: getattr(self, name) for name in ("what", "paper", "surefoot", "how")}
-        return [
-            PaperItem(**{name: substitute(text, one) for name, text in texts.items()}) for one in self.each or [""]
-        ]
+        return [PaperItem(**{name: substitute(text, one) for name, text in texts.items()}) for one in self.each or [""]]
 
 
 @dataclass(frozen=True)
@@ -153,7 +151,12 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
         rows += [(*one, f"{text} ({where})") for *one, text, where in claims(clone or root, verdicts, missing)]
         parts += [f"<h2>{title}</h2>", _table(rows, ["ttt"] * len(rows))]
     parts.append(_contents([section.title for section in content.sections]))
-    parts += ["<h2>Main differences</h2>", f"<ul>{''.join(f'<li>{escape(text)}</li>' for text in content.differences)}</ul>"]
+    parts += [
+        "<h2>Main differences</h2>",
+        "<ul>",
+        *(f"<li>{escape(text)}</li>" for text in content.differences),
+        "</ul>",
+    ]
     parts += _all_differences(root)
     for number, section in enumerate(content.sections, start=1):
         parts += [f'<h2 id="s{number}">{escape(section.title)}</h2>', f"<p><b>Paper:</b> {escape(section.paper)}</p>"]

@@ -7,7 +7,7 @@ of another. `mean [low, high]` and `mean ± error` are several columns; what is 
 where it is empty, as it is for a single policy.
 
 Several rows, `A; B; C`, give several numbers; or one, if COLUMN begins with sum, mean, sd (with n - 1), min or max.
-`count` is how many rows there are, and `count COLUMN` how often each value stands in a column, such as `3 trot, 1 pace`.
+`count` is how many rows there are, and `count COLUMN` how often each value is in a column, such as `3 trot, 1 pace`.
 
 A format follows in braces of a text: `.2`, `0.2` (with a leading zero), `0` (an integer), `+.2` (with its sign);
 without one the file's text stands as it is, and - for an empty one.
@@ -85,9 +85,11 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
         if any("" in part for part in parts):
             raise SurefootError(f"has no {match[1]} in {selectors or 'its keys'}")
         means = [" of ".join(one) for one in zip(*parts, strict=True)]
-        ends = [texts(key) for key in match.groups()[1:] if key]
-        spread = [f" ± {one[0]}" if len(one) == 1 else f" [{', '.join(one)}]" for one in zip(*ends, strict=True)]
-        return [mean + ("" if "" in end else text) for mean, text, *end in zip(means, spread or [""] * len(means), *ends)]
+        if not (ends := [texts(key) for key in match.groups()[1:] if key]):
+            return means
+        spreads = [f" ± {one[0]}" if len(one) == 1 else f" [{', '.join(one)}]" for one in zip(*ends, strict=True)]
+        empty = ["" in one for one in zip(*ends, strict=True)]
+        return [mean if none else mean + spread for mean, spread, none in zip(means, spreads, empty, strict=True)]
 
 
 def count(rows: list[dict[str, str]], column: str) -> str:
