@@ -126,7 +126,8 @@ def measure(path: Path, condition: str, command: Command) -> dict[str, Any]:
     task = home_task(replace(task, params={**task.params, **params}))
     env = LocomotionEnv(task, command.episodes, find_world(name), command.seed, autoreset=False, threads=1)
     observation, _ = env.reset()
-    meter, world = Meter(), env.world
+    meter = Meter()
+    world: Any = env.world
     state, motors, advance = world.actuation, world.robot.num_motors, world.engine.advance
     motor = (*(one[:, None] for one in (state.torque_constant, state.resistance, state.voltage)), state.constants[0])
 
@@ -236,8 +237,8 @@ def attach(env: Any, meter: Meter) -> Callable[[], None]:
     def convert_and_measure(duty: Array, speed: Array) -> tuple[Array, Array]:
         torque, reported = convert(model, duty, speed)
         calls[0] += 1
-        rows = (np.asarray(one)[None] for one in (duty, speed, torque))
-        meter.add(*rows, (*motor, constants.VOLTAGE_CLIPPING), last=calls[0] % steps == 0)
+        robot = (np.asarray(one)[None] for one in (duty, speed, torque))
+        meter.add(*robot, motor=(*motor, constants.VOLTAGE_CLIPPING), last=calls[0] % steps == 0)
         return torque, reported
 
     model._convert_to_torque_from_pwm = convert_and_measure

@@ -50,8 +50,8 @@ class PaperItem:
 
     def lines(self) -> list[PaperItem]:
         """Return one item for each."""
-        texts = {name: getattr(self, name) for name in ("what", "paper", "surefoot", "how")}
-        return [PaperItem(**{name: substitute(text, one) for name, text in texts.items()}) for one in self.each or [""]]
+        texts = (self.what, self.paper, self.surefoot, self.how)
+        return [PaperItem(*(substitute(text, one) for text in texts)) for one in self.each or [""]]
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
     if note:
         parts.append(f"<p><b>{escape(note)}</b></p>")
     for title, *verdicts in (("Not reproduced, or in part", "untried", "no", "partly"), ("Reproduced", "yes")):
-        rows = [("the paper", "reproduced", "surefoot")]
+        rows: list[tuple[str, ...]] = [("the paper", "reproduced", "surefoot")]
         rows += [(*one, f"{text} ({where})") for *one, text, where in claims(clone or root, verdicts, missing)]
         parts += [f"<h2>{title}</h2>", _table(rows, ["ttt"] * len(rows))]
     parts.append(_contents([section.title for section in content.sections]))

@@ -20,6 +20,7 @@ import json
 import re
 import statistics
 from collections import Counter
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from surefoot.files import check_readable
 
 FORM = re.compile(r"([+]?)(0?)(?:\.(\d))?")
 BRACES = re.compile(r"\{([^{}]+)\}")
-_COMBINED = {"sum": sum, "mean": statistics.fmean, "sd": statistics.stdev, "min": min, "max": max}
+_COMBINED: dict[str, Callable[[Iterable[float]], float]] = {"sum": sum, "mean": statistics.fmean, "sd": statistics.stdev, "min": min, "max": max}
 _SPREAD = re.compile(r"(.+?)(?: (?:\[(\S+), (\S+)\]|± (\S+)))?")
 
 
@@ -107,6 +108,7 @@ def printed(value: Any, form: str, factor: float) -> str:
     if not form:
         return str(value) if isinstance(value, str) and factor == 1 else f"{float(value) * factor:.9g}"
     match = FORM.fullmatch(form)
+    assert match is not None
     try:
         number = float(value) * factor
     except ValueError:
