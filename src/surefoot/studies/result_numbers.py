@@ -29,7 +29,10 @@ from surefoot.files import check_readable
 
 FORM = re.compile(r"([+]?)(0?)(?:\.(\d))?")
 BRACES = re.compile(r"\{([^{}]+)\}")
-_COMBINED: dict[str, Callable[[Iterable[float]], float]] = {"sum": sum, "mean": statistics.fmean, "sd": statistics.stdev, "min": min, "max": max}
+_COMBINED: dict[str, Callable[[Iterable[float]], float]] = {
+    **{"sum": sum, "mean": statistics.fmean, "sd": statistics.stdev},
+    **{"min": min, "max": max},
+}
 _SPREAD = re.compile(r"(.+?)(?: (?:\[(\S+), (\S+)\]|± (\S+)))?")
 
 
