@@ -237,8 +237,8 @@ def attach(env: Any, meter: Meter) -> Callable[[], None]:
     def convert_and_measure(duty: Array, speed: Array) -> tuple[Array, Array]:
         torque, reported = convert(model, duty, speed)
         calls[0] += 1
-        robot = (np.asarray(one)[None] for one in (duty, speed, torque))
-        meter.add(*robot, motor=(*motor, constants.VOLTAGE_CLIPPING), last=calls[0] % steps == 0)
+        rows = np.array([[duty], [speed], [torque]])
+        meter.add(rows[0], rows[1], rows[2], (*motor, constants.VOLTAGE_CLIPPING), last=calls[0] % steps == 0)
         return torque, reported
 
     model._convert_to_torque_from_pwm = convert_and_measure

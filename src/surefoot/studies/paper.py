@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Literal
@@ -50,8 +50,10 @@ class PaperItem:
 
     def lines(self) -> list[PaperItem]:
         """Return one item for each."""
-        texts = (self.what, self.paper, self.surefoot, self.how)
-        return [PaperItem(*(substitute(text, one) for text in texts)) for one in self.each or [""]]
+        return [
+            replace(self, what=substitute(self.what, one), surefoot=substitute(self.surefoot, one), each=())
+            for one in self.each or [""]
+        ]
 
 
 @dataclass(frozen=True)
