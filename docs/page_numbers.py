@@ -22,6 +22,7 @@ A table is generated from the lines in the comment above it:
 
 A line with {0} stands there once for each item of the list; {1} is what follows an item's first ` = `. The list
 `all of FILE` is the first column of a CSV file. Other braces hold what a marker holds, then the format.
+A backslash at the end of a line continues it.
 
 The claims of the paper that were not reproduced, or those that were, from src/surefoot/studies/paper.yaml:
 
@@ -83,7 +84,7 @@ def write_table(root: Path, keys: str, lines: str) -> str:
     whole = re.fullmatch(r"all of (\S+)", keys.strip())
     items = first_column(find_file(root, whole[1]))[1:] if whole else keys.strip().split(", ")
     table = []
-    for line in lines.splitlines():
+    for line in re.sub(r"\\\n *", "", lines).splitlines():
         for item in items if "{0}" in line else [""]:
             table.append(fill(root, substitute(line, item)) + "\n")
     return "".join(table)
