@@ -84,7 +84,7 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
     name, _, selectors = place.partition(" ")
     column, _, factor = column.partition(" x")
     word, _, rest = column.partition(" ")
-    combine = COMBINED.get(word)
+    combine = COMBINED.get(word) if rest else None  # a column may be called mean
     path = find_file(root, name)
     with prefix_errors(path.relative_to(root)):
         rows = [find_row(path, where(path, one)) for one in selectors.split("; ")]
