@@ -90,8 +90,8 @@ def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
     rows = table[table.figure == figure.name]
     count, survive = len(rows), int((rows.p_holm < _LEVEL).sum())
     lines = [
-        f"Primary figure: {figure.heading}. The study's file declares {count} comparisons; {survive} of them have "
-        f"p < {_LEVEL:.2g} after Holm's correction for {count}.",
+        f"Primary figure: {figure.heading}. Comparisons that the study's file declares: {count}; with p < {_LEVEL:.2g} "
+        f"after Holm's correction for {count}: {survive}.",
         markdown(
             [
                 {"group": label(row.group), "against": label(row.against)}
