@@ -61,7 +61,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         "## Trainings",
         markdown([_training(comparison, group) for group in comparison.groups]),
         *_curves(comparison, folder),
-        *(_gaps(comparison, tables, folder) if "gap" in comparison.kinds else []),
+        *(_gaps(comparison, tables, folder) if comparison.gap_kind else []),
         "## Results",
         *_by_figure(figures, [{"group": label(group)} for group in comparison.groups], levels),
         "![Groups side by side](groups.png)",
@@ -220,7 +220,7 @@ def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Pa
         gap_figure([best.gap(group) for group in names], folder / file)
         lines += [f"![Return of the best {top} policies at home and away]({file})"]
         lines.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
-    return [*lines, *_differences(best, tables["top_differences"], EVALUATIONS["gap"].figures)]
+    return [*lines, *_differences(best, tables["top_differences"], EVALUATIONS[comparison.gap_kind].figures)]
 
 
 def _gap_table(table: pd.DataFrame) -> str:
