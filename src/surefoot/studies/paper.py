@@ -13,7 +13,7 @@ from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.files import atomic_write
 from surefoot.report.pages.html import page, picture, row
-from surefoot.studies.result_numbers import BRACES, cell, find_file, substitute
+from surefoot.studies.result_numbers import BRACES, NotMeasured, cell, substitute
 
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"
@@ -198,16 +198,14 @@ def _contents(titles: Sequence[str]) -> str:
 
 
 def _fill(root: Path, text: str, missing: list[str]) -> str:
-    """Return a text with numbers of results; a file that is not there is added to `missing`."""
+    """Return a text with numbers of results; what is not there is added to `missing`."""
 
     def number(match: re.Match[str]) -> str:
-        name = match[1].partition(" ")[0].rstrip(":")
         try:
-            find_file(root, name)
-        except SurefootError:
-            missing.append(f"results/{name}")
+            return cell(root, match[1])
+        except NotMeasured:
+            missing.append(f"results/{match[1].rpartition(': ')[0]}")
             return NOT_MEASURED
-        return cell(root, match[1])
 
     return BRACES.sub(number, text)
 

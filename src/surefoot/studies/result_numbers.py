@@ -36,6 +36,10 @@ _COMBINED: dict[str, Callable[[Iterable[float]], float]] = {
 _SPREAD = re.compile(r"(.+?)(?: (?:\[(\S+), (\S+)\]|± (\S+)))?")
 
 
+class NotMeasured(SurefootError):
+    """There is no such file of results, no such row, or nothing in it."""
+
+
 def fill(root: Path, text: str) -> str:
     """Return a text with what its braces name, such as `{evaluations trot: speed_mean .2} m/s`.
 
@@ -87,7 +91,7 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
         assert match is not None
         parts = [texts(key) for key in match[1].split(" of ")]
         if any("" in part for part in parts):
-            raise SurefootError(f"has no {match[1]} in {selectors or 'its keys'}")
+            raise NotMeasured(f"has no {match[1]} in {selectors or 'its keys'}")
         means = [" of ".join(one) for one in zip(*parts, strict=True)]
         if not (ends := [texts(key) for key in match.groups()[1:] if key]):
             return means
@@ -126,7 +130,7 @@ def find_file(root: Path, name: str) -> Path:
     for path in (root / folder / f"{name}.{kind}" for folder in ("results", ".") for kind in ("csv", "json")):
         if path.is_file():
             return path
-    raise SurefootError(f"results has no file {name}.csv or {name}.json")
+    raise NotMeasured(f"results has no file {name}.csv or {name}.json")
 
 
 def where(path: Path, selector: str) -> dict[str, str]:
@@ -151,7 +155,8 @@ def find_row(path: Path, columns: dict[str, str]) -> Any:
         rows = read_rows(path, columns)
         if len(rows) != 1:
             described = ", ".join(f"{key} {value}" for key, value in columns.items()) or "any kind"
-            raise SurefootError(f"has {len(rows)} rows of {described}; there must be one")
+            error = SurefootError if rows else NotMeasured
+            raise error(f"has {len(rows)} rows of {described}; there must be one")
         return rows[0]
     try:
         return json.loads(_read(path))
