@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, prefix_errors
+from surefoot.errors import prefix_errors
 from surefoot.files import atomic_write
 from surefoot.report.pages.html import page, picture, row
 from surefoot.studies.result_numbers import BRACES, NotMeasured, cell, substitute
