@@ -68,9 +68,10 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
     if not colon:
         raise SurefootError(f"'{source}' is no source; it is FILE ROW: COLUMN")
     name, _, selectors = place.partition(" ")
-    path = find_file(root, name)
+    counts = re.match(r"count\b", column)
+    path = find_file(root, name, ("csv", "json") if selectors or counts else ("json", "csv"))
     with prefix_errors(path.relative_to(root)):
-        if re.match(r"count\b", column):
+        if counts:
             return [count(read_rows(path, where(path, selectors)), column[6:])]
         column, _, factor = column.partition(" x")
         word, _, rest = column.partition(" ")
@@ -125,9 +126,9 @@ def printed(value: Any, form: str, factor: float) -> str:
     return text if match[2] else re.sub(r"^([+-]?)0\.", r"\1.", text)
 
 
-def find_file(root: Path, name: str) -> Path:
-    """Return the file of results of a name."""
-    for path in (root / folder / f"{name}.{kind}" for folder in ("results", ".") for kind in ("csv", "json")):
+def find_file(root: Path, name: str, kinds: Iterable[str] = ("csv", "json")) -> Path:
+    """Return the file of results of a name, of the first of these kinds that is there."""
+    for path in (root / folder / f"{name}.{kind}" for folder in ("results", ".") for kind in kinds):
         if path.is_file():
             return path
     raise NotMeasured(f"results has no file {name}.csv or {name}.json")
