@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--world", default="ensemble")
     parser.add_argument("--least", type=float, default=8000.0, help="least contact stiffness of a robot's feet [N/m]")
     arguments = parser.parse_args()
-    study, seeds = load_study(arguments.study), WORLDS[arguments.world].seeds
+    study, seeds = load_study(arguments.study), WORLDS[arguments.world].seeds or range(0)
     robot = RobotDescription.load(group_config(study, next(iter(study.groups))).task.robot)
     stiffness = ensemble_params(robot, len(seeds), seeds).contact_stiffness.reshape(len(seeds), -1).min(axis=1)
     robots = np.flatnonzero(stiffness >= arguments.least)
