@@ -2,8 +2,8 @@
 
     python benchmarks/study_robots.py studies/reality-gap.yaml results/reality-gap
 
-Robots of `--least` N/m and more of contact stiffness count. Feet of less sink below an uneven floor in Bullet, whose
-height field then pushes them on downwards. Writes FOLDER/firm_feet.csv: a row a pair and figure (return away, gap) with
+Robots of `--least` N/m and more of contact stiffness count: until version 0.7 feet of less sank below an uneven floor in
+Bullet. Writes FOLDER/firm_feet.csv: a row a pair and figure (return away, gap) with
 difference, interval over policies and robots, p value, and p after Holm's correction for the number of pairs.
 """
 
