@@ -2,9 +2,9 @@
 
     python benchmarks/study_robots.py studies/reality-gap.yaml results/reality-gap
 
-Robots of `--least` N/m and more of contact stiffness count: until version 0.7 feet of less sank below an uneven floor in
-Bullet. Writes FOLDER/firm_feet.csv: a row a pair and figure (return away, gap) with
-difference, interval over policies and robots, p value, and p after Holm's correction for the number of pairs.
+Robots of `--least` N/m and more of contact stiffness count: before the floor was mended, feet of less sank below it in
+Bullet. Writes FOLDER/firm_feet.csv: a row a pair and figure (return away, gap) with difference, interval over policies
+and robots, p value, and p after Holm's correction for the number of pairs.
 """
 
 from __future__ import annotations
