@@ -27,7 +27,8 @@ A table is generated from the lines in the comment above it:
 
 A line with {0} stands there once for each item of the list; {1} is what follows an item's first ` = `. The list
 `all of FILE` is the first column of a CSV file. Other braces hold what a marker holds, then the format: `.2`, `0.2`
-(with a leading zero), `0` (an integer), `+.2` (with its sign); without one the file's text stands as it is.
+(with a leading zero), `0` (an integer), `+.2` (with its sign); without one the file's text stands as it is. A backslash
+at the end of a line continues it.
 """
 
 from __future__ import annotations
@@ -143,7 +144,7 @@ def write_table(root: Path, keys: str, lines: str) -> str:
     whole = re.fullmatch(r"all of (\S+)", keys.strip())
     items = first_column(find_file(root, whole[1]))[1:] if whole else keys.strip().split(", ")
     table = []
-    for line in lines.splitlines():
+    for line in re.sub(r"\\\n *", "", lines).splitlines():
         for item in items if "{0}" in line else [""]:
             filled = line
             for number, part in enumerate(item.split(" = ")):

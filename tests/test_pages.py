@@ -27,7 +27,7 @@ RESULTS = [
     ),
 ]
 """Pages with results."""
-PENDING = set(RESULTS)
+PENDING = set(RESULTS) - {"docs/search.md"}
 """Pages whose numbers have no sources yet; none, once all are converted."""
 UNIT = (
     r"(?:%|(?:km|kN|kg|kHz|ms|mm|cm|mJ|dB|degC|deg|rad|million|minutes?|seconds?|hours?|MB|kB|[NWmsJVAMhHg]|Hz)"

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from processes import SUREFOOT, refused, surefoot, wait_until
 
+from surefoot.api.extras import install_command
 from surefoot.studies.training import Training
 
 TINY = """
@@ -232,7 +233,7 @@ def test_a_missing_world_is_refused_before_training(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(study_results, "find_world", find_world)
     assert main(["study", "gaps.yaml"]) == 2
-    assert "pip install 'surefoot[bullet]'" in capsys.readouterr().err
+    assert install_command("bullet") in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
 
 
