@@ -99,7 +99,7 @@ def leg_lines(robot: RobotDescription, swing: float, extension: float) -> list[n
 
 def leg_space(path: Path) -> None:
     """Draw what swing and extension do to both kinds of legs."""
-    with new_figure(path, (6.0, 4.0), 1, 2) as (_, axes):
+    with new_figure(path, (4.8, 3.6), 1, 2) as (_, axes):
         for axis, name, title, extensions in (
             (axes[0], "minitaur", "five-bar leg (Minitaur)", (1.4, 2.1)),
             (axes[1], "go2", "serial leg (Go2)", (0.65, 0.85)),
