@@ -2,9 +2,9 @@
 
     python benchmarks/study_robots.py studies/reality-gap.yaml results/reality-gap
 
-Robots of `--least` N/m and more of contact stiffness count. Feet of less sink below an uneven floor in Bullet, whose
-height field then pushes them on downwards. Writes FOLDER/firm_feet.csv: a row a pair and figure (return away, gap) with
-difference, interval over policies and robots, p value, and p after Holm's correction for the number of pairs.
+Robots of `--least` N/m and more of contact stiffness count: before the floor was mended, feet of less sank below it in
+Bullet. Writes FOLDER/firm_feet.csv: a row a pair and figure (return away, gap) with difference, interval over policies
+and robots, p value, and p after Holm's correction for the number of pairs.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--world", default="ensemble")
     parser.add_argument("--least", type=float, default=8000.0, help="least contact stiffness of a robot's feet [N/m]")
     arguments = parser.parse_args()
-    study, seeds = load_study(arguments.study), WORLDS[arguments.world].seeds
+    study, seeds = load_study(arguments.study), WORLDS[arguments.world].seeds or range(0)
     robot = RobotDescription.load(group_config(study, next(iter(study.groups))).task.robot)
     stiffness = ensemble_params(robot, len(seeds), seeds).contact_stiffness.reshape(len(seeds), -1).min(axis=1)
     robots = np.flatnonzero(stiffness >= arguments.least)
