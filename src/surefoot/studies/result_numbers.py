@@ -20,7 +20,7 @@ import json
 import re
 import statistics
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +64,7 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
     if not colon:
         raise SurefootError(f"'{source}' is no source; it is FILE ROW: COLUMN")
     name, _, selectors = place.partition(" ")
-    path = find_file(root, name)
+    path = find_file(root, name, ("csv", "json") if selectors else ("json", "csv"))
     with prefix_errors(path.relative_to(root)):
         if re.match(r"count\b", column):
             return [count(read_rows(path, where(path, selectors)), column[6:])]
@@ -121,9 +121,9 @@ def printed(value: Any, form: str, factor: float) -> str:
     return text if match[2] else re.sub(r"^([+-]?)0\.", r"\1.", text)
 
 
-def find_file(root: Path, name: str) -> Path:
-    """Return the file of results of a name."""
-    for path in (root / folder / f"{name}.{kind}" for folder in ("results", ".") for kind in ("csv", "json")):
+def find_file(root: Path, name: str, kinds: Sequence[str] = ("csv", "json")) -> Path:
+    """Return the file of results of a name; of several, that of the first kind."""
+    for path in (root / folder / f"{name}.{kind}" for folder in ("results", ".") for kind in kinds):
         if path.is_file():
             return path
     raise SurefootError(f"results has no file {name}.csv or {name}.json")
