@@ -26,7 +26,15 @@ RESULTS = [
     ),
 ]
 """Pages with results."""
-PENDING = set(RESULTS) - {"docs/results.md", "docs/search.md", "docs/study.md", "docs/robots.md", "policies/README.md"}
+PENDING = {
+    "README.md",
+    "docs/handcrafted.md",
+    "docs/identification.md",
+    "docs/paper.md",
+    "docs/reality-gap.md",
+    "docs/robustness.md",
+    "docs/speed.md",
+}
 """Pages whose numbers have no sources yet; none, once all are converted."""
 UNIT = (
     r"(?:%|(?:km|kN|kg|kHz|ms|mm|cm|mJ|dB|degC|deg|rad|million|minutes?|seconds?|hours?|MB|kB|[NWmsJVAMhHg]|Hz)"
