@@ -20,6 +20,7 @@ from surefoot.cli.helpers.options import Ray, Workers
 from surefoot.cli.helpers.output import make_console
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, describe_os_errors
+from surefoot.files import atomic_write
 from surefoot.studies.paper import evaluations_on_page
 from surefoot.tables import write_csv
 
@@ -129,8 +130,10 @@ def motor_figure(runs: PaperRuns) -> None:
     runs.make_folder("results")
     runs.make_folder("docs")
     friction = ("--world", "bullet", "--set", "motor_friction=0.02")
-    command(runs, "identify", "motor-figure", *friction, "--out", "docs/motor.png", log)
-    command(runs, "identify", "motor-figure", "--log", log, "--out", "docs/motor.png")
+    command(runs, "identify", "motor-figure", *friction, "--out", log)
+    with contextlib.redirect_stdout(io.StringIO()) as output:
+        command(runs, "identify", "motor-figure", "--log", log, "--out", "docs/motor.png", "--json")
+    atomic_write(runs.folder / "results" / "motor.json", output.getvalue())
 
 
 def pushes_figure(runs: PaperRuns) -> None:
@@ -188,7 +191,7 @@ def search(runs: PaperRuns) -> None:
 
 
 STAGES = (
-    Stage("docs/motor.png", motor_figure),
+    Stage("results/motor.json", motor_figure),
     *(train(task, steps) for task, steps in zip(POLICIES, (800_000, 300_000, 400_000, 800_000), strict=True)),
     Stage("results/evaluations.csv", evaluations),
     Stage("docs/pushes.png", pushes_figure),
