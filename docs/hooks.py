@@ -102,7 +102,8 @@ def fields_of(kind: type) -> list[str]:
         for pattern, words in TYPES.items():
             about = [re.sub(pattern, words, about[0])]
         if (within := bounds[item.name]).greatest < 1e12:
-            about.append(f"{'over ' if within.above else ''}{round(within.least, 5):,.9g} to {round(within.greatest, 5):,.9g}")
+            least, greatest = (f"{round(bound, 5):,.9g}" for bound in (within.least, within.greatest))
+            about.append(f"{'over ' if within.above else ''}{least} to {greatest}")
         if dataclasses.is_dataclass(hint):
             about = ["table"]
         elif item.default is not dataclasses.MISSING:
