@@ -27,7 +27,6 @@ RESULTS = [
 ]
 """Pages with results."""
 PENDING = {
-    "README.md",
     "docs/handcrafted.md",
     "docs/identification.md",
     "docs/paper.md",
