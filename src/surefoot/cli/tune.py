@@ -13,6 +13,7 @@ from surefoot.errors import SurefootError
 from surefoot.progress import ProgressBar
 from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.studies.tune import TuneConfig, Tuner
+from surefoot.tables import write_csv
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class TuneCommand(TuneConfig):
     """Handcrafted gait (.yaml) to begin with, such as one of another speed, or one without Raibert's controller."""
     out: Path | None = None
     """File (.yaml) that the gait is written to, the best so far after every generation; GAIT-SPEED.yaml here, if not
-    given."""
+    given. The least cost of each generation is written beside it (.csv)."""
     episodes: Count = 20
     """Episodes of 6 s in which the gait is measured at the end."""
 
@@ -48,7 +49,11 @@ def main(argv: list[str]) -> int:
         for generation in range(config.generations):
             tuner.step()
             tuner.gait().save(path)
+            curve = [{"generation": number, "cost": cost} for number, cost in enumerate(tuner.curve, 1)]
+            write_csv(path.with_suffix(".csv"), curve)
             bar.advance((generation + 1) / config.generations)
+            if tuner.has_converged:
+                break
     tuner.finish()
     gait = tuner.gait()
     gait.save(path)

@@ -77,6 +77,8 @@ _SPEED_PENALTY = 300.0
 _FALL_PENALTY = 1000.0
 """Cost [W] of a fall, and once more in proportion to the missing time."""
 _TRIES = 200
+_LEAST_GAIN = 0.02
+"""Part of the cost that a search must gain within its patience."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,10 @@ class TuneConfig:
     robot: str = DEFAULT_ROBOT
     """Name of the robot, or the folder of its description."""
     generations: Annotated[int, Within(1, 10_000)] = 40
-    """Generations of the search."""
+    """Generations of the search, at most."""
+    patience: Annotated[int, Within(0, 10_000)] = 0
+    """Stop when the least cost of the last PATIENCE generations is less than 2 % below that of as many before; 0 never
+    stops early."""
     population: Annotated[int, Within(4, 1000)] = 16
     """Candidates of a generation."""
     starts: Annotated[int, Within(1, 100)] = 3
@@ -187,6 +192,8 @@ class Tuner:
             if not self._refusal(self.best):
                 break
         self.cost = math.inf
+        self.curve: list[float] = []
+        """Least cost of each generation [W]."""
         self._firsts: list[dict[str, float]] = []
         self._low, high, _ = np.array(list(self.ranges.values())).T
         self._width = high - self._low
@@ -228,8 +235,16 @@ class Tuner:
         self._search.tell(points, costs.tolist())
         first = int(np.argmin(costs))
         self._firsts.append(candidates[first])
+        self.curve.append(float(costs[first]))
         if costs[first] < self.cost:
             self.cost, self.best = float(costs[first]), candidates[first]
+
+    @property
+    def has_converged(self) -> bool:
+        """Whether the search gained less than 2 % within its patience."""
+        last = self.config.patience
+        before = self.curve[-2 * last : -last]
+        return 0 < last == len(before) and min(self.curve[-last:]) > (1.0 - _LEAST_GAIN) * min(before)
 
     def finish(self) -> None:
         """Select among the best candidates of the last generations, from other starts, by their worst episode.
