@@ -12,7 +12,7 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
 from surefoot.progress import ProgressBar
 from surefoot.studies.handcrafted import HandcraftedGait
-from surefoot.studies.tune import TuneConfig, Tuner
+from surefoot.studies.tune import TuneConfig, Tuner, has_converged
 from surefoot.tables import write_csv
 
 
@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
             curve = [{"generation": number, "cost": cost} for number, cost in enumerate(tuner.curve, 1)]
             write_csv(path.with_suffix(".csv"), curve)
             bar.advance((generation + 1) / config.generations)
-            if tuner.has_converged:
+            if config.patience and has_converged(tuner.curve, config.patience):
                 break
     tuner.finish()
     gait = tuner.gait()

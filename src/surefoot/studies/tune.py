@@ -151,6 +151,17 @@ def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: fl
     )
 
 
+def has_converged(curve: Sequence[float], patience: int) -> bool:
+    """Return whether the least cost of the last generations is less than 2 % below that of as many before.
+
+    Args:
+        curve: least cost of each generation (G,) [W].
+        patience: how many are compared, above 0.
+    """
+    before = curve[-2 * patience : -patience]
+    return len(before) == patience and min(curve[-patience:]) > (1.0 - _LEAST_GAIN) * min(before)
+
+
 class Tuner:
     """A tuning; `step` runs a generation, `gait` is the best gait so far.
 
@@ -238,13 +249,6 @@ class Tuner:
         self.curve.append(float(costs[first]))
         if costs[first] < self.cost:
             self.cost, self.best = float(costs[first]), candidates[first]
-
-    @property
-    def has_converged(self) -> bool:
-        """Whether the search gained less than 2 % within its patience."""
-        last = self.config.patience
-        before = self.curve[-2 * last : -last]
-        return 0 < last == len(before) and min(self.curve[-last:]) > (1.0 - _LEAST_GAIN) * min(before)
 
     def finish(self) -> None:
         """Select among the best candidates of the last generations, from other starts, by their worst episode.
