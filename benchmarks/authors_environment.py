@@ -1,7 +1,7 @@
 """Physics steps per second of the authors' own PyBullet environment, or the speed of policies in it.
 
     python benchmarks/authors_environment.py
-    python benchmarks/authors_environment.py trot trot-robust
+    python benchmarks/authors_environment.py trot trot-robust --out results/authors_environment.csv
 
 One process; needs `pybullet`. It was written in 2018 for gym, setuptools and protobuf of its time. What it misses of
 them is put in place here.
@@ -15,6 +15,7 @@ import os
 import sys
 import time
 import types
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from surefoot.api.policies import find_policy
 from surefoot.deploy.controller import Controller
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
+from surefoot.tables import write_csv
 from surefoot.task.contract_mapping import task_from_contract
 
 
@@ -94,8 +96,9 @@ def run_policy(env: Any, policy: PolicyRuntime, draw: np.random.Generator) -> tu
     return (minitaur.GetBasePosition()[0] - start) / (k * step), fell
 
 
-def measure_policies(names: list[str], episodes: int, seed: int) -> None:
-    """Print speed and falls of policies with the authors' measured robot, motor model and latencies."""
+def measure_policies(names: list[str], episodes: int, seed: int, out: Path) -> None:
+    """Print and write speed and falls of policies with the authors' measured robot, motor model and latencies."""
+    rows: list[dict[str, Any]] = []
     for name in names:
         policy = PolicyRuntime.load(find_policy(name))
         contract = policy.contract
@@ -113,23 +116,24 @@ def measure_policies(names: list[str], episodes: int, seed: int) -> None:
         draw = np.random.default_rng(seed)
         runs = [run_policy(env, policy, draw) for _ in range(episodes)]
         speeds = [speed for speed, _ in runs]
-        print(
-            f"{name:<14} {np.mean(speeds):.3f} m/s ({min(speeds):.2f} to {max(speeds):.2f}), "
-            f"{sum(fell for _, fell in runs)} of {episodes} fall",
-            flush=True,
-        )
+        row = {"policy": name, "episodes": episodes, "falls": sum(fell for _, fell in runs)}
+        row |= {"speed_mean": np.mean(speeds), "speed_min": min(speeds), "speed_max": max(speeds)}
+        print(*(f"{key} {value:.4g}" if key != "policy" else value for key, value in row.items()), flush=True)
+        rows.append(row)
+    write_csv(out, rows)
 
 
 def main() -> int:
     """Print the environment's rate, or the speed of policies in it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("policy", nargs="*", help="policies to run there; without any, physics steps per second")
-    parser.add_argument("--episodes", type=int, default=10)
+    parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("authors_environment.csv"), help="table of policies to write")
     options = parser.parse_args()
     try:
         if options.policy:
-            measure_policies(options.policy, options.episodes, options.seed)
+            measure_policies(options.policy, options.episodes, options.seed, options.out)
         else:
             print(measure_rate())
     except ImportError as error:

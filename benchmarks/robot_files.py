@@ -1,6 +1,6 @@
 """What `robot new` and `robot check` make of other people's robots: a row for each file of a quadruped.
 
-    python benchmarks/robot_files.py FOLDER... [--out TABLE.md]
+    python benchmarks/robot_files.py FOLDER... [--out TABLE.csv]
 
 Folders are searched for the files of `FILES`; with `--all` for every URDF and MJCF, where files without a quadruped
 are listed with the error. Robots are written to a temporary folder, or to `--keep FOLDER`.
@@ -19,7 +19,7 @@ from pathlib import Path
 
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import KNEE_SIGNS
-from surefoot.tables import markdown
+from surefoot.tables import markdown, write_csv
 
 FILES = {
     "example-robot-data": (
@@ -79,11 +79,11 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
     done = run("robot", "new", path, "--out", folder)
     seconds = time.monotonic() - start
     note = ", no meshes" if "shapes are left out: mesh" in done.stdout else ""
-    label = f"{collection}: {path.name}{note}" if collection else f"{path.parent.name}/{path.name}{note}"
-    columns = ("name", "file", "legs", "knees", "mass (kg)", "foot radius (mm)", "known (mm)", "seconds", "check")
+    label = f"{path.name if collection else f'{path.parent.name}/{path.name}'}{note}"
+    columns = ("robot", "file", "legs", "knees", "mass", "foot_radius_mm", "known_radius_mm", "seconds", "check")
     if done.returncode not in (0, 3):
         error = (done.stderr.strip().splitlines() or ["no error"])[-1].split(f"{path}: ")[-1]
-        return dict.fromkeys(columns, "") | {"name": "-", "file": label, "check": error}
+        return dict.fromkeys(columns, "") | {"robot": "-", "file": label, "check": error}
     robot = RobotDescription.load(folder)
     radii = [1e3 * shape.size[0] for leg in robot.legs for shape in robot.urdf.links[leg.foot].collisions]
     low, high = min(radii), max(radii)
@@ -95,7 +95,7 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
         zip(
             columns,
             (
-                robot.name,
+                f"{robot.name} of {collection}" if collection else robot.name,
                 label,
                 f"4 x {robot.num_motors // 4}",
                 next((knees for knees, value in KNEE_SIGNS.items() if value == signs), "mixed"),
@@ -121,7 +121,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--all", action="store_true", help="every URDF and MJCF, not those of the list")
     parser.add_argument("--keep", type=Path, help="folder for the robots, which must not exist")
-    parser.add_argument("--out", type=Path, help="file for the table, in Markdown")
+    parser.add_argument("--out", type=Path, help="file for the table (.csv)")
     arguments = parser.parse_args()
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
@@ -131,9 +131,9 @@ def main() -> None:
             print(" | ".join(rows[-1].values()), flush=True)
     table = markdown(rows)
     passed = sum(row["check"] == "passes" for row in rows)
-    print(f"\n{table}\n\n{len(rows)} files, {sum(row['name'] != '-' for row in rows)} read, {passed} pass")
+    print(f"\n{table}\n\n{len(rows)} files, {sum(row['robot'] != '-' for row in rows)} read, {passed} pass")
     if arguments.out:
-        arguments.out.write_text(f"{table}\n", encoding="utf-8")
+        write_csv(arguments.out, rows)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """What robots cost and whether their physics step is short enough, for a policy of each.
 
     python benchmarks/robots.py trot go2-trot runs/mine-trot/*/policy.onnx
+    python benchmarks/robots.py trot solo8-trot go2-trot pupper_v2-trot --turns 0 --episodes 20 --out results/robots.csv
 
 For each policy: physics steps per second of `world`, `env` and `train` as ratios to `bare`, as benchmarks/throughput.py
 has them; and the speed of the policy with its robot's physics step and with half of it, which must be within 3 %.
@@ -26,6 +27,7 @@ from surefoot.evaluation.gap import home_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
+from surefoot.tables import write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import task_from_contract
 from surefoot.world.sim_world import SimWorld
@@ -66,6 +68,8 @@ def figures(name: str, episodes: int, num_envs: int, turns: int, rounds: int) ->
         half = replace(task, robot=str(with_half_step(robot, Path(folder))))
         row["speed_half_step"], row["falls_half_step"] = speed_and_falls(policy, half, episodes)
     row["change"] = abs(float(row["speed_half_step"]) / float(row["speed"]) - 1.0)
+    if not turns:
+        return row
     bench = Bench(num_envs, 100, 1, name, "trot")
     rates = measure({"bare": bench.bare, "world": bench.world, "env": bench.environment}, turns)
     row |= {layer: ratio_quartiles(rates, layer, "bare")[1] for layer in ("world", "env")}
@@ -82,19 +86,23 @@ def main() -> int:
     parser.add_argument("policies", nargs="+", help="policy files, or names of policies that ship")
     parser.add_argument("--episodes", type=int, default=5)
     parser.add_argument("--num-envs", type=int, default=256)
-    parser.add_argument("--turns", type=int, default=200)
+    parser.add_argument("--turns", type=int, default=200, help="turns of the layers; 0 leaves them out")
     parser.add_argument("--rounds", type=int, default=5, help="updates of training; 0 leaves them out")
     parser.add_argument("--json", action="store_true", help="print one JSON object a policy")
+    parser.add_argument("--out", type=Path, help="file for the rows (.csv)")
     options = parser.parse_args()
-    worst = 0.0
+    worst, rows = 0.0, []
     for name in options.policies:
         row = figures(name, options.episodes, options.num_envs, options.turns, options.rounds)
+        rows.append(row)
         worst = max(worst, float(row["change"]))
         formatted = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()}
         print(
             json.dumps(row) if options.json else "  ".join(f"{key} {value}" for key, value in formatted.items()),
             flush=True,
         )
+    if options.out:
+        write_csv(options.out, rows)
     return int(not worst <= WITHIN)
 
 

@@ -1,6 +1,6 @@
-"""Compare the same robot in MuJoCo and in Bullet: draw one figure for each question, and print the numbers.
+"""Compare the same robot in MuJoCo and in Bullet: draw one figure for each question, and write a table.
 
-python examples/compare_worlds.py [--out out/worlds]
+python examples/compare_worlds.py --table results/compare_worlds.csv
 
 masses    do mass and inertia of the whole robot agree?
 standing  how high does it stand after it has settled?
@@ -9,12 +9,14 @@ sines     do legs on a rack follow sines equally?
 steps     do they respond equally to steps?
 squat     does the robot squat equally on its own feet?
 trot      how far does an open-loop trot go, and what is the effect of spinning friction?
+
+Columns MuJoCo and Bullet are each world's number, `apart` is their difference, or that of the motors' angles over time.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +30,7 @@ from matplotlib.figure import Figure
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import xyzw_matrix
+from surefoot.tables import print_table, write_csv
 from surefoot.world.bullet_model import import_pybullet
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
@@ -42,12 +45,19 @@ def rms(values: np.ndarray) -> float:
 
 
 class Comparison:
-    """Runs both worlds, draws and prints."""
+    """Runs both worlds, draws, and gathers the rows of the table."""
 
     def __init__(self, folder: Path) -> None:
         self.robot = RobotDescription.load("minitaur")
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
+        self.rows: list[dict[str, object]] = []
+
+    def add(self, quantity: str, unit: str, both: Sequence[float] = (), apart: float | None = None) -> None:
+        """Add a row; `both` are the numbers of MuJoCo and of Bullet."""
+        mujoco, bullet = both or (None, None)
+        apart = both[1] - both[0] if apart is None else apart
+        self.rows.append({"quantity": quantity, "unit": unit, "mujoco": mujoco, "bullet": bullet, "apart": apart})
 
     def worlds(self, robot: RobotDescription | None = None, rack: bool = False) -> dict[str, SimWorld]:
         robot = robot or self.robot
@@ -90,10 +100,12 @@ class Comparison:
             engine = world.engine
             engine.set_state(np.array([0]), engine.initial_state)
             bodies[name] = composite(mujoco_parts(engine) if name == "MuJoCo" else bullet_parts(engine))
-        (mass, centre, inertia), (other_mass, other_centre, other_inertia) = bodies.values()
-        print(f"masses    {mass:.6f} kg, Bullet {other_mass - mass:+.1e}; centres of mass", end=" ")
-        print(f"{np.abs(other_centre - centre).max():.1e} m apart; inertia of the whole robot, resting pose,", end=" ")
-        print(f"{np.round(np.diag(inertia), 6).tolist()} kg m2, apart by {np.abs(other_inertia - inertia).max():.1e}")
+        masses, centres, inertias = zip(*bodies.values(), strict=True)
+        self.add("mass", "kg", masses)
+        self.add("centre of mass", "m", apart=np.abs(centres[1] - centres[0]).max())
+        for k, axis in enumerate(("roll", "pitch", "yaw")):
+            self.add(f"{axis} inertia", "kg m2", [tensor[k, k] for tensor in inertias])
+        self.add("inertia (greatest element)", "kg m2", apart=np.abs(inertias[1] - inertias[0]).max())
         figure, axes = plt.subplots(figsize=(6, 3))
         for k, (name, (_, _, tensor)) in enumerate(bodies.items()):
             axes.bar(np.arange(3) + 0.4 * k - 0.2, np.diag(tensor), 0.38, color=COLOURS[name], label=name)
@@ -105,12 +117,14 @@ class Comparison:
 
     def standing(self) -> None:
         figure, axes = self.figure("standing", "Height of the base while the robot settles on its feet")
-        heights = {}
+        heights, depths = [], []
         for name, world in self.worlds().items():
             run = self.run(world, self.rest, 1.0)
             axes[0].plot(run["time"], 1e3 * run["base"][:, 2], color=COLOURS[name], label=name)
-            heights[name] = 1e3 * run["base"][-1, 2]
-            print(f"standing  {name}: {heights[name]:.3f} mm high, feet {1e3 * run['depth'][-1].mean():.2f} mm deep")
+            heights.append(1e3 * run["base"][-1, 2])
+            depths.append(1e3 * run["depth"][-1].mean())
+        self.add("height of the base", "mm", heights)
+        self.add("depth of the feet", "mm", depths)
         axes[0].set_ylabel("height [mm]")
         self.save(figure)
 
@@ -118,6 +132,7 @@ class Comparison:
         """Compare the landing with the data sheet's spring and damper; a step of .1 ms shows each world's own law."""
         fine = replace(self.robot, timing=replace(self.robot.timing, servo_step=1e-4))
         figure, axes = self.figure("drop", "A drop from .3 m; dashed: the same with a step of .1 ms", 2)
+        depths, errors = [], []
         for name in ENGINES:
             runs = []
             for robot, style in ((self.robot, "-"), (fine, "--")):
@@ -128,12 +143,12 @@ class Comparison:
                 label = name if style == "-" else None
                 axes[0].plot(run["time"], 1e3 * run["base"][:, 2], style, color=COLOURS[name], label=label)
                 axes[1].plot(run["time"], 1e3 * run["depth"][:, 0], style, color=COLOURS[name])
-            (front, back), (fine_front, fine_back) = (1e3 * run["depth"][:, :2].max(axis=0) for run in runs)
-            err = 1e3 * rms(runs[0]["base"][:, 2] - runs[1]["base"][:, 2])
-            print(
-                f"drop      {name}: front feet {front:.2f} mm deep, back {back:.2f}; with a step of .1 ms "
-                f"{fine_front:.2f} and {fine_back:.2f}, base {err:.2f} mm RMS apart"
-            )
+            depths.append([1e3 * run["depth"][:, :2].max(axis=0) for run in runs])
+            errors.append(1e3 * rms(runs[0]["base"][:, 2] - runs[1]["base"][:, 2]))
+        for leg, feet in enumerate(("front", "back")):
+            for k, step in enumerate(("", " with a step of .1 ms")):
+                self.add(f"{feet} feet in a drop{step}", "mm", [both[k][leg] for both in depths])
+        self.add("base in a drop against a step of .1 ms (RMS)", "mm", errors)
         axes[0].set_ylabel("base [mm]")
         axes[1].set_ylabel("front foot's depth [mm]")
         axes[1].set_ylim(-5, None)
@@ -151,12 +166,8 @@ class Comparison:
             axis.set_ylabel(f"{self.robot.leg_names[leg]}\nmotor 1 [rad]", fontsize=7)
         self.save(figure)
         apart = runs["Bullet"]["angles"] - runs["MuJoCo"]["angles"]
-        command_error = rms(runs["MuJoCo"]["angles"] - [path(t) for t in runs["MuJoCo"]["time"]])
-        print(
-            f"{name:9} motor angles {rms(apart):.5f} rad RMS apart, {np.abs(apart).max():.5f} at most, "
-            f"each motor {np.sqrt(np.mean(apart**2, axis=0)).round(5).tolist()}; from the command "
-            f"{command_error:.3f} rad"
-        )
+        self.add(f"{name} (RMS)", "rad", apart=rms(apart))
+        self.add(f"{name} (greatest)", "rad", apart=np.abs(apart).max())
 
     def sines(self) -> None:
         def path(time: float) -> np.ndarray:
@@ -185,21 +196,13 @@ class Comparison:
 
         sheet = self.robot.contact
         free = replace(self.robot, contact=replace(sheet, spinning_friction=0.0))
-        spin = sheet.spinning_friction
-        cases = {
-            "MuJoCo": self.worlds()["MuJoCo"],
-            f"Bullet, spinning friction {spin:g}": self.worlds()["Bullet"],
-            "Bullet, spinning friction 0": self.worlds(free)["Bullet"],
-        }
         figure, axes = self.figure("trot", "An open loop trot", 2)
-        for (name, world), style in zip(cases.items(), ("-", "-", "--"), strict=True):
-            run = self.run(world, path, 3.0)
-            colour = COLOURS[name.split(",")[0]]
-            axes[0].plot(run["time"], run["base"][:, 0], style, color=colour, label=name)
-            axes[1].plot(run["time"], 1e3 * run["base"][:, 2], style, color=colour)
-            print(
-                f"trot      {name}: {run['base'][-1, 0]:.3f} m in 3 s, {1e3 * run['base'][500:, 2].mean():.1f} mm high"
-            )
+        for robot, style, without in ((self.robot, "-", ""), (free, "--", " without spinning friction")):
+            runs = {name: self.run(world, path, 3.0) for name, world in self.worlds(robot).items()}
+            for name, run in runs.items():
+                axes[0].plot(run["time"], run["base"][:, 0], style, color=COLOURS[name], label=name + without)
+                axes[1].plot(run["time"], 1e3 * run["base"][:, 2], style, color=COLOURS[name])
+            self.add(f"trot in 3 s{without}", "m", [run["base"][-1, 0] for run in runs.values()])
         axes[0].set_ylabel("forward [m]")
         axes[1].set_ylabel("height [mm]")
         self.save(figure)
@@ -253,10 +256,14 @@ def main() -> int:
     """Answer all questions."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/worlds"), help="folder for the figures")
-    comparison = Comparison(parser.parse_args().out)
+    parser.add_argument("--table", type=Path, default=Path("out/worlds/compare_worlds.csv"), help="table to write")
+    arguments = parser.parse_args()
+    comparison = Comparison(arguments.out)
     for question in ("masses", "standing", "drop", "sines", "steps", "squat", "trot"):
         getattr(comparison, question)()
-    print(f"figures in {comparison.folder}")
+    rows = comparison.rows
+    print_table([{key: f"{x:.5g}" if isinstance(x, float) else x or "" for key, x in row.items()} for row in rows])
+    print(f"figures in {comparison.folder}, table {write_csv(arguments.table, rows)}")
     return 0
 
 

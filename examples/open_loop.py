@@ -1,6 +1,6 @@
 """Measure the reference gait without feedback: speed and falls in each world.
 
-    python examples/open_loop.py trot
+    python examples/open_loop.py trot --out results/open_loop.csv
 
 The paper's robot sat down at once with its reference gait alone; see docs/reality-gap.md.
 """
@@ -8,6 +8,7 @@ The paper's robot sat down at once with its reference gait alone; see docs/reali
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -17,6 +18,7 @@ from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import RobotDescription
 from surefoot.studies.handcrafted import OpenLoop
+from surefoot.tables import print_table, write_csv
 from surefoot.task.config import load_task
 from surefoot.world.registry import WORLDS, find_world
 
@@ -30,22 +32,26 @@ class Command:
     worlds: tuple[str, ...] = tuple(WORLDS)
     """Worlds to run in."""
     episodes: int = 20
-    """Episodes in each: one on each robot of the ensemble."""
+    """Episodes in each; in a world with robots of its own one on each of them."""
     seed: int = 1
     """The one seed."""
+    out: Path = Path("open_loop.csv")
+    """Table to write."""
 
 
 def run(command: Command) -> None:
-    """Run and print."""
+    """Run, print and write."""
     task, _ = load_task(command.task)
     robot = RobotDescription.load(task.robot)
-    print(f"{'world':<17} speed m/s (least to greatest)   falls   upright after 6 s")
+    rows = []
     for world in command.worlds:
-        policy = OpenLoop(len(robot.legs))
-        traces = run_episodes(policy, away_task(task), command.episodes, find_world(world), command.seed)
-        runs = measure_runs(traces)
-        speed = f"{runs.speed.mean():.2f} ({runs.speed.min():.2f} to {runs.speed.max():.2f})"
-        print(f"{world:<17} {speed:<31} {runs.fell.sum():>5}   {runs.balanced.sum()} of {len(runs)}", flush=True)
+        policy, episodes = OpenLoop(len(robot.legs)), len(WORLDS[world].seeds or range(command.episodes))
+        runs = measure_runs(run_episodes(policy, away_task(task), episodes, find_world(world), command.seed))
+        speeds = {f"speed_{how}": getattr(runs.speed, how)() for how in ("mean", "min", "max")}
+        ends = {"upright": runs.balanced.sum(), "falls": runs.fell.sum(), "episodes": len(runs)}
+        rows.append({"world": world, **speeds, **ends})
+    print_table([{k: f"{v:.2f}" if isinstance(v, float) else str(v) for k, v in row.items()} for row in rows])
+    write_csv(command.out, rows)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ pytest.importorskip("matplotlib")
 from surefoot.api.policies import distinct_names, find_policy
 
 SHORT = ("--values", "2", "--episodes", "1", "--duration", "0.12", "--threads", "1")
+TABLES = ("policies.csv", "breaks.csv", "sensitivity.csv", "episodes.csv")
 ROWS = ["base_mass_ratio", "leg_mass_ratio", "motor_friction", "base_inertia_ratio", "leg_inertia_ratio"]
 ROWS += ["motor_strength", "control_step", "control_latency", "voltage", "contact_friction", "imu_bias", "imu_noise"]
 
@@ -26,7 +27,7 @@ def test_tables_and_figures(tmp_path: Path):
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     out = tmp_path / "sensitivity"
-    files = {"sensitivity.csv", "episodes.csv", "aggregate.png", *(f"{row}.png" for row in ROWS)}
+    files = {*TABLES, "aggregate.png", *(f"{row}.png" for row in ROWS)}
     assert {file.name for file in out.iterdir()} == files
     with (out / "sensitivity.csv").open() as file:
         worlds = list(csv.DictReader(file))
@@ -37,7 +38,10 @@ def test_tables_and_figures(tmp_path: Path):
     for row in ROWS:
         assert f" {row} " in done.stdout
     assert re.search(r"^ trot .* 24 +0 of 24 *$", done.stdout, re.MULTILINE)
-    assert "wrote sensitivity: sensitivity.csv, episodes.csv, aggregate.png, base_mass_ratio.png" in done.stdout
+    assert f"wrote sensitivity: {', '.join(TABLES)}, aggregate.png, base_mass_ratio.png" in done.stdout
+    with (out / "policies.csv").open() as file:
+        policies = [(one["policy"], one["test_worlds"], one["falls"], one["episodes"]) for one in csv.DictReader(file)]
+    assert policies == [("trot", "24", "0", "24"), ("gallop", "24", "0", "24")]
 
 
 def test_json_is_one_object_with_the_ranges_of_a_file(tmp_path: Path):
@@ -52,7 +56,7 @@ def test_json_is_one_object_with_the_ranges_of_a_file(tmp_path: Path):
     (policy,) = result["policies"]
     assert (policy["policy"], policy["test_worlds"], policy["fall_rate"]) == ("gallop", 6, 0.0)
     assert sorted(result["files"]) == sorted(
-        f"a/b/{name}" for name in ("sensitivity.csv", "episodes.csv", "aggregate.png", "voltage.png", "resistance.png")
+        f"a/b/{name}" for name in (*TABLES, "aggregate.png", "voltage.png", "resistance.png")
     )
     with (tmp_path / "a/b/sensitivity.csv").open() as file:
         means = [float(world["return_mean"]) for world in csv.DictReader(file)]

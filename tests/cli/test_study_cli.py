@@ -193,13 +193,13 @@ def test_a_study_of_the_reality_gap(
     out = tmp_path / "results/gaps"
     report = (out / "README.md").read_text()
     assert "In the paper: the baseline had the larger gap." in report
-    assert report.count("| improved, at last | baseline |") == 2
+    assert report.count("| improved, at last | baseline |") == 1 + 3 + 2
     assert json.loads((out / "summary.json").read_text())["missing"] == []
     assert sorted(path.name for path in out.iterdir()) == sorted(
         [
             *("README.md", "summary.json", "policies.csv", "groups.csv", "differences.csv", "episodes.csv"),
-            *("gap_groups.csv", "gap_differences.csv"),
-            *("groups.png", "gap_simulators.png", "learning_curves_simulators.png"),
+            *("gap_groups.csv", "top_differences.csv"),
+            *("groups.png", "gap_simulators.png", "gap_simulators_top.png", "learning_curves_simulators.png"),
         ]
     )
     with (out / "episodes.csv").open() as file:
@@ -245,6 +245,7 @@ BAD = [
     (["tiny.yaml", "--ray", "nowhere"], "ray is 'nowhere'; it must be HOST:PORT"),
     (["none.yaml"], "none.yaml: can't be read"),
     (["kind.yaml"], "evaluate: 'luck' is no kind of evaluation; choices: nominal, table1, sensitivity, gap"),
+    (["primary.yaml"], "primary: 'gap' is no figure of its evaluations; choices: nominal_speed, nominal_return"),
     (["bars.yaml"], "bars: they show the reality gap; evaluate must name 'gap' for them"),
     (["robot.yaml"], "group a: observation 'smell' does not exist"),
     ([], "FILE"),
@@ -255,6 +256,7 @@ BAD = [
 def test_study_refuses_bad_input_in_one_line(words: list[str], message: str, tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TINY)
     (tmp_path / "kind.yaml").write_text("{groups: {a: {}}, evaluate: [luck]}")
+    (tmp_path / "primary.yaml").write_text("{groups: {a: {}}, primary: gap}")
     (tmp_path / "bars.yaml").write_text("{groups: {a: {}}, bars: {all: [a]}}")
     (tmp_path / "robot.yaml").write_text("groups: {a: {train: {task: {observations: [smell]}}}}")
     result = surefoot("study", *words, cwd=tmp_path)

@@ -237,7 +237,7 @@ def test_aggregates_by_hand():
     assert study.worlds.return_mean.tolist() == [4.0, 8.0]
     # Four numbers at 1 from their mean: variance 4/3, and 4/3/4 of the mean.
     assert np.allclose(study.worlds.return_error, math.sqrt(1 / 3))
-    assert (study.mean, study.std, study.fall_rate) == (6.0, 2.0, 0.375)
+    assert (study.mean, study.std, study.fall_rate) == (6.0, pytest.approx(math.sqrt(8)), 0.375)
     assert study.rows == (LATENCY,)
     once = replace(study, episodes=study.episodes[study.episodes.run == 0])
     assert once.worlds.return_error.isna().all()
@@ -289,7 +289,8 @@ def test_breaks_on_both_sides(returns: list[float], falls: list[int], breaks: li
 
 def test_a_table_has_a_row_for_each_test_world():
     study = made_up({LATENCY: [4.0, 8.0], MASS: [5.0, 6.0]}, {LATENCY: [3, 0]})
-    numbers = {"return_mean": 4.0, "return_error": pytest.approx(math.sqrt(1 / 3)), "return_std": 1.0}
+    error, deviation = pytest.approx(math.sqrt(1 / 3)), pytest.approx(math.sqrt(4 / 3))
+    numbers = {"return_mean": 4.0, "return_error": error, "return_std": deviation}
     about = {"row": LATENCY, "unit": "s", "value": 0.0, "episodes": 4}
     assert study.worlds.iloc[0].to_dict() == about | numbers | {"speed_mean": 0.5, "falls": 3}
     last = study.worlds.iloc[-1]

@@ -14,10 +14,11 @@ from surefoot.evaluation.statistics import (
     Interval,
     MeanEstimate,
     crossed_interval,
+    holm,
     share_difference,
+    share_interval,
     t_interval,
     welch_interval,
-    wilson_interval,
 )
 
 
@@ -40,8 +41,9 @@ def test_welch_interval_is_scipys_for_unlike_spreads_and_counts(scale: float) ->
     random = np.random.default_rng(3)
     a, b = scale * random.normal(1.0, 0.2, 4), scale * random.normal(0.5, 2.0, 7)
     interval = welch_interval(a, b)
-    expected = stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
-    assert (interval.low, interval.high) == pytest.approx((expected.low, expected.high), rel=1e-9)
+    test = stats.ttest_ind(a, b, equal_var=False)
+    expected = (*test.confidence_interval(0.95), test.pvalue)
+    assert (interval.low, interval.high, interval.p) == pytest.approx(expected, rel=1e-9)
 
 
 def test_intervals_cover_the_truth_as_often_as_their_confidence() -> None:
@@ -59,49 +61,61 @@ def test_intervals_cover_the_truth_as_often_as_their_confidence() -> None:
 def test_one_or_two_numbers_have_no_interval() -> None:
     two = t_interval([1.0, 2.0])
     for interval in (t_interval([1.5]), two, welch_interval([2.0] * 3, [0.5] * 2), welch_interval([2.0, 2.0], [0.5])):
-        assert (interval.mean, interval.is_finite, interval.covers_zero) == (1.5, False, True)
+        assert (interval.mean, interval.is_finite, math.isnan(interval.p)) == (1.5, False, True)
     assert (t_interval([1.5]).text(1), two.text(1, sign=True)) == ("1.5", "+1.5 (+1.0, +2.0)")
 
 
-def test_wilson_interval_by_hand() -> None:
-    # Wilson 1927 with z = 1.96: 3 of 10 give (.3 + .192 +- 1.96 sqrt(.021 + .0096)) / 1.384.
-    interval = wilson_interval([0.3], 10)
-    assert (interval.mean, interval.low, interval.high) == pytest.approx((0.3, 0.1078, 0.6032), abs=1e-4)
-    # None of 60: z^2 / (60 + z^2).
-    none = wilson_interval([0.0, 0.0, 0.0], 20)
-    assert (none.mean, none.low, none.high) == pytest.approx((0.0, 0.0, 0.0602), abs=1e-4)
-    assert wilson_interval([1.0, 1.0], 20).high == 1.0
+def test_share_interval_is_the_exact_binomial_one() -> None:
+    # None of 100: 1 - .025^(1 / 100).
+    none = share_interval([0.0, 0.0], 50)
+    assert (none.mean, none.low, none.high) == pytest.approx((0.0, 0.0, 1 - 0.025**0.01))
+    assert share_interval([1.0, 1.0], 2).low == pytest.approx(0.025**0.25)
+    for hits, trials in ((3, 10), (41, 100)):
+        expected = stats.binomtest(hits, trials).proportion_ci(method="exact")
+        interval = share_interval([hits / trials], trials)
+        assert (interval.mean, interval.low, interval.high) == pytest.approx((hits / trials, *expected))
 
 
-def test_shares_that_differ_between_seeds_widen_their_interval_within_bounds() -> None:
-    alike, unlike = wilson_interval([0.5, 0.5, 0.5], 20), wilson_interval([0.0, 0.5, 1.0], 20)
+def test_shares_that_differ_between_seeds_or_robots_widen_their_interval_within_bounds() -> None:
+    alike, unlike = share_interval([0.5, 0.5, 0.5], 20), share_interval([0.0, 0.5, 1.0], 20)
     assert alike.mean == unlike.mean == 0.5
     assert 0.0 <= unlike.low < alike.low < 0.5 < alike.high < unlike.high <= 1.0
+    # Korn and Graubard 1998: .25 / (.25 / 3) = 3 trials, times (t(.975, 59) / t(.975, 2))^2 = (2.000995 / 4.302653)^2.
+    hits = 0.5 * 3 * (2.000995 / 4.302653) ** 2
+    assert unlike.high == pytest.approx(stats.beta.ppf(0.975, hits + 1, hits), rel=1e-6)
+    robots = share_interval(np.repeat([[0.0, 1.0]], 10, axis=1).repeat(3, axis=0), 20)
+    assert unlike.low < robots.low < alike.low
     random, inside = np.random.default_rng(2), 0
     for _ in range(1000):
-        share = wilson_interval(random.binomial(20, random.beta(3.0, 7.0, 4)) / 20, 20)
+        share = share_interval(random.binomial(20, random.beta(3.0, 7.0, 4)) / 20, 20)
         inside += share.low <= 0.3 <= share.high
-    assert inside / 1000 >= 0.93
+    assert inside / 1000 >= 0.95
 
 
-def test_difference_of_shares_is_newcombes() -> None:
-    # Newcombe 1998, table II, (a): 56 of 70 less 48 of 80 is .2 [.0524, .3339].
-    change = share_difference(wilson_interval([56 / 70], 70), wilson_interval([48 / 80], 80))
-    assert (change.mean, change.low, change.high) == pytest.approx((0.2, 0.0524, 0.3339), abs=1e-4)
-    worst = share_difference(wilson_interval([1.0], 2), wilson_interval([0.0], 2))
+def test_difference_of_shares_joins_their_intervals() -> None:
+    # Newcombe 1998, table II, (a): 56 of 70 less 48 of 80 by Wilson's intervals is .2 [.0524, .3339].
+    wilson = Interval(0.8, 0.6918, 0.8769), Interval(0.6, 0.4904, 0.7003)
+    change = share_difference(*wilson)
+    assert (change.mean, change.low, change.high) == pytest.approx((0.2, 0.0524, 0.3339), abs=2e-4)
+    # Altman and Bland 2011: the standard error is the part towards zero over 1.96.
+    assert change.p == pytest.approx(2 * stats.norm.sf(0.2 / (0.1476 / 1.96)), rel=0.02)
+    worst = share_difference(share_interval([1.0], 2), share_interval([0.0], 2))
     assert -1.0 <= worst.low < worst.high == 1.0
+    assert share_difference(share_interval([0.0], 20), share_interval([0.0], 20)).p == 1.0
+
+
+def test_holm_by_hand() -> None:
+    # The least times 4, the next times 3, ..., and never less than one before; NaN counts, and 1 is the most.
+    adjusted = holm([0.02, 0.011, math.nan, 0.6])
+    np.testing.assert_allclose(adjusted, [0.06, 0.044, math.nan, 1.0])
+    np.testing.assert_allclose(holm([0.01, 0.011]), [0.02, 0.02])
 
 
 def test_numbers_that_do_not_vary_give_a_point() -> None:
-    assert t_interval([0.0, 0.0, 0.0]) == Interval(0.0, 0.0, 0.0)
-    assert welch_interval([2.0] * 3, [1.0] * 3) == Interval(1.0, 1.0, 1.0)
+    assert t_interval([0.0, 0.0, 0.0]) == Interval(0.0, 0.0, 0.0, 1.0)
+    assert welch_interval([2.0] * 3, [1.0] * 3) == Interval(1.0, 1.0, 1.0, 0.0)
     one_side = welch_interval([2.0, 2.0, 2.0], [1.0, 2.0, 3.0])
     assert one_side.high - one_side.mean == pytest.approx(4.302653 / math.sqrt(3), rel=1e-6)
-
-
-def test_covers_zero() -> None:
-    intervals = Interval(1.0, -0.1, 2.1), Interval(1.0, 0.1, 1.9), Interval(-1.0, -1.9, -0.1)
-    assert [interval.covers_zero for interval in intervals] == [True, False, False]
 
 
 @pytest.mark.parametrize(

@@ -210,7 +210,7 @@ def test_group_figure_shows_intervals_and_seeds(
     first, second = drawn[0].axes
     assert (first.get_title(loc="left"), second.get_title(loc="left")) == ("Return, nominal (m)", "Gap (m)")
     widths = [bar.get_width() for bar in first.patches]
-    assert widths == pytest.approx([study.interval(group, "nominal_return").mean for group in study.groups])
+    assert widths == pytest.approx([study.interval(group, study.primary).mean for group in study.groups])
     dots = [line.get_xdata() for line in first.lines if line.get_marker() == "o"]
     assert [list(values) for values in dots] == [list(study.of_group(group).nominal_return) for group in study.groups]
 

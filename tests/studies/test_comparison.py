@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from surefoot.evaluation.gap import gap_difference
+from surefoot.evaluation.statistics import crossed_interval
 from surefoot.studies.comparison import Comparison, study_tables, write_tables
 
 MakeComparison = Callable[..., Comparison]
@@ -37,7 +37,7 @@ def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies_and_robots(
     # Policies' gaps are 1.4, 1.3, 1.2 m and robots' 1.6, 1.3, 1.0 m: variances of the means are .01 / 3 and .09 / 3.
     np.testing.assert_allclose(gap.gaps("bullet").mean(axis=1), [1.4, 1.3, 1.2])
     np.testing.assert_allclose(gap.gaps("bullet").mean(axis=0), [1.6, 1.3, 1.0])
-    interval = gap.interval("bullet")
+    interval = crossed_interval(gap.gaps("bullet"))
     assert interval.mean == pytest.approx(1.3)
     freedom = 1 / ((0.01 / 0.1) ** 2 / 2 + (0.09 / 0.1) ** 2 / 2)
     half = stats.t.ppf(0.975, freedom) * math.sqrt(0.1 / 3)
@@ -54,9 +54,7 @@ def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies_and_robots(
 def test_differences_of_gaps_join_the_errors_of_four_means(gap_comparison: MakeComparison) -> None:
     best = gap_comparison().best()
     a, b = best.gap("a"), best.gap("b")
-    over_runs, crossed, _ = gap_difference(a, b)
-    assert over_runs.mean == pytest.approx(-1.3)
-    assert over_runs.error == pytest.approx(math.hypot(*(one.gap_over_runs("bullet").error for one in (a, b))))
+    crossed = best.difference("b", "a", next(figure for figure in best.figures if figure.name == "gap"))
     # The policies of b agree, and robots do what they do to both: all that varies are the three of a.
     assert crossed.mean == pytest.approx(-1.3)
     columns = b.gaps("bullet").mean(axis=0) - a.gaps("bullet").mean(axis=0)
@@ -78,12 +76,15 @@ def test_tables_hold_groups_pairs_and_every_run(tmp_path: Path, gap_comparison: 
     assert len(groups) == 3 * 2 * 3
     worlds = ["mujoco", "bullet", "mujoco-described"]
     assert [[row[name] for name in ("group", "policies", "seeds", "runs", "world")] for row in groups[:4]] == [
-        *(["a", "top", "4 3 2", "9", world] for world in worlds),
-        ["a", "all", "0 1 2 3 4", "15", "mujoco"],
+        *(["a", "all", "0 1 2 3 4", "15", world] for world in worlds),
+        ["a", "top", "4 3 2", "9", "mujoco"],
     ]
-    assert (groups[0]["gap"], float(groups[1]["gap"])) == ("", pytest.approx(1.3))
-    assert (groups[0]["balanced"], groups[1]["balanced"], groups[1]["far"]) == ("9", "5", "0")
-    assert float(groups[1]["least_distance"]) == pytest.approx(1.4)
+    assert (groups[3]["gap"], float(groups[4]["gap"])) == ("", pytest.approx(1.3))
+    assert (groups[3]["balanced"], groups[4]["balanced"], groups[4]["far"]) == ("9", "5", "0")
+    assert float(groups[4]["least_distance"]) == pytest.approx(1.4)
+    # Robot 0 was never a fall, robot 2 always: of 15 runs 7 were balanced, and robots alone leave few trials.
+    assert float(groups[1]["balanced_share"]) == pytest.approx(7 / 15)
+    assert float(groups[1]["balanced_share_low"]) < 0.1
     episodes = rows("episodes.csv")
     # Three groups, five policies: twenty nominal episodes, and three in each of three worlds.
     assert len(episodes) == 3 * 5 * (20 + 3 * 3)
@@ -94,15 +95,18 @@ def test_tables_hold_groups_pairs_and_every_run(tmp_path: Path, gap_comparison: 
     ]
     assert float(last["return"]) == pytest.approx(1.3)
     assert (last["steps"], last["fell"], last["balanced"]) == ("250", "1", "0")
-    differences = rows("gap_differences.csv")
-    assert [(row["policies"], row["group"], row["against"]) for row in differences] == [
-        (which, other, "a") for which in ("top", "all") for other in ("b", "c")
-    ]
-    assert float(differences[0]["difference"]) == pytest.approx(-1.3)
+    differences = {(row["group"], row["figure"]): row for row in rows("top_differences.csv")}
+    assert {row["against"] for row in differences.values()} == {"a"}
+    assert float(differences["b", "gap"]["difference"]) == pytest.approx(-1.3)
+    # Two comparisons: the lesser p value counts twice.
+    p, corrected = ([float(differences[group, "gap"][name]) for group in "bc"] for name in ("p", "p_holm"))
+    assert min(corrected) == pytest.approx(2 * min(p))
+    everything = {(row["group"], row["figure"]): row for row in rows("differences.csv")}
+    assert float(everything["b", "gap_away"]["difference"]) == pytest.approx(3.2 - 1.2)
     assert float(rows("policies.csv")[0]["gap"]) == pytest.approx(1.0)
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["gap_groups"][1]["gap"] == pytest.approx(1.3)
-    assert len(summary["gap_differences"]) == 4
+    assert summary["gap_groups"][4]["gap"] == pytest.approx(1.3)
+    assert len(summary["top_differences"]) == 2 * 8
 
 
 def test_one_policy_has_no_interval(gap_comparison: MakeComparison) -> None:

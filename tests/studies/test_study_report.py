@@ -103,7 +103,7 @@ def test_tables_hold_the_numbers_of_the_groups(study: Comparison) -> None:
     tables = study_tables(study)
     assert {name: len(rows) for name, rows in tables.items()} == {
         "policies": 4 * 3,
-        "groups": 4 * 8,
+        "groups": 4 * (8 + 1),
         "differences": 2 * 8,
         "episodes": 4 * 3 * (2 * 5 + 4 * (1 + len(WORLDS))),
         "sensitivity": 4 * 3 * len(WORLDS),
@@ -139,10 +139,14 @@ def test_the_report_holds_the_tables_and_figures(tmp_path: Path, study: Comparis
     text = write_report(study, tmp_path, "surefoot study studies/robustness.yaml").read_text()
     assert "surefoot study studies/robustness.yaml" in text
     assert cells(text, "Trainings", "4-D, randomized")[3] == "3,000,000"
-    assert cells(text, "Results", "return, nominal (m)")[1] == "2.10 [1.85, 2.35]"
-    assert cells(text, "Differences", "return, nominal (m)")[1] == "-0.20 [-0.43, +0.03]"
-    # An interval without zero is bold.
-    change = cells(text, "Differences", "standard deviation of return over test worlds (m)")[1]
+    assert cells(text, "Results", "4-D")[2] == "2.10 [1.85, 2.35]"
+    assert cells(text, "Comparisons", "4-D, randomized")[1:4] == ["4-D", "-0.20 [-0.43, +0.03]", "0.070"]
+    assert "declares 2 comparisons; 1 of them" in text
+    # Significant after correction is bold.
+    section = text.split("## Differences")[1]
+    heads = next(line for line in section.splitlines() if "standard deviation" in line).split(" | ")
+    place = heads.index("standard deviation of return over test worlds (m)")
+    change = [line.split(" | ")[place] for line in section.splitlines() if line.startswith("| 4-D, randomized |")][1]
     interval = re.fullmatch(r"\*\*(\S+) \[(\S+), (\S+)\]\*\*", change)
     assert interval is not None
     assert float(interval[2]) < float(interval[1]) < float(interval[3]) < 0
@@ -156,8 +160,8 @@ def test_the_report_holds_the_tables_and_figures(tmp_path: Path, study: Comparis
 def test_the_report_of_one_seed_has_no_intervals(tmp_path: Path) -> None:
     study = replace(comparison(("nominal",), seeds=(0,)), missing=("small_plain seed 1",))
     text = write_report(study, tmp_path, "command").read_text()
-    assert cells(text, "Results", "return, nominal (m)")[1] == "2.00"
-    assert "**" not in "".join(cells(text, "Differences", "return, nominal (m)"))
+    assert cells(text, "Results", "4-D")[2] == "2.00"
+    assert "**" not in "".join(cells(text, "Differences", "4-D, randomized"))
     assert "small_plain seed 1" in text.split("## Trainings")[0]
 
 
@@ -191,17 +195,14 @@ def test_the_report_on_gaps(tmp_path: Path, gap_comparison: Callable[..., Compar
         assert f"]({file})" in text
     # The finding on a set is reported though one of its groups has no policies yet.
     assert "In the paper: all was well." in text
-    section = text.split("## Reality gap")[1].split("## Results")[0]
-    rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| first |")]
-    assert [row[1:3] for row in rows] == [
-        [seeds, world] for seeds in ("4, 3, 2", "0, 1, 2, 3, 4") for world in ("mujoco", "bullet", "mujoco-described")
-    ]
-    assert re.fullmatch(r"1\.30 ± 0\.\d\d", rows[1][4])
-    assert re.fullmatch(r"1\.30 \[-?\d\.\d\d, \d\.\d\d\]", rows[1][9])
-    changes = section.split("### Differences of gaps")[1]
-    lines = [line.split(" | ") for line in changes.splitlines() if line.startswith(("| second |", "| third |"))]
-    assert [row[:3] for row in lines] == [
-        [f"| {name}", "first", which] for which in ("best 3", "all") for name in ("second", "third")
-    ]
-    assert re.fullmatch(r"-1\.30 ± 0\.\d\d", lines[0][3])
-    assert lines[0][-1] == "the second did better. |"
+    assert "- second, against first: the second did better." in text.split("## Trainings")[0]
+    # All policies first, then the best.
+    every, best = text.split("## Reality gap")[1].split("## Results")[0].split("## The best 3 policies")
+    assert ("gap_both.png" in every, "gap_both_top.png" in best) == (True, True)
+    assert "Seeds: first 4, 3, 2; " in best
+    rows = [[line.split(" | ") for line in part.splitlines() if line.startswith("| first |")] for part in (every, best)]
+    assert [[row[1] for row in part] for part in rows] == 2 * [["mujoco", "bullet", "mujoco-described"]]
+    assert re.fullmatch(r"1\.20 \[-?\d\.\d\d, \d\.\d\d\]", rows[0][1][3])
+    assert re.fullmatch(r"1\.30 ± 0\.\d\d", rows[1][1][3])
+    assert re.fullmatch(r"47 \[\d+, \d+\]", rows[0][1][4])
+    assert any(line.startswith("| second | first |") and "-1.30 [" in line for line in best.splitlines())

@@ -7,14 +7,17 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.randomization import load_ranges
-from surefoot.world.ensemble import ROBOTS, ensemble_params
+from surefoot.robot.randomization import draw_hidden, load_ranges
+from surefoot.world.ensemble import ensemble_params
 from surefoot.world.interface import WorldConfig
-from surefoot.world.registry import make_world
+from surefoot.world.registry import WORLDS, make_world
+
+SEEDS = range(1, 21)
+ROBOTS = len(SEEDS)
 
 
 def test_a_robot_is_the_same_in_every_batch_and_comes_again_after_the_last(robot: RobotDescription) -> None:
-    few, many = ensemble_params(robot, 3), ensemble_params(robot, ROBOTS + 2)
+    few, many = ensemble_params(robot, 3, SEEDS), ensemble_params(robot, ROBOTS + 2, SEEDS)
     for name in PhysicalParams.names():
         values = getattr(many, name)
         np.testing.assert_array_equal(getattr(few, name), values[:3])
@@ -22,7 +25,7 @@ def test_a_robot_is_the_same_in_every_batch_and_comes_again_after_the_last(robot
 
 
 def test_every_robot_is_within_the_ranges_and_differs(robot: RobotDescription) -> None:
-    params = ensemble_params(robot, ROBOTS)
+    params = ensemble_params(robot, ROBOTS, SEEDS)
     ranges = load_ranges("ensemble")
     for name, (low, high) in ranges.items():
         values = getattr(params, name)
@@ -39,6 +42,16 @@ def test_robots_keep_the_policys_control_step_and_take_no_other_parameters(robot
     config = WorldConfig(threads=1)
     world = make_world("ensemble", robot, 2, nominal.with_values(robot, control_step=0.010), 0, config)
     assert np.all(world.params.control_step == 0.010)
-    np.testing.assert_array_equal(world.params.knee_play, ensemble_params(robot, 2).knee_play)
+    np.testing.assert_array_equal(world.params.knee_play, ensemble_params(robot, 2, SEEDS).knee_play)
     with pytest.raises(SurefootError, match="voltage is given; robots of the ensemble have their own"):
         make_world("ensemble", robot, 2, nominal.with_values(robot, voltage=15.0), 0, config)
+
+
+def test_robots_for_results_are_none_of_those_for_development(robot: RobotDescription) -> None:
+    pytest.importorskip("pybullet")
+    development, reported = WORLDS["ensemble"].seeds, WORLDS["ensemble-test"].seeds
+    assert (development, reported) == (range(1, 21), range(21, 61))
+    params = make_world("ensemble-test", robot, 1, None, 0, WorldConfig(threads=1)).params
+    expected = draw_hidden(robot, load_ranges("ensemble"), 21)
+    for name in PhysicalParams.names():
+        np.testing.assert_array_equal(getattr(params, name), getattr(expected, name))

@@ -74,7 +74,8 @@ def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
         value = summary[key]
         if value is None:
             return "-"
-        return f"{value:.3f}" + (f" ± {summary[deviation]:.3f}" if deviation else "") + f" {unit}".rstrip()
+        spread = summary[deviation] if deviation else None
+        return f"{value:.3f}" + (f" ± {spread:.3f}" if spread is not None else "") + f" {unit}".rstrip()
 
     falls = f"{summary['falls']} of {summary['episodes']}"
     for name in ("faults", "stopped"):

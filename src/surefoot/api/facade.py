@@ -138,7 +138,7 @@ def evaluate(
     Args:
         policy: as `load` takes it.
         episodes: how many; they run side by side.
-        world: name of the world: "mujoco", "bullet" or "ensemble".
+        world: name of the world: one of `surefoot.world.registry.WORLDS`.
         seed: seed of the episodes.
         robot: another robot than the policy's own.
         duration: of an episode [s]; the task's, if None.

@@ -47,7 +47,8 @@ class EmulateCommand:
     hidden_seed: Seed | None = None
     """Draw physical parameters that are not printed."""
     hidden_ranges: str = "table1"
-    """Table of ranges to draw them from; with ensemble, seeds 1 to 20 are the robots of world ensemble."""
+    """Table of ranges to draw them from; with ensemble, seeds 1 to 20 are the robots of world ensemble, and 21 to 60
+    those of ensemble-test."""
     faults: Annotated[Repeated, tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@TIME] [...]")] = ()
     """What goes wrong, such as drop=0.01, or unplug=1.5 (s after the robot is first armed); help lists them."""
     lockstep: bool = False

@@ -33,8 +33,8 @@ class SensitivityCommand:
 
     Each row of a table of ranges, the paper's table I by default, takes evenly spaced values within its range while
     all else stays nominal. Mean and standard deviation of the return over all these test worlds measure how robust a
-    policy is. Written to --out: sensitivity.csv, one line a world; episodes.csv, one line an episode; a figure for
-    each row and one for all of them.
+    policy is. Written to --out: policies.csv, one line a policy; breaks.csv, one for each end of a range that breaks a
+    gait; sensitivity.csv, one a world; episodes.csv, one an episode; a figure for each row and one for all of them.
     """
 
     policies: PolicyNames
@@ -77,7 +77,7 @@ def main(argv: list[str]) -> int:
     for task in tasks:
         task.nominal(robot)  # refuses parameters that the robot does not allow
     make_figures_folder(command.out)
-    from surefoot.evaluation.sensitivity import episode_duration, run_sensitivity, trained_ranges
+    from surefoot.evaluation.sensitivity import episode_duration, find_breaks, run_sensitivity, trained_ranges
     from surefoot.report.figures.parameters import aggregate_figure, parameter_figure
     from surefoot.tables import write_csv
 
@@ -97,6 +97,8 @@ def main(argv: list[str]) -> int:
             )
     groups, trained = {one.policy: [one] for one in results}, {one.name: trained_ranges(one.task) for one in loaded}
     tables = {
+        "policies": [pd.DataFrame([_summary(one)]).drop(columns="breaks") for one in results],
+        "breaks": [find_breaks(one).assign(policy=one.policy) for one in results],
         "sensitivity": [one.worlds.assign(policy=one.policy) for one in results],
         "episodes": [one.episodes.assign(policy=one.policy) for one in results],
     }
@@ -143,6 +145,8 @@ def _summary(result: Sensitivity) -> dict[str, Any]:
         "fall_rate": result.fall_rate,
         "nominal_return": float(result.nominal["return"].mean()),
         "nominal_falls": int(result.nominal.fell.sum()),
+        "falls": int(result.tests.fell.sum()),
+        "episodes": len(result.tests),
         "breaks": find_breaks(result).to_dict("records"),
     }
 

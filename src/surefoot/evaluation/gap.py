@@ -20,7 +20,7 @@ import pandas as pd
 
 from surefoot.arrays import Array
 from surefoot.evaluation.runs import summarize_runs
-from surefoot.evaluation.statistics import Interval, MeanEstimate, crossed_interval
+from surefoot.evaluation.statistics import MeanEstimate
 from surefoot.tables import with_unit
 from surefoot.task.config import TaskConfig
 
@@ -79,13 +79,14 @@ class PolicyGap:
         home, away = (MeanEstimate.from_values(runs["return"]) for runs in (self.home, self.in_world(world)))
         return home - away
 
+    def table(self, world: str, column: str) -> Array:
+        """Return a column of the runs in a world as a table (policies, runs)."""
+        return np.array([one.in_world(world)[column] for one in self.split()], np.float64)
+
     def gaps(self, world: str) -> Array:
         """Return each policy's mean return at home less its return in each run away [m], (policies, runs)."""
-        return np.array([one.home["return"].mean() - one.in_world(world)["return"] for one in self.split()])
-
-    def interval(self, world: str) -> Interval:
-        """Return the mean gap [m] with its interval over policies and over robots (or starts) away."""
-        return crossed_interval(self.gaps(world))
+        home = self.table(self.worlds[0], "return").mean(axis=1, keepdims=True)
+        return home - self.table(world, "return")
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each world, home first, with means and errors of its runs and the gap."""
@@ -115,23 +116,6 @@ def gap_text(row: Mapping[str, Any], is_home: bool, sign: bool = False, unit: st
         "falls": f"{row['falls']} of {row['runs']}",
         "success": f"{100 * row['success_rate']:.0f} %",
     }
-
-
-def gap_difference(base: PolicyGap, other: PolicyGap) -> tuple[MeanEstimate, Interval, Interval]:
-    """Return how much wider the gap of one group of policies is than another's, each to its first world away.
-
-    Returns:
-        the gap of `other` less that of `base` [m] with its standard error over runs, the same with its interval over
-        policies and robots (or starts), and the difference of their returns away [m] with that interval.
-    """
-    (base_world, other_world) = (group.worlds[1] for group in (base, other))
-    gaps = base.gaps(base_world), other.gaps(other_world)
-    away = [
-        np.array([one.in_world(world)["return"] for one in group.split()])
-        for group, world in ((base, base_world), (other, other_world))
-    ]
-    over_runs = other.gap_over_runs(other_world) - base.gap_over_runs(base_world)
-    return over_runs, crossed_interval(gaps[1], gaps[0]), crossed_interval(away[1], away[0])
 
 
 def home_task(task: TaskConfig) -> TaskConfig:

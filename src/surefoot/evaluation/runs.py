@@ -97,7 +97,7 @@ def summarize_runs(runs: pd.DataFrame) -> dict[str, Any]:
 def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, Any]:
     """Sum up one episode or more of one policy in one world, by a robot of `total_mass` [kg].
 
-    Means leave out episodes in which the number is NaN; standard deviations are of the population. The gait is the
+    Means leave out episodes in which the number is NaN; standard deviations are with n - 1. The gait is the
     commonest one, and phases, duty factors and stances come from its episodes.
 
     Returns:
@@ -123,10 +123,10 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         "steps_mean": _mean(runs.steps),
         "distance_mean": _mean(runs.distance),
         "speed_mean": _mean(runs.speed),
-        "speed_std": plain_value(float(runs.speed.std(ddof=0))),
+        "speed_std": plain_value(float(runs.speed.std())),
         "power_mean": _mean(runs.power),
         "return_mean": _mean(runs["return"]),
-        "return_std": plain_value(float(runs["return"].std(ddof=0))),
+        "return_std": plain_value(float(runs["return"].std())),
         "drift_mean": _mean([abs(t.base_position_world[-1, 1] - t.base_position_world[0, 1]) for t in traces]),
         "cost_of_transport_mean": _mean(runs.power / (total_mass * GRAVITY * runs.speed.where(runs.speed > 0))),
         "gait": gait,

@@ -64,7 +64,7 @@ class Sensitivity:
             "episodes": ("run", "size"),
             "return_mean": ("return", pd.Series.mean),
             "return_error": ("return", pd.Series.sem),
-            "return_std": ("return", lambda returns: returns.std(ddof=0)),
+            "return_std": ("return", pd.Series.std),
             "speed_mean": ("speed", pd.Series.mean),
             "falls": ("fell", "sum"),
         }
@@ -87,7 +87,7 @@ class Sensitivity:
     @property
     def std(self) -> float:
         """Standard deviation over all test worlds of their mean returns [m]: the paper's measure of robustness."""
-        return float(self.worlds.return_mean.std(ddof=0))
+        return float(self.worlds.return_mean.std())
 
     @property
     def fall_rate(self) -> float:

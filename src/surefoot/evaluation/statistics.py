@@ -1,6 +1,6 @@
 """Means with standard errors and confidence intervals, for a few numbers that vary by chance, such as one a seed.
 
-Intervals of means take the numbers as independent draws from normal distributions; those of shares are Wilson's.
+Intervals of means take the numbers as independent draws from normal distributions; those of shares are exact binomial.
 """
 
 from __future__ import annotations
@@ -59,6 +59,8 @@ class Interval:
     """Lower end; NaN for too few numbers."""
     high: float = math.nan
     """Upper end; NaN for too few numbers."""
+    p: float = math.nan
+    """Two-sided p value of the hypothesis that the true number is zero; NaN for too few numbers, or one share."""
     values: tuple[float, ...] = ()
     """The numbers themselves, where they are too few for an interval of their mean."""
 
@@ -66,11 +68,6 @@ class Interval:
     def is_finite(self) -> bool:
         """Whether there were enough numbers for an interval."""
         return math.isfinite(self.low) and math.isfinite(self.high)
-
-    @property
-    def covers_zero(self) -> bool:
-        """Whether zero is within; true without an interval."""
-        return not self.is_finite or self.low <= 0 <= self.high
 
     def columns(self, name: str) -> dict[str, float]:
         """Return cells of a table: the estimate under a name, the ends as `name_low` and `name_high`."""
@@ -86,7 +83,7 @@ class Interval:
 
     def scale(self, factor: float) -> Interval:
         """Return the interval of the number times a factor above 0."""
-        return Interval(self.mean * factor, self.low * factor, self.high * factor)
+        return Interval(self.mean * factor, self.low * factor, self.high * factor, self.p)
 
 
 def t_interval(values: ArrayLike) -> Interval:
@@ -96,31 +93,55 @@ def t_interval(values: ArrayLike) -> Interval:
     return interval if interval.is_finite else Interval(interval.mean, values=tuple(map(float, array)))
 
 
-def wilson_interval(shares: ArrayLike, trials: int) -> Interval:
-    """Return the mean of shares (S,), each of so many trials, with Wilson's score interval, which stays in 0 to 1.
+def share_interval(shares: ArrayLike, trials: int) -> Interval:
+    """Return the mean of shares with the exact binomial interval (Clopper and Pearson 1934).
 
     Trials of one seed are alike. Where shares differ more than chance among independent trials explains, there are
-    only as many effective trials as the variance of the mean is worth, and the quantile is Student's for S shares
-    (Korn and Graubard 1998 do so for the exact interval).
-    """
-    array = np.asarray(shares, np.float64)
-    share, count, quantile = float(array.mean()), float(array.size * trials), _NORMAL_QUANTILE
-    chance = share * (1 - share)
-    if array.size > 1 and (variance := float(array.var(ddof=1)) / array.size) * count > chance > 0:
-        from scipy.special import stdtrit
+    only as many effective trials as the variance of the mean is worth, fewer by the degrees of freedom that it is
+    estimated with (Korn and Graubard 1998).
 
-        count, quantile = chance / variance, float(stdtrit(array.size - 1, 0.5 + CONFIDENCE / 2))
-    weight = quantile**2 / count
-    centre = (share + weight / 2) / (1 + weight)
-    half = math.sqrt(chance * weight + weight**2 / 4) / (1 + weight)
-    return Interval(share, min(max(centre - half, 0.0), share), max(min(centre + half, 1.0), share))
+    Args:
+        shares: a share for each seed (S,), or for each seed and robot (S, R), if robots too are drawn by chance.
+        trials: how many each seed has.
+    """
+    from scipy.special import betaincinv, stdtrit
+
+    table = np.asarray(shares, np.float64)
+    samples = [table] if table.ndim == 1 else [table.mean(axis=1), table.mean(axis=0)]
+    share, count = float(table.mean()), float(len(table) * trials)
+    variance, freedom = _variance_of_sum([sample for sample in samples if len(sample) > 1])
+    if variance > 0 and 0 < share < 1:
+        tail = 0.5 + CONFIDENCE / 2
+        loss = float(stdtrit(count - 1, tail) / stdtrit(freedom, tail)) ** 2
+        count = min(count, share * (1 - share) / variance * loss)
+    hits, misses, tail = share * count, (1 - share) * count, (1 - CONFIDENCE) / 2
+    low = float(betaincinv(hits, misses + 1, tail)) if hits > 0 else 0.0
+    return Interval(share, low, float(betaincinv(hits + 1, misses, 1 - tail)) if misses > 0 else 1.0)
 
 
 def share_difference(share: Interval, base: Interval) -> Interval:
-    """Return a share less another, independent one, with Newcombe's (1998) interval of two Wilson intervals."""
+    """Return a share less another, independent one, with the interval of their two (Zou and Donner 2008).
+
+    Its p value follows from the interval (Altman and Bland 2011).
+    """
+    from scipy.special import ndtr
+
     mean = share.mean - base.mean
     below = math.hypot(share.mean - share.low, base.high - base.mean)
-    return Interval(mean, mean - below, mean + math.hypot(share.high - share.mean, base.mean - base.low))
+    above = math.hypot(share.high - share.mean, base.mean - base.low)
+    p = 2 * float(ndtr(-_NORMAL_QUANTILE * abs(mean) / (below if mean > 0 else above)))
+    return Interval(mean, mean - below, mean + above, p)
+
+
+def holm(p: ArrayLike) -> Array:
+    """Return p values (M,) adjusted for M comparisons (Holm 1979); one below .05 is significant at 5 % among them all.
+
+    NaN stays NaN, and counts as a comparison.
+    """
+    values = np.asarray(p, np.float64)
+    order, adjusted = np.argsort(values), np.empty_like(values)
+    adjusted[order] = np.minimum(np.maximum.accumulate(values[order] * np.arange(len(values), 0, -1)), 1.0)
+    return adjusted
 
 
 def welch_interval(values: ArrayLike, base: ArrayLike) -> Interval:
@@ -141,26 +162,36 @@ def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interv
     Degrees of freedom are those of Satterthwaite. Fewer than `MIN_NUMBERS` rows or columns have no interval.
     """
     tables = [np.asarray(table, np.float64) for table in ((values,) if base is None else (values, base))]
+    if base is None and len(tables[0]) < MIN_NUMBERS:
+        return t_interval(tables[0].mean(axis=1))
     columns = tables[0].mean(axis=0) - (tables[1].mean(axis=0) if base is not None else 0.0)
     return _satterthwaite([*(table.mean(axis=1) for table in tables), columns], float(columns.mean()))
 
 
 def _satterthwaite(samples: Sequence[Array], mean: float | None = None) -> Interval:
     """Return the interval of a sum of means of independent samples with unequal variances, around `mean`."""
+    # What `scipy.stats.t` computes; importing that takes seconds.
+    from scipy.special import stdtr, stdtrit
+
     mean = float(samples[0].mean()) if mean is None else mean
     if min(map(len, samples)) < MIN_NUMBERS:
         return Interval(mean)
-    parts = [float(sample.var(ddof=1)) / len(sample) for sample in samples]
-    total = sum(parts)
-    if total == 0:
-        return Interval(mean, mean, mean)
-    # Shares of the whole do not overflow when squared, whatever the variances.
-    freedom = 1 / sum((part / total) ** 2 / (len(sample) - 1) for part, sample in zip(parts, samples, strict=True))
-    # What `scipy.stats.t.ppf` computes; importing that takes seconds.
-    from scipy.special import stdtrit
+    variance, freedom = _variance_of_sum(samples)
+    if variance == 0:
+        return Interval(mean, mean, mean, float(mean == 0))
+    error = math.sqrt(variance)
+    half = float(stdtrit(freedom, 0.5 + CONFIDENCE / 2)) * error
+    return Interval(mean, mean - half, mean + half, 2 * float(stdtr(freedom, -abs(mean) / error)))
 
-    half = float(stdtrit(freedom, 0.5 + CONFIDENCE / 2)) * math.sqrt(total)
-    return Interval(mean, mean - half, mean + half)
+
+def _variance_of_sum(samples: Sequence[Array]) -> tuple[float, float]:
+    """Return the variance of a sum of means of independent samples, and Satterthwaite's degrees of freedom."""
+    parts = [float(sample.var(ddof=1)) / len(sample) for sample in samples]
+    if not (total := sum(parts)):
+        return 0.0, math.nan
+    # Shares of the whole do not overflow when squared, whatever the variances.
+    weights = [(part / total) ** 2 / (len(sample) - 1) for part, sample in zip(parts, samples, strict=True)]
+    return total, 1 / sum(weights)
 
 
 def decimal(number: float, digits: int = 2, sign: bool = False) -> str:

@@ -14,17 +14,19 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.evaluation.gap import PolicyGap, gap_difference
+from surefoot.evaluation.gap import PolicyGap
 from surefoot.evaluation.runs import summarize_runs
 from surefoot.evaluation.sensitivity import Sensitivity
 from surefoot.evaluation.statistics import (
     CONFIDENCE,
     Interval,
     MeanEstimate,
+    crossed_interval,
+    holm,
     share_difference,
+    share_interval,
     t_interval,
     welch_interval,
-    wilson_interval,
 )
 from surefoot.files import atomic_write
 from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, evaluation_names, gap_from_result
@@ -35,12 +37,12 @@ FAR = 3.0
 """A run goes far over this [m]; the paper counts such runs among nine on the robot."""
 CONTENTS = {
     "policies": "a row a trained policy",
-    "groups": "a row a group and figure, with its interval over seeds",
-    "differences": "a row a pair of groups and figure, with its interval over seeds",
+    "groups": "a row a group and figure, with its interval",
+    "differences": "a row a pair of groups and figure: difference, interval, p value, and p after Holm's correction",
     "episodes": "a row an episode, of all evaluations",
     "sensitivity": "a row a policy and test world",
-    "gap_groups": "a row a group and world, of the best policies and of all: means and standard errors over runs",
-    "gap_differences": "a row a pair of groups, of the best policies and of all: the difference of their gaps",
+    "gap_groups": "a row a group and world, of all policies and of the best (`top`): means, errors, intervals",
+    "top_differences": "differences.csv for the best policies, figures of the reality gap",
 }
 """What each table holds."""
 _EPISODE_COLUMNS = (
@@ -86,7 +88,8 @@ def policy_row(group: str, seed: int, log: Sequence[dict[str, Any]], results: di
     gait = {name: results["gait"][name] for name in ("gait", "pattern")} if "gait" in results else {}
     row = {"group": group, "seed": seed, "steps": log[-1]["steps"], "training_seconds": round(log[-1]["seconds"], 1)}
     row |= {"best_steps": None, **{name: value for part in figures for name, value in part.items()}, **gait}
-    return row | {"results": results, "curve": learning_curve(log), "policy": None}
+    curve = learning_curve(log)
+    return row | {"late_gain": late_gain(curve), "results": results, "curve": curve, "policy": None}
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,11 @@ class Comparison:
         return tuple(figure for kind in self.kinds for figure in EVALUATIONS[kind].figures)
 
     @property
+    def primary(self) -> ResultFigure:
+        """The figure that the comparisons are about."""
+        return next(figure for figure in self.figures if figure.name == self.study.primary)
+
+    @property
     def groups(self) -> list[str]:
         """Names of the groups that have policies."""
         return list(self.policies.group.unique())
@@ -128,21 +136,25 @@ class Comparison:
         ranked = self.policies.sort_values("nominal_return", ascending=False, kind="stable")
         return replace(self, policies=pd.concat([ranked[ranked.group == g][: self.study.top] for g in self.groups]))
 
-    def interval(self, group: str, figure: str) -> Interval:
-        """Return the mean of a figure over the seeds of a group with its interval, Wilson's for a share."""
-        what, values = self._figure(figure), self.of_group(group)[figure]
-        return (
-            wilson_interval(values / what.whole, what.trials).scale(what.whole) if what.trials else t_interval(values)
-        )
+    def interval(self, group: str, figure: ResultFigure) -> Interval:
+        """Return the mean of a figure over a group with its interval over seeds, and over robots where it has them."""
+        values = self._values(group, figure)
+        if figure.trials:
+            return share_interval(values / figure.whole, figure.trials).scale(figure.whole)
+        return crossed_interval(values) if values.ndim == 2 else t_interval(values)
 
-    def difference(self, group: str, base: str, figure: str) -> Interval:
+    def difference(self, group: str, base: str, figure: ResultFigure) -> Interval:
         """Return the mean of a figure over a group less that over another with its interval."""
-        if self._figure(figure).trials:
+        if figure.trials:
             return share_difference(self.interval(group, figure), self.interval(base, figure))
-        return welch_interval(self.of_group(group)[figure], self.of_group(base)[figure])
+        values, others = self._values(group, figure), self._values(base, figure)
+        return crossed_interval(values, others) if values.ndim == 2 else welch_interval(values, others)
 
-    def _figure(self, name: str) -> ResultFigure:
-        return next(figure for figure in self.figures if figure.name == name)
+    def _values(self, group: str, figure: ResultFigure) -> Array:
+        """Return a figure of each policy of a group (P,), or of each of its runs (P, R)."""
+        kind = next(kind for kind in self.kinds if figure in EVALUATIONS[kind].figures)
+        read = EVALUATIONS[kind].read_runs
+        return np.array([read(results[kind])[figure.name] for results in self.of_group(group).results])
 
     def sensitivities(self, group: str) -> list[Sensitivity]:
         """Return the results of each policy of a group in test worlds."""
@@ -179,23 +191,16 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
     tables: dict[str, Any] = {
         "policies": policies.drop(columns=["results", "curve", "policy"]),
         "groups": [
-            {"group": group, "label": comparison.study.label(group), "figure": figure.name, "unit": figure.unit}
-            | {
-                "seeds": len(comparison.of_group(group)),
-                "mean": interval.mean,
-                "low": interval.low,
-                "high": interval.high,
-            }
+            {"group": group, "label": comparison.study.label(group), "figure": figure, "unit": unit}
+            | {"seeds": len(comparison.of_group(group)), "mean": interval.mean}
+            | {"low": interval.low, "high": interval.high}
             for group in groups
-            for figure in comparison.figures
-            for interval in [comparison.interval(group, figure.name)]
+            for figure, unit, interval in [
+                *((one.name, one.unit, comparison.interval(group, one)) for one in comparison.figures),
+                ("late_gain", "m", t_interval(comparison.of_group(group).late_gain)),
+            ]
         ],
-        "differences": [
-            {"group": other, "against": base, "figure": figure.name, "unit": figure.unit}
-            | comparison.difference(other, base, figure.name).columns("difference")
-            for base, other in comparison.present_pairs()
-            for figure in comparison.figures
-        ],
+        "differences": _differences(comparison, comparison.figures),
         "episodes": _episodes(policies),
     }
     if "sensitivity" in comparison.kinds:
@@ -203,16 +208,27 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
         tables["sensitivity"] = pd.concat([one.worlds.assign(policy=one.policy) for one in tested])
         tables["sensitivity"] = tables["sensitivity"].set_index("policy").reset_index()
     if "gap" in comparison.kinds:
-        parts = {"top": comparison.best(), "all": comparison}
+        best = comparison.best()
+        parts = {"all": comparison, "top": best}
         tables["gap_groups"] = [
             row for group in groups for which, part in parts.items() for row in _gap_rows(which, group, part)
         ]
-        tables["gap_differences"] = [
-            _gap_difference_row(which, base, other, part)
-            for which, part in parts.items()
-            for base, other in part.present_pairs()
-        ]
+        tables["top_differences"] = _differences(best, EVALUATIONS["gap"].figures)
     return {name: pd.DataFrame(table) for name, table in tables.items()}
+
+
+def _differences(comparison: Comparison, figures: Sequence[ResultFigure]) -> pd.DataFrame:
+    """Return a row for each pair and figure; p values of a figure are adjusted for the number of pairs."""
+    rows = [
+        {"group": other, "against": base, "figure": figure.name, "unit": figure.unit}
+        | interval.columns("difference")
+        | {"p": interval.p}
+        for base, other in comparison.present_pairs()
+        for figure in figures
+        for interval in [comparison.difference(other, base, figure)]
+    ]
+    table = pd.DataFrame(rows)
+    return table.assign(p_holm=table.groupby("figure").p.transform(holm)) if rows else table
 
 
 def write_tables(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
@@ -248,20 +264,14 @@ def _gap_rows(which: str, group: str, comparison: Comparison) -> list[dict[str, 
     gap, seeds = comparison.gap(group), " ".join(map(str, comparison.of_group(group).seed))
     rows = []
     for number, world in enumerate(gap.worlds):
-        runs = gap.in_world(world)
+        runs, balanced = gap.in_world(world), gap.table(world, "balanced")
         row = {"group": group, "label": gap.name, "policies": which, "seeds": seeds, **summarize_runs(runs)}
-        row |= {"balanced": int(runs.balanced.sum()), "far": int((runs.distance > FAR).sum())}
+        row |= crossed_interval(gap.table(world, "return")).columns("return")
+        row |= share_interval(balanced, balanced.shape[1]).columns("balanced_share")
+        row |= {"balanced": int(balanced.sum()), "far": int((runs.distance > FAR).sum())}
         row |= {"least_distance": float(runs.distance.min())}
-        over_runs, interval = MeanEstimate(), Interval(math.nan)
-        if number:
-            over_runs, interval = gap.gap_over_runs(world), gap.interval(world)
+        over_runs = gap.gap_over_runs(world) if number else MeanEstimate()
+        interval = crossed_interval(gap.gaps(world)) if number else Interval(math.nan)
         row |= {"gap": over_runs.mean, "gap_error": over_runs.error, "gap_low": interval.low, "gap_high": interval.high}
         rows.append(row)
     return rows
-
-
-def _gap_difference_row(which: str, base: str, other: str, comparison: Comparison) -> dict[str, Any]:
-    over_runs, crossed, away = gap_difference(comparison.gap(base), comparison.gap(other))
-    row: dict[str, Any] = {"policies": which, "group": other, "against": base}
-    row |= {"difference": over_runs.mean, "error": over_runs.error}
-    return row | crossed.columns("interval_difference") | away.columns("away_difference")

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from surefoot import __version__
+from surefoot.arrays import Array
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError, suggest
 from surefoot.evaluation.footfalls import analyze_footfalls
@@ -29,12 +31,13 @@ from surefoot.tables import plain_value, with_unit
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
-from surefoot.world.ensemble import ROBOTS
-from surefoot.world.registry import find_world
+from surefoot.world.registry import WORLDS, find_world
 
 SEED = 1
 GAP_SEED = 2
 """Runs of a gap are independent of those that policies are selected by."""
+AWAY = "ensemble"
+ROBOTS = len(WORLDS[AWAY].seeds or ())
 Result = dict[str, Any]
 """Result of an evaluation, as JSON holds it."""
 Traces = dict[str, list[EpisodeTrace]]
@@ -86,8 +89,8 @@ class EvaluationKind:
     settings: dict[str, Any]
     """Everything besides the policy that the result depends on."""
     run: Callable[[EvaluationRun], tuple[Result, Traces]]
-    read: Callable[[Result], tuple[float, ...]]
-    """Returns the figures of a result."""
+    read: Callable[[Result], tuple[ArrayLike, ...]]
+    """Returns the figures of a result; arrays hold a number for each run, where run k of every policy is on robot k."""
     figures: tuple[ResultFigure, ...]
 
     @property
@@ -95,10 +98,14 @@ class EvaluationKind:
         """Names of the worlds that it runs in."""
         return tuple(self.settings[key] for key in ("world", "home", "away") if key in self.settings)
 
+    def read_runs(self, result: Result) -> dict[str, Array]:
+        """Return the figures of a result by name, each as `read` gives it."""
+        names = [figure.name for figure in self.figures]
+        return {name: np.asarray(values, np.float64) for name, values in zip(names, self.read(result), strict=True)}
+
     def read_figures(self, result: Result) -> dict[str, float]:
         """Return the figures of a result by name."""
-        names = [figure.name for figure in self.figures]
-        return dict(zip(names, map(float, self.read(result)), strict=True))
+        return {name: float(values.mean()) for name, values in self.read_runs(result).items()}
 
 
 def _run_episodes(run: EvaluationRun) -> tuple[Result, Traces]:
@@ -171,12 +178,11 @@ def _read_sensitivity(result: Result) -> tuple[float, ...]:
     return sensitivity.mean, sensitivity.std, 100 * sensitivity.fall_rate
 
 
-def _read_gap(result: Result) -> tuple[float, ...]:
+def _read_gap(result: Result) -> tuple[ArrayLike, ...]:
     gap = gap_from_result(result, "")
     home, away, described = (gap.in_world(world) for world in gap.worlds)
-    returns = [runs["return"].mean() for runs in (home, described, away)]
-    means = (100 * away.balanced.mean(), away.distance.mean(), away.speed.mean(), away.power.mean())
-    return *returns, returns[0] - returns[2], *means
+    returns = [runs["return"] for runs in (home, described, away)]
+    return *returns, gap.gaps(gap.worlds[1])[0], 100 * away.balanced, away.distance, away.speed, away.power
 
 
 EVALUATIONS: dict[str, EvaluationKind] = {
@@ -213,9 +219,9 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         ),
     ),
     "gap": EvaluationKind(
-        f"a run on each of the ensemble's {ROBOTS} robots in Bullet, and as many in the policy's own simulator and "
+        f"a run on each of the {ROBOTS} robots of world {AWAY}, and as many in the policy's own simulator and "
         "there with the robot of the data sheet; none with pushes, each from a start of its own",
-        {"home": "mujoco", "away": "ensemble", "described": True, "episodes": ROBOTS, "seed": GAP_SEED},
+        {"home": "mujoco", "away": AWAY, "described": True, "episodes": ROBOTS, "seed": GAP_SEED},
         _run_gap,
         _read_gap,
         (

@@ -203,16 +203,7 @@ def find_number(root: Path, source: NumberSource) -> Interval | MeanEstimate:
     """
     path = root / source.file
     with prefix_errors(path):
-        if path.suffix == ".csv":
-            rows = _read_rows(path, source.where)
-            if len(rows) != 1:
-                raise SurefootError(f"has {len(rows)} rows of {_describe(source.where)}; there must be one")
-            data: Any = rows[0]
-        else:
-            try:
-                data = json.loads(_read(path))
-            except (ValueError, RecursionError):
-                raise SurefootError("is not JSON") from None
+        data = find_row(path, source.where)
         keys = filter(None, (source.error,) if source.error else (source.low, source.high))
         ends = [math.nan if isinstance(data, dict) and data.get(key) == "" else _number(data, key) for key in keys]
         mean, *spread = (number * source.scale for number in (_number(data, source.value), *ends))
@@ -237,6 +228,30 @@ def find_counts(root: Path, counts: ValueCounts) -> str:
     return ", ".join(f"{number} {value}" for value, number in values.most_common())
 
 
+def find_row(path: Path, where: dict[str, str]) -> Any:
+    """Return the one row of a CSV file with these values of columns; all of a JSON file.
+
+    Raises:
+        SurefootError: a file that can't be read, or not just one such row.
+    """
+    if path.suffix == ".csv":
+        rows = _read_rows(path, where)
+        if len(rows) != 1:
+            raise SurefootError(f"has {len(rows)} rows of {_describe(where)}; there must be one")
+        return rows[0]
+    try:
+        return json.loads(_read(path))
+    except (ValueError, RecursionError):
+        raise SurefootError("is not JSON") from None
+
+
+def find_value(data: Any, key: str) -> Any:
+    """Return what is in a column of a row, or at keys with dots between them; None without such a key."""
+    for part in [key] if isinstance(data, dict) and key in data else key.split("."):
+        data = data.get(part) if isinstance(data, dict) else None
+    return data
+
+
 def _read(path: Path) -> str:
     with describe_os_errors(path.name):
         check_readable(path)
@@ -255,10 +270,8 @@ def _describe(where: dict[str, str]) -> str:
 
 def _number(data: Any, key: str) -> float:
     """Return the number in a column of a row, or at keys with dots between them."""
-    for part in [key] if isinstance(data, dict) and key in data else key.split("."):
-        data = data.get(part) if isinstance(data, dict) else None
     try:
-        return float(data)
+        return float(find_value(data, key))
     except (TypeError, ValueError):
         raise SurefootError(f"has no number {key}") from None
 

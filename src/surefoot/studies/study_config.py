@@ -54,8 +54,10 @@ class StudyConfig:
     """Kinds of evaluation of every trained policy."""
     compare: tuple[tuple[str, str], ...] = ()
     """Pairs of groups whose difference is reported, the second against the first; every pair, if empty."""
+    primary: str = "nominal_return"
+    """The figure that the comparisons are about; p values of each figure are adjusted for their number."""
     top: Annotated[int, Within(1, 1000)] = 3
-    """How many policies of a group, those with the highest return in their own simulator, measure its reality gap."""
+    """How many policies of a group, those with the highest return in their own simulator, are its best."""
     bars: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """Groups whose reality gaps are drawn side by side, by the name of the figure."""
     findings: tuple[PublishedFinding, ...] = ()

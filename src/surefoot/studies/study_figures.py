@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.evaluation.gap import PolicyGap
-from surefoot.evaluation.statistics import Interval, MeanEstimate
+from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, crossed_interval
 from surefoot.report.figures.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered, spoken
 from surefoot.robot.commands import COMMANDS
 from surefoot.studies.comparison import Comparison, bin_curve
@@ -69,7 +69,7 @@ def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str])
         for ax, figure in zip(axes, figures, strict=True):
             for row, group in enumerate(groups):
                 values = comparison.of_group(group)[figure.name]
-                _group_bar(ax, row, comparison.interval(group, figure.name), values, f"C{row}")
+                _group_bar(ax, row, comparison.interval(group, figure), values, f"C{row}")
             ax.set_title(capital(figure.heading))
             ax.set_ylim(len(groups) - 0.4, -0.6)
             place_labels(
@@ -92,25 +92,30 @@ def _group_bar(ax: Axes, row: int, interval: Interval, values: pd.Series, color:
     ax.plot(values, lane, "o", color=color, markersize=4.5, markeredgecolor="white", markeredgewidth=0.6, clip_on=False)
 
 
-def gap_figure(policies: Sequence[PolicyGap], path: str | Path, unit: str = "m") -> Path:
+def gap_figure(policies: Sequence[PolicyGap], path: str | Path, unit: str = "m", over_policies: bool = False) -> Path:
     """Draw the return of each policy as bars, a bar a world, with one standard error and every run as a dot.
 
     Below each policy stands its gap to each other world; over a bar, how many of the runs fell, if any did: they are
-    crosses. All policies or groups of policies ran in the same worlds. `unit` is that of returns.
+    crosses. All policies or groups of policies ran in the same worlds. `unit` is that of returns. With `over_policies`
+    the error is the interval over policies and robots, and each dot is a policy's mean.
     """
     names = policies[0].worlds
     width = max(5.2, 1.2 + len(policies) * max(1.6 if len(names) < 3 else 2.3, 0.62 * len(names)))
     with new_figure(path, (width, 3.9 + 0.16 * len(names))) as (_, (ax,)):
         for place, policy in enumerate(policies):
-            for number, world in enumerate(names):
-                _return_bar(ax, place, number, len(names), policy.in_world(world))
+            for number in range(len(names)):
+                _return_bar(ax, place, number, len(names), policy, over_policies)
         ax.axhline(0.0, color=QUIET, linewidth=0.8)
         place_labels(ax, [_label(policy, unit) for policy in policies])
         ax.set_xlim(-0.5, len(policies) - 0.5)
         ax.margins(y=0.12)
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
         ax.set_title(with_unit("Return of an episode", unit), fontweight="bold", pad=24.0)
-        legend = "bars: mean and one standard error; dots: runs, crosses: runs that ended in a fall"
+        legend = (
+            f"bars: mean and interval of {CONFIDENCE:.0%} over policies and robots; dots: policies"
+            if over_policies
+            else "bars: mean and one standard error; dots: runs, crosses: runs that ended in a fall"
+        )
         ax.set_xlabel(legend, color=QUIET, fontsize=8.0, labelpad=6.0)
         for number, name in enumerate(names):
             ax.bar(0, 0, color=f"C{number}", alpha=_PALE, label=name if number else f"{name} (home)")
@@ -118,13 +123,19 @@ def gap_figure(policies: Sequence[PolicyGap], path: str | Path, unit: str = "m")
     return Path(path)
 
 
-def _return_bar(ax: Axes, place: int, number: int, count: int, runs: pd.DataFrame) -> None:
-    wide, color = _GROUP / count, f"C{number}"
+def _return_bar(ax: Axes, place: int, number: int, count: int, policy: PolicyGap, over_policies: bool) -> None:
+    world = policy.worlds[number]
+    runs, wide, color = policy.in_world(world), _GROUP / count, f"C{number}"
     x = place + wide * (number - (count - 1) / 2)
     estimate, measured = MeanEstimate.from_values(runs["return"]), runs[runs["return"].notna()]
+    error = estimate.error
+    if over_policies:
+        table = policy.table(world, "return")
+        error = crossed_interval(table).high - estimate.mean
+        measured = pd.DataFrame({"return": table.mean(axis=1), "fell": False})
     top, notes = 0.0, []
     if len(measured):
-        error = estimate.error if math.isfinite(estimate.error) else 0.0
+        error = error if math.isfinite(error) else 0.0
         ax.bar(x, estimate.mean, 0.9 * wide, color=color, alpha=_PALE, linewidth=0)
         ax.errorbar(x, estimate.mean, error, color=INK, linewidth=1.3, capsize=4.0, zorder=3)
         if 1 < len(measured) <= _MAX_DOTS:

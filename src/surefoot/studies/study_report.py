@@ -3,35 +3,39 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from surefoot.evaluation.gap import gap_text
 from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
 from surefoot.files import atomic_write
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
 from surefoot.report.figures.runs import footfall_diagram
-from surefoot.studies.comparison import CONTENTS, FAR, Comparison, late_gain, study_tables, write_tables
-from surefoot.studies.evaluations import EVALUATIONS, load_gait_trace
+from surefoot.report.figures.style import capital
+from surefoot.studies.comparison import CONTENTS, FAR, Comparison, study_tables, write_tables
+from surefoot.studies.evaluations import EVALUATIONS, ResultFigure, load_gait_trace
 from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
 from surefoot.tables import markdown
 
-_BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std", "gap", "gap_balanced")
+_BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std", "gap_away", "gap", "gap_balanced")
+_COLUMNS = 4
+"""Figures that one table of the report holds."""
+_LEVEL = 1 - CONFIDENCE
 _HOW_TO_READ = (
-    f"Means over seeds, with intervals of {CONFIDENCE:.0%} confidence in brackets: Student's t over seeds for a group, "
-    "Welch's for a difference, none widened for the number of comparisons. Episodes within one seed are averaged "
-    "first. Shares have Wilson's interval, of the episodes that the spread between seeds leaves, and Newcombe's for a "
-    "difference. A mean of one or two seeds has no interval; the seeds are in parentheses. Bold: the interval does not "
-    "include zero."
+    f"Means over seeds, with intervals of {CONFIDENCE:.0%} confidence in brackets, not widened for the number of "
+    "comparisons. Figures of the gap vary by policies and robots, both taken as drawn by chance; all others by seeds "
+    "(Student's t for a group, Welch's for a difference). Shares have exact binomial intervals, of the episodes that "
+    "the spread between seeds (and robots) leaves (Korn and Graubard). A mean of one or two seeds has no interval; the "
+    f"seeds are in parentheses. **Bold** differences have p < {_LEVEL:.2g} after Holm's correction for the number of "
+    "comparisons: those of one figure are a family. Late gain: mean return in the last fifth of a training less that "
+    "in the fifth before."
 )
 _GAP_TERMS = (
     "Home: the simulator that a policy was trained in, with the motors and delays of its own task. Described: the same "
-    "engine with the robot of the data sheet. Away: the other world. Gap: return at home less return away. ±: one "
-    f"standard error over runs. Brackets: {CONFIDENCE:.0%} confidence over policies and robots, both taken as drawn by "
-    "chance. The best policies are those with the highest return in other episodes at home."
+    "engine with the robot of the data sheet. Away: the other world. Gap: return at home less return away. Balanced: "
+    f"runs that kept their balance to the end; a run is far that came over {FAR:g} m."
 )
 
 
@@ -40,29 +44,34 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
     tables, missing = study_tables(comparison), ", ".join(comparison.missing)
     files = write_tables(comparison, tables, folder)
     group_figure(comparison, folder / "groups.png", _BARS)
+    label, figures = comparison.study.label, comparison.figures
+    levels = [
+        {one.name: comparison.interval(group, one).text(one.digits) for one in figures} for group in comparison.groups
+    ]
+    seeds = comparison.policies.to_dict("records")
     text = [
         f"# Study: {comparison.study.name}",
         f"```sh\n{command}\n```",
         *([f"**Not complete.** Not in this report: {missing}."] if missing else []),
+        "## How to read",
+        _HOW_TO_READ,
+        "\n".join(f"- **{name}**: {EVALUATIONS[name].what}." for name in comparison.kinds),
+        "## Comparisons",
+        *_comparisons(comparison, tables["differences"]),
         "## Trainings",
         markdown([_training(comparison, group) for group in comparison.groups]),
         *_curves(comparison, folder),
-        "## Evaluations",
-        "\n".join(f"- **{name}**: {EVALUATIONS[name].what}." for name in comparison.kinds),
         *(_gaps(comparison, tables, folder) if "gap" in comparison.kinds else []),
         "## Results",
-        _HOW_TO_READ,
-        _by_figure(comparison, tables["groups"].rename(columns={"label": "column"})),
+        *_by_figure(figures, [{"group": label(group)} for group in comparison.groups], levels),
         "![Groups side by side](groups.png)",
         "## Differences",
-        _differences(comparison, tables["differences"]),
+        *_differences(comparison, tables["differences"], comparison.figures),
         "## Every seed",
-        markdown(
-            [
-                {"group": comparison.study.label(row["group"]), "seed": row["seed"]}
-                | {figure.heading: decimal(row[figure.name], figure.digits) for figure in comparison.figures}
-                for row in comparison.policies.to_dict("records")
-            ]
+        *_by_figure(
+            figures,
+            [{"group": label(row["group"]), "seed": row["seed"]} for row in seeds],
+            [{one.name: decimal(row[one.name], one.digits) for one in figures} for row in seeds],
         ),
         *(_gaits(comparison, folder) if "gait" in comparison.kinds else []),
         *(_parameters(comparison, folder) if "sensitivity" in comparison.kinds else []),
@@ -73,27 +82,78 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
     return folder / "README.md"
 
 
-def _differences(comparison: Comparison, table: pd.DataFrame) -> str:
+def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
+    """Say which of the declared comparisons differ in the primary figure; return the section."""
     if not len(table):
-        return "There are no two groups to compare."
-    label = comparison.study.label
-    pairs = [f"{label(row.group)}, against {label(row.against)}" for row in table.itertuples()]
-    return _by_figure(comparison, table.assign(column=pairs), "difference")
+        return ["There are no two groups to compare."]
+    figure, label = comparison.primary, comparison.study.label
+    rows = table[table.figure == figure.name]
+    count, survive = len(rows), int((rows.p_holm < _LEVEL).sum())
+    lines = [
+        f"Primary figure: {figure.heading}. The study's file declares {count} comparisons; {survive} of them have "
+        f"p < {_LEVEL:.2g} after Holm's correction for {count}.",
+        markdown(
+            [
+                {"group": label(row.group), "against": label(row.against)}
+                | {figure.heading: _change(row, figure), "p": _p(row.p), f"p, Holm over {count}": _p(row.p_holm)}
+                for row in rows.itertuples()
+            ]
+        ),
+    ]
+    findings = [(row, comparison.finding((row.against, row.group))) for row in rows.itertuples()]
+    told = [f"- {label(row.group)}, against {label(row.against)}: {text}" for row, text in findings if text]
+    return [*lines, *(["In the paper:", "\n".join(told)] if told else [])]
+
+
+def _change(row: Any, figure: ResultFigure) -> str:
+    """Return a difference with its interval, bold if it is significant after correction."""
+    interval = Interval(row.difference, row.difference_low, row.difference_high)
+    text = interval.text(figure.digits, sign=True)
+    return f"**{text}**" if row.p_holm < _LEVEL else text
+
+
+def _p(value: float) -> str:
+    return "< 0.001" if value < 0.001 else decimal(value, 3)
+
+
+def _differences(comparison: Comparison, table: pd.DataFrame, figures: Sequence[ResultFigure]) -> list[str]:
+    """Return tables of differences, a row a pair."""
+    if not len(table):
+        return ["There are no two groups to compare."]
+    label, known = comparison.study.label, {figure.name: figure for figure in figures}
+    pairs = table[["group", "against"]].drop_duplicates()
+    heads = [{"group": label(row.group), "against": label(row.against)} for row in pairs.itertuples()]
+    cells = [
+        {row.figure: _change(row, known[row.figure]) for row in part.itertuples()}
+        for _, part in table.groupby(["group", "against"], sort=False)
+    ]
+    return _by_figure(figures, heads, cells)
+
+
+def _by_figure(
+    figures: Sequence[ResultFigure], heads: Sequence[dict[str, Any]], cells: Sequence[Mapping[str, str]]
+) -> list[str]:
+    """Return tables with rows that begin with `heads` and a column for each figure, a few figures a table."""
+    return [
+        markdown(
+            [
+                head | {figure.heading: row[figure.name] for figure in figures[first : first + _COLUMNS]}
+                for head, row in zip(heads, cells, strict=True)
+            ]
+        )
+        for first in range(0, len(figures), _COLUMNS)
+    ]
 
 
 def _training(comparison: Comparison, group: str) -> dict[str, str]:
     """Return the row of a group's trainings."""
     policies = comparison.of_group(group)
-    gains = policies.curve.map(late_gain).dropna()
-    best = ["?" if math.isnan(steps) else f"{steps / 1e6:.2f}" for steps in policies.best_steps.astype(float)]
     return {
         "group": comparison.study.label(group),
         "name": f"`{group}`",
         "seeds": ", ".join(map(str, policies.seed)),
         "control steps": ", ".join(f"{steps:,}" for steps in policies.steps.unique()),
-        "best after (millions)": ", ".join(best),
-        "time (min)": ", ".join(f"{seconds / 60:.1f}" for seconds in policies.training_seconds),
-        "late gain of return (m)": t_interval(gains).text(3, sign=True) if len(gains) else "-",
+        "late gain of return (m)": t_interval(policies.late_gain).text(2, sign=True),
     }
 
 
@@ -106,25 +166,6 @@ def _curves(comparison: Comparison, folder: Path) -> list[str]:
         learning_curves(curves, folder / file)
         lines.append(f"![Learning curves]({file})")
     return lines
-
-
-def _by_figure(comparison: Comparison, table: pd.DataFrame, change: str = "") -> str:
-    """Return intervals with a row for each figure and a column for each group or pair.
-
-    Columns of the ends begin with `change` where the intervals are of differences: those without zero are bold then.
-    """
-    names = [change, f"{change}_low", f"{change}_high"] if change else ["mean", "low", "high"]
-    rows = []
-    for figure in comparison.figures:
-        cells = {"figure": figure.heading}
-        for _, row in table[table.figure == figure.name].iterrows():
-            interval = Interval(*row[names])
-            if not change and not interval.is_finite:
-                interval = comparison.interval(row.group, figure.name)
-            text = interval.text(figure.digits, sign=bool(change))
-            cells[row.column] = f"**{text}**" if change and not interval.covers_zero else text
-        rows.append(cells)
-    return markdown(rows)
 
 
 def _gaits(comparison: Comparison, folder: Path) -> list[str]:
@@ -158,53 +199,45 @@ def _parameters(comparison: Comparison, folder: Path) -> list[str]:
 
 
 def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Path) -> list[str]:
-    """Draw the gaps of each set of groups; return the section."""
-    best, parts = comparison.best(), ["## Reality gap", _GAP_TERMS]
-    groups, changes = tables["gap_groups"], tables["gap_differences"]
+    """Draw the gaps of each set of groups, of all policies and of the best; return the sections."""
+    groups, lines, top = tables["gap_groups"], ["## Reality gap", _GAP_TERMS], comparison.study.top
+    label, best = comparison.study.label, comparison.best()
     for name, names in comparison.sets().items():
         file = f"gap_{name}.png"
-        gap_figure([best.gap(group) for group in names], folder / file)
+        gap_figure([comparison.gap(group) for group in names], folder / file, over_policies=True)
         finding = comparison.finding(comparison.study.bars.get(name, names))
-        parts += [f"### {name}", f"![Return at home and away]({file})"]
-        parts += [f"In the paper: {finding}"] if finding else []
-        parts.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
-    parts += ["### All policies", _gap_table(groups[groups.policies == "all"])]
-    if len(changes):
-        label = comparison.study.label
-        rows = [
-            {
-                "group": label(row.group),
-                "against": label(row.against),
-                "policies": f"best {comparison.study.top}" if row.policies == "top" else "all",
-                "gap (m)": MeanEstimate(row.difference, row.error).text(sign=True),
-                "gap, interval (m)": _interval(row, "interval_difference").text(sign=True),
-                "return away, interval (m)": _interval(row, "away_difference").text(sign=True),
-                "paper": comparison.finding((row.against, row.group)),
-            }
-            for row in changes.itertuples()
-        ]
-        parts += ["### Differences of gaps", markdown(rows)]
-    return parts
-
-
-def _interval(row: Any, name: str) -> Interval:
-    return Interval(*(getattr(row, f"{name}{end}") for end in ("", "_low", "_high")))
+        lines += [f"### {capital(name)}", f"![Return of all policies at home and away]({file})"]
+        lines += [f"In the paper: {finding}"] if finding else []
+        lines.append(_gap_table(groups[(groups.policies == "all") & groups.group.isin(names)]))
+    chosen = [f"{label(group)} {', '.join(map(str, best.of_group(group).seed))}" for group in best.groups]
+    lines += [
+        f"## The best {top} policies of each group",
+        f"As the paper measures: those with the highest return in other episodes at home; ± is one standard error over "
+        f"runs. Seeds: {'; '.join(chosen)}.",
+    ]
+    for name, names in comparison.sets().items():
+        file = f"gap_{name}_top.png"
+        gap_figure([best.gap(group) for group in names], folder / file)
+        lines += [f"![Return of the best {top} policies at home and away]({file})"]
+        lines.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
+    return [*lines, *_differences(best, tables["top_differences"], EVALUATIONS["gap"].figures)]
 
 
 def _gap_table(table: pd.DataFrame) -> str:
     """Return rows of the table `gap_groups` as text."""
     rows = []
     for row in table.to_dict("records"):
-        is_home = math.isnan(row["gap"])
-        interval = "" if is_home else Interval(row["gap"], row["gap_low"], row["gap_high"]).text()
-        distance = MeanEstimate(row["distance_mean"], row["distance_error"]).text()
+        share = Interval(*(100 * row[f"balanced_share{end}"] for end in ("", "_low", "_high")))
+        is_top, is_home = row["policies"] == "top", math.isnan(row["gap"])
+        level = MeanEstimate(row["return_mean"], row["return_error"]) if is_top else _interval(row, "return")
+        gap = MeanEstimate(row["gap"], row["gap_error"]) if is_top else _interval(row, "gap")
         rows.append(
-            {"group": row["label"], "seeds": row["seeds"].replace(" ", ", ")}
-            | gap_text(row, is_home)
-            | {"gap, interval (m)": interval, "distance (m)": distance}
-            | {
-                "least distance (m)": decimal(row["least_distance"]),
-                f"over {FAR:g} m": f"{row['far']} of {row['runs']}",
-            }
+            {"group": row["label"], "world": row["world"], "return (m)": level.text()}
+            | {"gap (m)": "" if is_home else gap.text(), "balanced (%)": share.text(0)}
+            | {f"over {FAR:g} m": f"{row['far']} of {row['runs']}"}
         )
     return markdown(rows)
+
+
+def _interval(row: Mapping[str, Any], name: str) -> Interval:
+    return Interval(*(row[f"{name}{end}"] for end in ("", "_low", "_high")))

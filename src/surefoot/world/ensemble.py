@@ -1,12 +1,13 @@
 """An ensemble of simulated robots that no policy was trained with: it stands for reality where there is no robot.
 
-Robot k of a batch is the same one in every batch, drawn once from the table of ranges `ensemble`: all of table I of the
-paper, motors, servo and feet, and friction and play in the knees, an uneven floor and an IMU that is not mounted along
-the base, which no policy here is trained with.
+A robot is drawn once by its seed from the table of ranges `ensemble`: all of table I of the paper, motors, servo and
+feet, and friction and play in the knees, an uneven floor and an IMU that is not mounted along the base, which no policy
+here is trained with. Robot k of a batch is that of the k-th seed of its world (`registry.WORLDS`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,25 +17,22 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import draw_hidden, load_ranges
 
 RANGES = "ensemble"
-ROBOTS = 20
-"""Different robots; robot 20 of a batch is robot 0 again."""
-FIRST_SEED = 1
 
 
-def ensemble_params(robot: RobotDescription, num_envs: int) -> PhysicalParams:
-    """Return the physical parameters of the first `num_envs` robots of the ensemble, one row each."""
+def ensemble_params(robot: RobotDescription, num_envs: int, seeds: Sequence[int]) -> PhysicalParams:
+    """Return the physical parameters of `num_envs` robots, one row each; after the last seed comes the first again."""
     ranges = load_ranges(RANGES, robot=robot.folder)
-    drawn = [draw_hidden(robot, ranges, FIRST_SEED + k) for k in range(min(ROBOTS, num_envs))]
+    drawn = [draw_hidden(robot, ranges, seed) for seed in seeds[:num_envs]]
     rows = {name: np.concatenate([getattr(one, name) for one in drawn]) for name in PhysicalParams.names()}
-    return PhysicalParams(**rows).rows(np.arange(num_envs) % ROBOTS)
+    return PhysicalParams(**rows).rows(np.arange(num_envs) % len(seeds))
 
 
-def draw_ensemble(robot: RobotDescription, params: PhysicalParams) -> PhysicalParams:
-    """Return the parameters of the ensemble with the control steps of `params`; all else must be nominal there."""
+def draw_ensemble(robot: RobotDescription, params: PhysicalParams, seeds: Sequence[int]) -> PhysicalParams:
+    """Return the robots of these seeds with the control steps of `params`; all else must be nominal there."""
     nominal = PhysicalParams.nominal(robot, params.num_envs)
     for name in PhysicalParams.names():
         if name != "control_step" and not np.array_equal(getattr(params, name), getattr(nominal, name)):
             raise SurefootError(
                 f"{name} is given; robots of the ensemble have their own: leave it out, or world bullet"
             )
-    return replace(ensemble_params(robot, params.num_envs), control_step=params.control_step)
+    return replace(ensemble_params(robot, params.num_envs, seeds), control_step=params.control_step)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from surefoot.cli.helpers.options import make_figures_folder
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, suggest
 from surefoot.studies.study_config import StudyConfig, study_runs
 from surefoot.studies.training import Training
 from surefoot.world.registry import find_world
@@ -22,11 +22,16 @@ def check_evaluations(study: StudyConfig, worlds: bool) -> None:
     """Refuse evaluations that do not exist or lack a `worlds`, before anything is trained.
 
     Raises:
-        SurefootError: an unknown evaluation or world, or bars without a gap.
+        SurefootError: an unknown evaluation, figure or world, or bars without a gap.
     """
     from surefoot.studies.evaluations import EVALUATIONS, evaluation_names
 
     kinds = evaluation_names(study.evaluate)
+    figures = [figure.name for kind in kinds for figure in EVALUATIONS[kind].figures]
+    if study.primary not in figures:
+        raise SurefootError(
+            f"primary: '{study.primary}' is no figure of its evaluations; {suggest(study.primary, figures)}"
+        )
     if study.bars and "gap" not in kinds:
         raise SurefootError("bars: they show the reality gap; evaluate must name 'gap' for them")
     for world in [name for kind in kinds for name in EVALUATIONS[kind].world_names] if worlds else ():

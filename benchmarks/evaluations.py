@@ -1,0 +1,117 @@
+"""Evaluate the policies that pages speak of: results/evaluations.yaml names them, results/evaluations.csv has the rows.
+
+    python benchmarks/evaluations.py                 # what is missing or stale
+    python benchmarks/evaluations.py 'trot*' gallop/bullet --again
+
+A row is called POLICY, or POLICY/SET for other options than those of the set `nominal`; `surefoot evaluate` with the
+row's command prints its figures. It is stale if the policy's file, its training or the options have changed.
+`policies` in the YAML file are those that do not ship: a file in the repository, or a `training`, the words after
+`surefoot train`. Its run is looked for in `--runs`, in a folder of its name; `--train` trains what is not there.
+Without its run the row of such a policy stays as it is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import io
+import json
+import shlex
+import sys
+from contextlib import redirect_stdout
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+from scipy.stats import binomtest
+
+from surefoot.api.policies import shipped_policies
+from surefoot.cli import evaluate, train
+from surefoot.configuration import read_yaml
+from surefoot.tables import write_csv
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMES, TABLE = (ROOT / "results" / f"evaluations.{kind}" for kind in ("yaml", "csv"))
+FIGURES = (
+    *("robot", "world", "episodes", "falls", "falls_percent_low", "falls_percent_high"),
+    *("speed_mean", "speed_std", "power_mean", "return_mean", "return_std", "cost_of_transport_mean", "drift_mean"),
+    *("distance_mean", "steps_mean", "saturation", "gait"),
+    *(f"{kind}_{name}" for kind in ("rmse", "rmse_stride") for name in ("forward", "sideways", "yaw_rate")),
+)
+COLUMNS = ("name", *FIGURES, "command", "training", "digest")
+
+
+def named_rows(names: dict[str, Any]) -> dict[str, tuple[str, str]]:
+    """Return policy and options of each row that the YAML file names."""
+    known = [*shipped_policies(), *names["policies"]]
+    rows: dict[str, tuple[str, str]] = {}
+    for name, one in names["sets"].items():
+        for pattern in one["policies"]:
+            chosen = [policy for policy in known if fnmatch(policy, pattern)]
+            assert chosen, f"{NAMES.name}: set {name}: no policy is called {pattern}"
+            rows |= {policy if name == "nominal" else f"{policy}/{name}": (policy, one["options"]) for policy in chosen}
+    return rows
+
+
+def find_file(policy: str, about: dict[str, str], runs: Path, may_train: bool) -> Path | None:
+    """Return a policy's file; None, if it is made by a training whose run is not there."""
+    if "training" not in about:
+        return ROOT / about["file"] if about else shipped_policies()[policy]
+    found = sorted(runs.joinpath(policy).rglob("evaluation.json"))
+    if not found and may_train:
+        words = ["--threads", "1", "--learning-threads", "1", "--out", str(runs / policy)]
+        train.main([*shlex.split(about["training"]), *words])
+        found = sorted(runs.joinpath(policy).rglob("evaluation.json"))
+    return found[-1].with_name("policy.onnx") if found else None
+
+
+def measure(path: Path, options: str, threads: int) -> dict[str, Any]:
+    """Return the figures of an evaluation."""
+    with redirect_stdout(io.StringIO()) as output:
+        evaluate.main([str(path), *shlex.split(options), "--threads", str(threads), "--json"])
+    summary = json.loads(output.getvalue())
+    share = binomtest(summary["falls"], summary["episodes"]).proportion_ci(method="exact")
+    ends = {"falls_percent_low": 100 * share.low, "falls_percent_high": 100 * share.high}
+    errors = {f"{kind}_{k}": x for kind in ("rmse", "rmse_stride") for k, x in summary.get(kind, {}).items()}
+    worst = max((value for value in summary["saturation"].values() if value is not None), default=None)
+    row = {**summary, **errors, **ends, "saturation": worst}
+    return {name: f"{row[name]:.9g}" if isinstance(row.get(name), float) else row.get(name) for name in FIGURES}
+
+
+def main() -> int:
+    """Run what is selected, and write the table after each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rows", nargs="*", default=["*"], help="names of rows, or patterns such as 'go2-*/bullet'")
+    parser.add_argument("--again", action="store_true", help="what is up to date too")
+    parser.add_argument("--train", action="store_true", help="train policies that are made by a training")
+    parser.add_argument("--runs", type=Path, default=ROOT / "runs" / "evaluations", help="folder of these trainings")
+    parser.add_argument("--threads", type=int, default=0)
+    arguments = parser.parse_args()
+    names = read_yaml(NAMES)
+    named, there = named_rows(names), {}
+    if TABLE.exists():
+        there = {row["name"]: row for row in csv.DictReader(TABLE.open(encoding="utf-8")) if row["name"] in named}
+    selected = [name for name in named if any(fnmatch(name, pattern) for pattern in arguments.rows)]
+    assert selected, f"no row is called {' or '.join(arguments.rows)}"
+    for name in selected:
+        policy, options = named[name]
+        about = names["policies"].get(policy, {})
+        shown = about.get("file", policy)
+        made = {"command": f"surefoot evaluate {shown} {options}".strip(), "training": about.get("training", "")}
+        path = find_file(policy, about, arguments.runs, arguments.train)
+        if path is None:
+            same = there.get(name, {}).items() >= made.items()
+            print(f"{name}: {'its policy is' if same else 'is stale, its policy is'} not in {arguments.runs}")
+            continue
+        made["digest"] = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+        if there.get(name, {}).items() >= made.items() and not arguments.again:
+            continue
+        print(name, flush=True)
+        there[name] = {"name": name, **measure(path, options, arguments.threads), **made}
+        write_csv(TABLE, [{key: there[name].get(key) for key in COLUMNS} for name in sorted(there)])
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
