@@ -33,7 +33,7 @@ from surefoot.report.figures.style import COLORS, MARKERS, new_figure
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies.handcrafted import HandcraftedGait
-from surefoot.studies.tune import has_converged
+from surefoot.studies.tune import has_converged, read_curve
 from surefoot.tables import markdown, print_table, write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.world.registry import find_world
@@ -192,37 +192,34 @@ def comparison(rows: list[dict[str, Any]], others: list[dict[str, Any]]) -> dict
     }
 
 
-def tuning(entry: Entry) -> tuple[dict[str, Any], list[float]] | None:
-    """Return the row of a gait's tuning, and its curve; none without a curve."""
-    curve_file = entry.path.with_suffix(".csv")
-    if not curve_file.exists():
-        return None
-    with curve_file.open(newline="") as file:
-        curve = [float(row["cost"]) for row in csv.DictReader(file)]
-    about, task = HandcraftedGait.load(entry.path).about, entry.load()[1]
-    episode = round(about["duration"] / float(task.nominal(RobotDescription.load(task.robot)).control_step[0]))
+def tuning(curve: list[dict[str, str]]) -> dict[str, Any]:
+    """Return the row of a gait's tuning: of all its generations, and of those with the commonest number of episodes."""
+    searches: dict[tuple[str, str], list[float]] = {}
+    for row in curve:
+        searches.setdefault((row["starts"], row["duration"]), []).append(float(row["cost"]))
+    (starts, duration), costs = max(searches.items(), key=lambda item: len(item[1]))
+    last, before = min(costs[-WINDOW:]), min(costs[-2 * WINDOW : -WINDOW], default=math.nan)
     return {
-        "gait": entry.gait,
+        "gait": curve[-1]["gait"],
         "generations": len(curve),
-        "episodes": len(curve) * about["population"] * about["starts"],
-        "control_steps": len(curve) * about["population"] * about["starts"] * episode,
-        "first_cost": curve[0],
-        "cost_before": min(curve[-2 * WINDOW : -WINDOW], default=math.nan),
-        "last_cost": min(curve[-WINDOW:]),
-        "last_gain": 100 * (1 - min(curve[-WINDOW:]) / min(curve[-2 * WINDOW : -WINDOW], default=math.nan)),
-        "last_best": 1 + int(np.argmin(curve)),
-        "converged": has_converged(curve, WINDOW),
-    }, curve
+        "control_steps": sum(float(row["control_steps"]) for row in curve),
+        **{"starts": starts, "duration": duration, "searched": len(costs)},
+        **{"first_cost": costs[0], "cost_before": before, "last_cost": last, "last_gain": 100 * (1 - last / before)},
+        "converged": has_converged(costs, WINDOW),
+    }
 
 
-def tuning_figure(curves: dict[str, list[float]], path: Path) -> Path:
-    """Draw the least cost so far over generations, a line for each tuning."""
+def tuning_figure(curves: dict[str, list[dict[str, str]]], path: Path) -> Path:
+    """Draw the least cost of each generation over what was simulated, a line for each tuning."""
     with new_figure(path, (6.4, 3.6)) as (_, (ax,)):
         for number, (name, curve) in enumerate(curves.items()):
-            least = np.minimum.accumulate(curve)
-            ax.step(np.arange(1, len(curve) + 1), least, color=COLORS[number % len(COLORS)], where="post")
-            ax.annotate(name, (len(curve), least[-1]), (3, -2), textcoords="offset points", fontsize=7)
-        ax.set(xlabel="Generation", ylabel="Least cost so far (W)", yscale="log", ylim=(None, 200))
+            steps = np.cumsum([float(row["control_steps"]) for row in curve]) / 1e6
+            costs = [float(row["cost"]) for row in curve]
+            ax.plot(steps, costs, color=COLORS[number % len(COLORS)], linewidth=0.9)
+            ax.annotate(name, (steps[-1], costs[-1]), (3, -2), textcoords="offset points", fontsize=7)
+        ax.set(
+            xlabel="Control steps (million)", ylabel="Least cost of the generation (W)", yscale="log", ylim=(None, 200)
+        )
         ax.set_yticks([10, 20, 50, 100, 200], ["10", "20", "50", "100", "200"])
         ax.minorticks_off()
         ax.margins(x=0.12)
@@ -311,10 +308,10 @@ def main(command: Command) -> None:
         print_table(table, text_columns=2)
         text += f"\n\n## {_TITLES[condition]}\n\n{markdown(table)}"
     write_csv(command.folder / "table.csv", rows)
-    tunings = {entry.gait: one for entry in selected if entry.path.suffix == ".yaml" and (one := tuning(entry))}
-    if tunings:
-        write_csv(command.folder / "tuning.csv", [row for row, _ in tunings.values()])
-        tuning_figure({name: curve for name, (_, curve) in tunings.items()}, command.folder / "tuning.png")
+    curves = {entry.gait: curve for entry in selected if (curve := read_curve(entry.path))}
+    if curves:
+        write_csv(command.folder / "tuning.csv", [tuning(curve) for curve in curves.values()])
+        tuning_figure(curves, command.folder / "tuning.png")
     text += "\n\n![Power over speed](power.png)\n"
     (command.folder / "README.md").write_text(text, encoding="utf-8")
     print(f"wrote {figure(rows, command.conditions, command.folder / 'power.png')}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -23,11 +24,12 @@ def test_tune_writes_and_measures_a_gait_and_resumes_from_it(tmp_path: Path):
     result = yaml.safe_load((tmp_path / "trot-40.yaml").read_text())
     assert result["reference"]["kind"] == "foot"
     assert result["handcrafted"]["about"]["speed"] == 0.4
-    assert (tmp_path / "trot-40.csv").read_text().startswith("generation,cost\n1,")
     words = ("tune", "--raibert", "--start-from", "trot-40.yaml", "--out", "again.yaml", *QUICK)
     again = surefoot(*words, cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert yaml.safe_load((tmp_path / "again.yaml").read_text())["handcrafted"]["raibert"]["lag"] == 0.045
+    curve = list(csv.DictReader((tmp_path / "again-tuning.csv").read_text().splitlines()))
+    assert [(row["gait"], row["control_steps"]) for row in curve] == [("trot-40", "332"), ("again", "332")]
 
 
 @pytest.mark.parametrize(
