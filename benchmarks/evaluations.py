@@ -54,7 +54,7 @@ def named_rows(names: dict[str, Any]) -> dict[str, tuple[str, str]]:
     return rows
 
 
-def find_file(policy: str, about: dict[str, str], runs: Path, may_train: bool) -> Path | None:
+def find_file(policy: str, about: dict[str, str], runs: Path, may_train: bool = False) -> Path | None:
     """Return a policy's file; None, if it is made by a training whose run is not there."""
     if "training" not in about:
         return ROOT / about["file"] if about else shipped_policies()[policy]
@@ -64,6 +64,19 @@ def find_file(policy: str, about: dict[str, str], runs: Path, may_train: bool) -
         train.main([*shlex.split(about["training"]), *words])
         found = sorted(runs.joinpath(policy).rglob("evaluation.json"))
     return found[-1].with_name("policy.onnx") if found else None
+
+
+def describe(policy: str, options: str, about: dict[str, str], path: Path | None) -> dict[str, str]:
+    """Return what an up-to-date row of a policy says of itself; without its digest, if its file is not there."""
+    command = f"surefoot evaluate {about.get('file', policy)} {options}".strip()
+    digest = {"digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]} if path else {}
+    return {"command": command, "training": about.get("training", ""), **digest}
+
+
+def read_table() -> dict[str, dict[str, Any]]:
+    """Return the rows by name."""
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        return {row["name"]: row for row in csv.DictReader(file)}
 
 
 def measure(path: Path, options: str, threads: int) -> dict[str, Any]:
@@ -89,27 +102,23 @@ def main() -> int:
     parser.add_argument("--threads", type=int, default=0)
     arguments = parser.parse_args()
     names = read_yaml(NAMES)
-    named, there = named_rows(names), {}
-    if TABLE.exists():
-        there = {row["name"]: row for row in csv.DictReader(TABLE.open(encoding="utf-8")) if row["name"] in named}
+    named = named_rows(names)
     selected = [name for name in named if any(fnmatch(name, pattern) for pattern in arguments.rows)]
     assert selected, f"no row is called {' or '.join(arguments.rows)}"
     for name in selected:
         policy, options = named[name]
         about = names["policies"].get(policy, {})
-        shown = about.get("file", policy)
-        made = {"command": f"surefoot evaluate {shown} {options}".strip(), "training": about.get("training", "")}
         path = find_file(policy, about, arguments.runs, arguments.train)
-        if path is None:
-            same = there.get(name, {}).items() >= made.items()
-            print(f"{name}: {'its policy is' if same else 'is stale, its policy is'} not in {arguments.runs}")
-            continue
-        made["digest"] = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-        if there.get(name, {}).items() >= made.items() and not arguments.again:
+        made = describe(policy, options, about, path)
+        fresh = read_table().get(name, {}).items() >= made.items()
+        if path is None and not fresh:
+            print(f"{name}: missing or stale, and {arguments.runs} has no run of the policy")
+        if path is None or (fresh and not arguments.again):
             continue
         print(name, flush=True)
-        there[name] = {"name": name, **measure(path, options, arguments.threads), **made}
-        write_csv(TABLE, [{key: there[name].get(key) for key in COLUMNS} for name in sorted(there)])
+        row = {"name": name, **measure(path, options, arguments.threads), **made}
+        rows = {**read_table(), name: row}  # read again: another process may have written rows
+        write_csv(TABLE, [{key: rows[one].get(key) for key in COLUMNS} for one in sorted(rows) if one in named])
     return 0
 
 

@@ -88,16 +88,16 @@ COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
         (add(constant("whole", kind=np.int32)), "constant 'whole' does not hold 32-bit numbers"),
         (
             lambda graph: setattr(graph.initializer[0], "raw_data", b""),
-            "constant 'observation_mean' does not hold 32-bit numbers",
+            "constant 'constant_0' does not hold 32-bit numbers",
         ),
-        (not_finite, "constant 'weight_0' holds numbers that are not finite"),
+        (not_finite, "constant 'constant_2' holds numbers that are not finite"),
         (
             add(*(make_node("Relu", ["feedback"], [f"more_{number}"]) for number in range(MAX_NODES))),
             f"has {MAX_NODES + 10} nodes; at most {MAX_NODES} are allowed",
         ),
         (add(*[make_node("Relu", ["feedback"], ["x"])] * 2000), "field 1 more than 1024 times"),
         (
-            add(make_node("Gemm", ["observation", "observation", "bias_0"], ["square"], transB=1)),
+            add(make_node("Gemm", ["observation", "observation", "constant_3"], ["square"], transB=1)),
             "Gemm of 'observation', which is not a value that it can take",
         ),
         (lambda graph: setattr(graph.node[2].attribute[0], "name", "transA"), "Gemm with other attributes"),
@@ -108,7 +108,7 @@ COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
         (lambda graph: setattr(graph.node[3], "domain", "com.microsoft"), "its node has a field 7.2"),
         (lambda graph: graph.node[-1].input.pop(), "a Add that surefoot could not have written"),
         (add(make_node("Relu", ["feedback"], ["feedback"])), "value 'feedback' twice"),
-        (lambda graph: graph.initializer.append(graph.initializer[0]), "constant 'observation_mean' twice"),
+        (lambda graph: graph.initializer.append(graph.initializer[0]), "constant 'constant_0' twice"),
         (lambda graph: graph.sparse_initializer.append(onnx.SparseTensorProto()), "its graph has a field 15.2"),
     ],
 )
@@ -123,7 +123,7 @@ def test_a_hostile_network_is_refused_before_it_is_run(edit: Callable[[Any], obj
 @pytest.mark.usefixtures("never_run")
 def test_a_stale_file_is_refused_before_it_is_run(tmp_path: Path):
     path = tmp_path / "stale.onnx"
-    path.write_bytes(find_policy("trot").read_bytes().replace(b"weight_1", b"weight_7"))
+    path.write_bytes(find_policy("trot").read_bytes().replace(b"constant_4", b"constant_Z"))
     with pytest.raises(SurefootError, match="its digest does not match"):
         PolicyRuntime.load(path)
 
