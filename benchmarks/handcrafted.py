@@ -174,20 +174,19 @@ def at_equal_speed(speed: float, others: list[dict[str, Any]]) -> tuple[float, s
 def comparison(rows: list[dict[str, Any]], others: list[dict[str, Any]]) -> dict[str, Any]:
     """Return how much less power [%] a learned gait needs than handcrafted ones at the speed of each training.
 
-    NaN where one of the trainings is slower, or faster, than all of them; an interval of 95 % over three trainings or
-    more.
+    NaN where one of the trainings is slower, or faster, than all of them. Intervals are those of `estimate`.
     """
-    less, power, names = [], [], []
-    for file in sorted({row["file"] for row in rows}):
+    relative, names = [], []
+    for file in dict.fromkeys(row["file"] for row in rows):
         own = [row for row in rows if row["file"] == file]
-        other, name = at_equal_speed(estimate(own, "speed").mean, others)
-        less.append(100 * (1 - estimate(own, "power").mean / other))
-        power.append(other)
+        tuned, name = at_equal_speed(float(np.mean([float(row["speed"]) for row in own])), others)
+        relative += [
+            {"file": file, "tuned": tuned, "less_power": 100 * (1 - float(row["power"]) / tuned)} for row in own
+        ]
         names += [name] if name else []
-    known = t_interval(less) if np.isfinite(less).all() else Interval(math.nan)
     return {
-        "tuned_power": float(np.mean(power)),
-        **known.columns("less_power"),
+        "tuned_power": estimate(relative, "tuned").mean,
+        **estimate(relative, "less_power").columns("less_power"),
         "baseline": "; ".join(dict.fromkeys(names)),
     }
 
