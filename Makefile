@@ -66,12 +66,10 @@ format: $(READY) ## Format the code and fix what can be fixed
 bench: $(READY) ## Run the benchmarks, one after the other
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script" $(ARGS) || exit 1; done
 
-# An environment of its own with the extra docs alone: the reference is read from the source, so surefoot is not installed.
+# An environment of its own, without torch: pages of reference are made from the code.
 $(DOCS)/.ready: pyproject.toml constraints.txt
 	@"$(PYTHON)" -m venv --clear $(DOCS)
-	@$(DOCS)/bin/python -c 'import tomllib; file = open("pyproject.toml", "rb"); \
-	  print(*tomllib.load(file)["project"]["optional-dependencies"]["docs"], sep="\n")' > $(DOCS)/requirements.txt
-	@$(DOCS)/bin/python -m pip install -c constraints.txt -r $(DOCS)/requirements.txt
+	@$(DOCS)/bin/python -m pip install -c constraints.txt -e ".[docs]"
 	@touch $@
 
 # mkdocs is not told to be quiet: its strict mode counts only the warnings that it prints.

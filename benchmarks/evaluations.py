@@ -24,11 +24,10 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-from scipy.stats import binomtest
-
 from surefoot.api.policies import shipped_policies
 from surefoot.cli import evaluate, train
 from surefoot.configuration import read_yaml
+from surefoot.evaluation.statistics import share_interval
 from surefoot.tables import write_csv
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -84,11 +83,10 @@ def measure(path: Path, options: str, threads: int) -> dict[str, Any]:
     with redirect_stdout(io.StringIO()) as output:
         evaluate.main([str(path), *shlex.split(options), "--threads", str(threads), "--json"])
     summary = json.loads(output.getvalue())
-    share = binomtest(summary["falls"], summary["episodes"]).proportion_ci(method="exact")
-    ends = {"falls_percent_low": 100 * share.low, "falls_percent_high": 100 * share.high}
+    share = share_interval([summary["falls"] / summary["episodes"]], summary["episodes"]).scale(100)
     errors = {f"{kind}_{k}": x for kind in ("rmse", "rmse_stride") for k, x in summary.get(kind, {}).items()}
     worst = max((value for value in summary["saturation"].values() if value is not None), default=None)
-    row = {**summary, **errors, **ends, "saturation": worst}
+    row = {**summary, **errors, **share.columns("falls_percent"), "saturation": worst}
     return {name: f"{row[name]:.9g}" if isinstance(row.get(name), float) else row.get(name) for name in FIGURES}
 
 

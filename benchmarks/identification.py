@@ -1,27 +1,27 @@
 """Identify emulated robots with hidden parameters, and compare estimates and true values.
 
-    python benchmarks/identification.py --seeds 1-10 --worlds mujoco bullet --out build/identification.jsonl
+    python benchmarks/identification.py --seeds 1-5 --worlds mujoco bullet
 
 Each draw is a process of its own (`surefoot emulate --hidden-seed`), on its rack and then on the ground; experiments
-and fits see what comes over the link and nothing else. The hidden values are read after all fits.
-Reported are the share of hidden values within their 95 % intervals, median errors, how many values were not
-identifiable, which count as neither, and the time that robot and fits took.
+and fits see what comes over the link and nothing else. The hidden values are read after all fits. Draws are kept in
+--draws and made once. --out has estimates.csv, a row a value, and accuracy.csv, a row a parameter: how many values lie
+within their 95 % intervals, errors, and how many values were not identifiable, which count as neither. Its last rows
+are sums over the parameters that are hidden, and the time that robot and fits took.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections import defaultdict
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import numpy as np
+from emulated import emulated_robot
 
 from surefoot.actuator.motor import motor_torque
 from surefoot.deploy.links import open_link
@@ -32,6 +32,7 @@ from surefoot.identify.registry import EXPERIMENTS
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import read_params
+from surefoot.tables import print_table, write_csv
 
 HIDDEN = (
     *("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio", "motor_strength"),
@@ -40,6 +41,9 @@ HIDDEN = (
 )
 """Parameters that `--hidden-seed` draws: all rows of Table I but the control step, which is the host's, and K_t, R and
 the servo's latency."""
+WORLDS = ("mujoco", "bullet")
+CURVE = "torque_over_voltage"
+"""Name of the rows of strength, R and saturation together, whose error is relative."""
 ORDER = ("motor", "mass", "contact", "latency")
 """The motor experiment first: the battery's voltage is that of a robot just switched on."""
 
@@ -54,21 +58,12 @@ def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
         for name in ORDER:
             experiment = EXPERIMENTS[name]
             hidden = Path(folder) / f"{name}.toml"
-            command = [sys.executable, "-m", "surefoot", "emulate", "--world", world, "--lockstep"]
-            command += ["--hidden-seed", str(seed), "--out", str(hidden), "--seed", str(seed)]
-            process = subprocess.Popen(
-                [*command, *(["--rack"] if experiment.rack else [])],
-                stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-            )  # fmt: skip
-            try:
-                port = process.stdout.readline().split()[-1] if process.stdout is not None else ""
+            options = ("--world", world, "--hidden-seed", seed, "--out", hidden, "--seed", seed)
+            with emulated_robot(*options, *(["--rack"] if experiment.rack else [])) as port:
                 link = open_link(port, robot.num_motors, lockstep=True)
                 link.connect(state_period=PERIOD)
                 recording = run_plan(link, experiment.plan(robot), robot, RunMonitor())
                 link.close()
-            finally:
-                process.send_signal(signal.SIGINT)
-                process.wait()
             if recording.meta["ended"] != COMPLETE:
                 return {"world": world, "seed": seed, "failed": f"{name}: {recording.meta['ended']}"}
             start = time.perf_counter()
@@ -103,9 +98,7 @@ def compare(robot: RobotDescription, results: dict[str, Identification], truth: 
     low, high = total.interval
     rows.append({"name": "total_mass", "experiment": "mass", "index": None, "true": float(mass),
                  "estimate": total.value, "low": low, "high": high, "identifiable": True})  # fmt: skip
-    rows.append(
-        {"name": "saturation_curve", "experiment": "motor", "index": None, **curve(robot, results["motor"], truth)}
-    )
+    rows.append({"name": CURVE, "experiment": "motor", "index": None, **curve(robot, results["motor"], truth)})
     return rows
 
 
@@ -130,64 +123,64 @@ def curve(robot: RobotDescription, motor: Identification, truth: PhysicalParams)
     }
 
 
-def summary(draws: list[dict[str, Any]]) -> str:
-    """A table of all draws."""
-    lines, done = [], [draw for draw in draws if "failed" not in draw]
-    lines += [f"{draw['world']} {draw['seed']}: {draw['failed']}" for draw in draws if "failed" in draw]
-    groups: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
-    for draw in done:
-        for row in draw["values"]:
-            groups[row["experiment"], row["name"]].append({**row, "world": draw["world"]})
-    lines.append(
-        f"{'parameter':<20} {'from':<8} {'n':>4} {'not identifiable':>8} {'inside':>7} {'median error':>14} "
-        f"{'relative':>9}  worst"
-    )
-    for (experiment, name), rows in groups.items():
-        identifiable = [row for row in rows if row["identifiable"]]
-        line = f"{name:<20} {experiment:<8} {len(rows):>4} {len(rows) - len(identifiable):>8} "
-        if not identifiable:
-            lines.append(line.rstrip())
-            continue
-        errors = np.array([abs(row["estimate"] - row["true"]) for row in identifiable])
-        if name == "saturation_curve":
-            lines.append(line + f"{'':>7} {'':>14} {100 * np.median(errors):>8.2f}%  {100 * errors.max():.2f}%")
-            continue
-        relative = errors / np.maximum(np.abs([row["true"] for row in identifiable]), 1e-12)
-        hits = sum(row["low"] <= row["true"] <= row["high"] for row in identifiable)
-        lines.append(
-            line + f"{hits:>7} {np.median(errors):>14.6f} {100 * np.median(relative):>8.2f}%  {errors.max():.6f}"
-        )
-    hidden = [row for rows in groups.values() for row in rows if row["name"] in HIDDEN]
-    lines.append(f"hidden values within their 95 % intervals: {_inside(hidden)}")
-    lines += [
-        f"  {world}: {_inside([row for row in hidden if row['world'] == world])}"
-        for world in sorted({row["world"] for row in hidden})
-    ]
-    for k, what in enumerate(("robot", "fits")):
-        spent = [sum(times[k] for times in draw["times"].values()) for draw in done]
+def estimates(draws: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return a row for each value of all draws, with the share of the true value that its error is."""
+    rows = []
+    for draw in draws:
+        for value in draw.get("values", ()):
+            error = abs(value["estimate"] - value["true"])
+            relative = error / max(abs(value["true"]), 1e-12) if value["name"] != CURVE else error
+            inside = value["low"] is not None and value["low"] <= value["true"] <= value["high"]
+            errors = {"error": error, "relative": relative, "inside": inside} if value["identifiable"] else {}
+            empty = dict.fromkeys(("error", "relative", "inside"))
+            rows.append({"world": draw["world"], "seed": draw["seed"], **value, **empty, **errors})
+    return rows
+
+
+def accuracy(rows: list[dict[str, Any]], draws: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return a row for each parameter, and those of all hidden ones and of times [s]."""
+    table = []
+    groups: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for row in rows:
+        groups[f"{row['name']}/{row['experiment']}"].append(row)
+    hidden = [row for row in rows if row["name"] in HIDDEN]
+    groups |= {"hidden": hidden, **{f"hidden/{w}": [r for r in hidden if r["world"] == w] for w in WORLDS}}
+    for name, group in groups.items():
+        known = [row for row in group if row["identifiable"]]
+        counts = {"values": len(group), "identifiable": len(known), "inside": sum(row["inside"] for row in known)}
+        table.append({"parameter": name, **counts, **errors(known, name)})
+    for k, name in enumerate(("robot_seconds", "fit_seconds")):
+        spent = [sum(times[k] for times in draw["times"].values()) for draw in draws if "times" in draw]
         if spent:
-            lines.append(f"{what}: {np.mean(spent):.0f} s, at most {max(spent):.0f} s for a whole identification")
-    return "\n".join(lines)
+            table.append({"parameter": name, "values": len(spent), "median": median(spent), "worst": max(spent)})
+    return table
 
 
-def _inside(rows: list[dict[str, Any]]) -> str:
-    """Return how many identifiable values lie within their intervals, and how many were not identifiable."""
-    identifiable = [row for row in rows if row["identifiable"]]
-    hits = sum(row["low"] <= row["true"] <= row["high"] for row in identifiable)
-    share = f", {100 * hits / len(identifiable):.1f} %" if identifiable else ""
-    return f"{hits} of {len(identifiable)}{share}; {len(rows) - len(identifiable)} not identifiable"
+def errors(rows: list[dict[str, Any]], name: str) -> dict[str, float]:
+    """Return medians and the worst of errors, absolute and relative; nothing for several parameters or no value."""
+    if not rows or name.startswith("hidden"):
+        return {}
+    values: dict[str, float] = {}
+    for kind, column in (("", "error"), ("_percent", "relative")):
+        scale = 100.0 if kind else 1.0
+        everywhere = [scale * row[column] for row in rows]
+        bullet = [scale * row[column] for row in rows if row["world"] == "bullet"]
+        values |= {f"median{kind}": median(everywhere), f"worst{kind}": max(everywhere)}
+        values |= {f"median_bullet{kind}": median(bullet)} if bullet else {}
+    return values
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", default="1-10", help="first and last hidden seed")
-    parser.add_argument("--worlds", nargs="+", default=["mujoco", "bullet"])
-    parser.add_argument("--out", type=Path, default=Path("build/identification.jsonl"), help="draws, one a line")
+    parser.add_argument("--seeds", default="1-5", help="first and last hidden seed")
+    parser.add_argument("--worlds", nargs="+", default=WORLDS)
+    parser.add_argument("--draws", type=Path, default=Path("build/identification.jsonl"), help="draws, one a line")
+    parser.add_argument("--out", type=Path, default=Path("results/identification"), help="folder of the tables")
     args = parser.parse_args()
     first, last = (int(part) for part in (args.seeds.split("-") * 2)[:2])
     robot = RobotDescription.load("minitaur")
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    done = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.exists() else []
+    args.draws.parent.mkdir(parents=True, exist_ok=True)
+    done = [json.loads(line) for line in args.draws.read_text().splitlines()] if args.draws.exists() else []
     draws = []
     for seed in range(first, last + 1):
         for world in args.worlds:
@@ -195,11 +188,20 @@ def main() -> None:
             if draw is None:
                 start = time.perf_counter()
                 draw = one_draw(robot, world, seed)
-                with args.out.open("a") as file:
+                with args.draws.open("a") as file:
                     file.write(json.dumps(draw) + "\n")
                 print(f"{world} {seed}: {draw.get('failed', 'done')} ({time.perf_counter() - start:.0f} s)", flush=True)
             draws.append(draw)
-    print(summary(draws))
+    rows = estimates(draws)
+    write_csv(args.out / "estimates.csv", rows)
+    table = accuracy(rows, draws)
+    write_csv(args.out / "accuracy.csv", table)
+    shown = ("parameter", "identifiable", "inside", "median", "median_percent", "worst")
+    print_table([{name: _short(row.get(name)) for name in shown} for row in table])
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value if value is not None else "")
 
 
 if __name__ == "__main__":

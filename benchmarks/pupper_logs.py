@@ -1,26 +1,33 @@
-"""Fit Pupper v2's logs, each held out in turn, with parts of the model left out: how far the log held out is off.
+"""Errors of simulators on Pupper v2's logs [rad]: the published one, the robots that ship, and fits to the other logs.
 
-python benchmarks/pupper_logs.py                 every part, every log held out
-python benchmarks/pupper_logs.py --only whole --bullet
+    python benchmarks/pupper_logs.py                        # all rows; three minutes each fit
+    python benchmarks/pupper_logs.py whole published        # some; the others stay
+
+Rows: the published simulator; `data sheet` and `identified`, which ship, the latter fitted to these very logs; `whole`,
+fitted to two logs and run on the third; and that fit with parts of the model left out.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from surefoot.identify.logs.errors import replay_log
+from surefoot.identify.logs.errors import compare_logs, replay_log
 from surefoot.identify.logs.fit import fit_logs
 from surefoot.identify.logs.model import PRIORS, LogRun
 from surefoot.identify.logs.robot_log import read_log
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params_file import load_params
+from surefoot.tables import print_table, write_csv
 
 DATA = Path(__file__).parents[1] / "data" / "pupper_v2"
+LOGS = ("right_side_1khz", "one_hip_200hz", "front_200hz")
 RACKED = ("one_hip_200hz",)
-PUBLISHED = {"right_side_1khz": 0.0725, "one_hip_200hz": 0.0191, "front_200hz": 0.0588}
 LEFT_OUT: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
     "whole": ((), {}),
     "no load-dependent friction": (("load_friction",), {"load_friction": 0.0}),
@@ -33,27 +40,47 @@ LEFT_OUT: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
 }
 
 
+ROWS = ("published", "data sheet", "identified", *LEFT_OUT)
+
+
+def errors(what: str, robot: RobotDescription, runs: dict[str, LogRun]) -> dict[str, Any]:
+    """Return the row of a simulator: its error on each log [rad], in MuJoCo and in Bullet."""
+    row: dict[str, Any] = {"simulator": what}
+    for name, run in runs.items():
+        if what == "published":
+            row[name] = compare_logs(run.log, read_log(DATA / "published_simulator" / f"{name}.npz", robot)).rms
+            row[f"{name}_bullet"] = None
+            continue
+        if what in LEFT_OUT:
+            without, values = LEFT_OUT[what]
+            nominal = PhysicalParams.nominal(robot).with_values(robot, **values)
+            names = [prior for prior in PRIORS if prior not in without]
+            others = [other for key, other in runs.items() if key != name]
+            params = fit_logs(robot, others, [], names, nominal).params(robot, nominal)
+        else:
+            params = load_params(robot, "identified" if what == "identified" else None, ())
+        for world, ending in (("mujoco", ""), ("bullet", "_bullet")):
+            replayer = Replayer(robot, 1, run.rack, world, torques=False)
+            row[name + ending] = replay_log(run.log, robot, params.rows(np.zeros(1, np.int64)), replayer).rms
+    return row
+
+
 def main() -> None:
+    """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=LEFT_OUT, help="one row of the table")
-    parser.add_argument("--bullet", action="store_true", help="replay the log held out in Bullet too")
+    parser.add_argument("rows", nargs="*", choices=[[], *ROWS], help="all, if none is given")
+    parser.add_argument("--out", type=Path, default=Path("results/identification/pupper_logs.csv"))
     options = parser.parse_args()
     robot = RobotDescription.load("pupper_v2")
-    logs = {name: read_log(DATA / f"{name}.npz", robot) for name in PUBLISHED}
-    runs = {name: LogRun(log, name in RACKED) for name, log in logs.items()}
-    for what in [options.only] if options.only else LEFT_OUT:
-        without, values = LEFT_OUT[what]
-        nominal = PhysicalParams.nominal(robot).with_values(robot, **values)
-        names = [name for name in PRIORS if name not in without]
-        cells = []
-        for held in runs:
-            result = fit_logs(robot, [run for name, run in runs.items() if name != held], [], names, nominal)
-            params = result.params(robot, nominal)
-            for world in ("mujoco", "bullet")[: 1 + options.bullet]:
-                replayer = Replayer(robot, 1, runs[held].rack, world, torques=False)
-                error = replay_log(logs[held], robot, params.rows(np.zeros(1, np.int64)), replayer).rms
-                cells.append(f"{held} {world} {error:.4f} (1/{PUBLISHED[held] / error:.1f})")
-        print(f"{what:<36} {'   '.join(cells)}", flush=True)
+    runs = {name: LogRun(read_log(DATA / f"{name}.npz", robot), name in RACKED) for name in LOGS}
+    table: dict[str, dict[str, Any]] = {}
+    if options.out.exists():
+        with options.out.open(newline="") as file:
+            table = {row["simulator"]: row for row in csv.DictReader(file)}
+    for what in options.rows or ROWS:
+        table[what] = errors(what, robot, runs)
+        write_csv(options.out, [table[name] for name in ROWS if name in table])
+        print_table([{key: f"{x:.4f}" if isinstance(x, float) else x for key, x in table[what].items()}])
 
 
 if __name__ == "__main__":

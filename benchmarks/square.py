@@ -2,28 +2,26 @@
 
 The robot is emulated behind a pseudo-terminal, with noise in its sensors; `surefoot deploy` runs the policy as on a
 real one. Nothing but the policy and the held heading (the IMU's yaw) corrects the path. A corner is a stop, a quarter
-of a turn in place, and a stop.
+of a turn in place, and a stop. Writes a row for each engine, with the worst of its runs.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
+from emulated import deploy
 
 from surefoot.rotations import quat_yaw
+from surefoot.tables import write_csv
 from surefoot.task.trace import EpisodeTrace
 
 SIDE = 2.0
 """Of the square [m]."""
 REST = 0.6
 """How long the robot stands before a side and before a corner [s]."""
-SUREFOOT = (sys.executable, "-m", "surefoot")
 
 
 def square(forward: float, yaw_rate: float) -> tuple[list[tuple[float, float, float, float]], float]:
@@ -40,59 +38,44 @@ def drive(policy: str, robot: str, world: str, forward: float, yaw_rate: float, 
     """Emulate a robot, let it drive the square, and return the run."""
     rows, duration = square(forward, yaw_rate)
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+        commands = Path(name) / "square.csv"
         table = ["time,forward,sideways,yaw_rate", *(",".join(f"{value:.6f}" for value in row) for row in rows)]
-        (folder / "square.csv").write_text("\n".join(table))
-        capture = str(folder / "capture.csv")
-        options = ["--robot", robot, "--world", world, "--seed", str(seed), "--lockstep", "--out", capture]
-        emulator = subprocess.Popen([*SUREFOOT, "emulate", *options], stdout=subprocess.PIPE, text=True)
-        try:
-            assert emulator.stdout is not None
-            port = emulator.stdout.readline().split()[-1]
-            words = [
-                *SUREFOOT,
-                "deploy",
-                policy,
-                "--port",
-                port,
-                "--lockstep",
-                "--motion-capture",
-                capture,
-                "--out",
-                name,
-            ]
-            words += ["--commands", str(folder / "square.csv"), "--duration", f"{duration:.3f}"]
-            subprocess.run(words, check=True, stdout=sys.stderr, stderr=subprocess.DEVNULL)
-        finally:
-            emulator.terminate()
-            emulator.wait()
-        return EpisodeTrace.load(folder / "run_000.npz")
+        commands.write_text("\n".join(table))
+        words = ("--commands", commands, "--duration", f"{duration:.3f}")
+        return deploy(policy, *words, robot=("--robot", robot, "--world", world, "--seed", seed))[0]
 
 
-def main() -> int:
-    """Drive squares and print where they end."""
+def main() -> None:
+    """Drive squares, print where they end, and write the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--policy", default="go2-steer")
     parser.add_argument("--robot", default="go2", help="name or folder of the emulated robot")
-    parser.add_argument("--world", default="mujoco", help="engine that emulates it")
+    parser.add_argument("--worlds", nargs="+", default=["mujoco", "bullet"], help="engines that emulate it")
     parser.add_argument("--forward", type=float, default=0.5, help="speed along the sides [m/s]")
     parser.add_argument("--yaw-rate", type=float, default=0.6, help="in the corners [rad/s]")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of the sensors' noise")
+    parser.add_argument("--out", type=Path, default=Path("results/steer/square.csv"))
     options = parser.parse_args()
-    for seed in options.seeds:
-        trace = drive(options.policy, options.robot, options.world, options.forward, options.yaw_rate, seed)
-        path, yaw = trace.base_position_world[:, :2], quat_yaw(trace.base_quat_world)
-        result = {
-            "seed": seed,
-            "seconds": round(trace.duration, 2),
-            "fell": trace.fell,
-            "closing_error_m": round(float(np.linalg.norm(path[-1] - path[0])), 3),
-            "closing_yaw_deg": round(float(np.degrees((yaw[-1] - yaw[0] + np.pi) % (2 * np.pi) - np.pi)), 1),
-            "size_m": np.ptp(path, axis=0).round(2).tolist(),
-        }
-        print(json.dumps(result))
-    return 0
+    rows = []
+    for world in options.worlds:
+        traces = [
+            drive(options.policy, options.robot, world, options.forward, options.yaw_rate, seed)
+            for seed in options.seeds
+        ]
+        paths = [trace.base_position_world[:, :2] for trace in traces]
+        turns = [np.unwrap(quat_yaw(trace.base_quat_world)) for trace in traces]
+        rows.append(
+            {
+                **{"world": world, "runs": len(traces), "falls": sum(trace.fell for trace in traces)},
+                "seconds": max(trace.duration for trace in traces),
+                "distance": max(np.linalg.norm(path[-1] - path[0]) for path in paths),
+                "missing_yaw_deg": max(abs(360.0 - np.degrees(yaw[-1] - yaw[0])) for yaw in turns),
+                "side_error": max(np.abs(np.ptp(path, axis=0) / SIDE - 1.0).max() for path in paths),
+            }
+        )
+        print(rows[-1], flush=True)
+    write_csv(options.out, rows)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

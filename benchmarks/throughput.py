@@ -14,7 +14,7 @@
 Bare, world and env take turns of one control step of all robots, some milliseconds each, so that whatever else the
 machine does meets all of them alike. Then come the longer ones: a second or more of each, in turns too. With one
 thread, the default, time is the process's time on a processor; with more it is the wall's. Ratios are medians over
-turns, with quartiles.
+turns, with quartiles. --out writes a row for each layer.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ from surefoot.learn.config import load_train_config
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot.randomization import Ranges, load_ranges
+from surefoot.tables import write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.env import LocomotionEnv
@@ -339,6 +340,7 @@ def main() -> int:
     """Run all layers and print rates and ratios."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--out", type=Path, help="CSV file for a row of each layer")
     parser.add_argument("--num-envs", type=int, default=256)
     parser.add_argument("--steps", type=int, default=100, help="control steps of the motion, over and over")
     parser.add_argument("--turns", type=int, default=400, help="short turns of bare, world and env")
@@ -360,23 +362,29 @@ def main() -> int:
             ({"train": bench.train, "train+": bench.train_drawn}, 3 * options.rounds, "train"),
         ]
     result: dict[str, Any] = {}
-    lines = []
+    lines, rows = [], []
     for layers, turns, base in groups:
         rates = measure(layers, turns)
         for name, values in rates.items():
             if name in result:
                 continue
             rate = result[name] = statistics.median(values)
+            rows.append(
+                {"layer": name, "rate": rate, "base": base, "ratio": 1.0, "ratio_low": None, "ratio_high": None}
+            )
             line = f"  {name:7} {rate:>9,.0f} physics steps/s"
             if options.threads == 1:
                 line += f" {1e6 / rate:6.2f} us"
             if name != base:
                 low, middle, high = result[f"{name}_ratio"] = ratio_quartiles(rates, name, base)
+                rows[-1] |= {"ratio": middle, "ratio_low": low, "ratio_high": high}
                 line += f"  {middle:.3f} of {base} ({low:.3f} to {high:.3f})"
             lines.append(line)
     result |= {"replay_error": bench.replay_error, "copy_share": bench.copy_share, "authors": None}
     if options.rounds:
         result |= {"redraw_share": bench.redraw_share, "authors": authors_rate()}
+    if options.out:
+        write_csv(options.out, rows)
     if options.json:
         print(json.dumps(result))
         return 0

@@ -3,7 +3,7 @@
 From the start of training (models built, compiled code loaded) until the deterministic policy averages 1.34 m/s over
 eight full episodes without a fall. The evaluations are inside the time; few are made, as early policies only move
 while they explore: one second of a few robots decides before eight whole episodes are run. Seconds on processors are
-given beside those on the wall, for machines that do other work too.
+given beside those on the wall, for machines that do other work too. --out writes a row for each seed.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import json
 import time
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ import numpy as np
 from surefoot.learn.config import load_train_config
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.learn.training_loop import evaluate_policy
+from surefoot.tables import write_csv
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.sim_world import SimWorld
 
@@ -50,29 +52,15 @@ def early_env(learner: PpoLearner) -> LocomotionEnv:
     return LocomotionEnv(config.task, 4, SimWorld, config.seed, autoreset=False, threads=config.threads)
 
 
-def main() -> int:
-    """Train until the target is met and print the time."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--limit", type=float, default=900.0, help="give up after this many seconds")
-    options = parser.parse_args()
+def run(seed: int, limit: float, threads: int) -> dict[str, Any]:
+    """Train until the target is met, or for `limit` seconds; return the row of the seed."""
     start, start_cpu = time.perf_counter(), time.process_time()
-    config = replace(load_train_config("gallop"), seed=options.seed)
+    config = replace(load_train_config("gallop"), seed=seed, threads=threads, learning_threads=threads)
     learner = PpoLearner(config, SimWorld)
     world: Any = learner.env.world
-    engine = world.engine
-    advance, physics = engine.advance, [0.0]
-
-    def timed_advance(servo_steps: object) -> None:
-        begin = time.perf_counter()
-        advance(servo_steps)
-        physics[0] += time.perf_counter() - begin
-
-    engine.advance = timed_advance
     dt = world.params.control_step[0]
     reached, evaluations, next_evaluation = None, 0, 0
-    while reached is None and time.perf_counter() - start < options.limit:
+    while reached is None and time.perf_counter() - start < limit:
         figures = learner.update()
         # An evaluation costs as much as ten updates: only ask where exploration alone already runs, then where a short
         # one says so, and not again at once after one that failed.
@@ -82,28 +70,32 @@ def main() -> int:
             evaluation = evaluate_policy(learner, SimWorld, 8)
             if evaluation.speed_mean >= TARGET and evaluation.falls == 0:
                 reached = evaluation
-    seconds = time.perf_counter() - start
-    result = {
-        "seconds": round(seconds, 1),
+    return {
+        "seed": seed,
+        "seconds": round(time.perf_counter() - start, 1),
         "cpu_seconds": round(time.process_time() - start_cpu, 1),
         "control_steps": learner.steps,
         "evaluations": evaluations,
-        "physics_share": round(physics[0] / seconds, 3),
         "reached": reached is not None,
         "speed": None if reached is None else round(reached.speed_mean, 3),
-        "seed": options.seed,
     }
-    if options.json:
-        print(json.dumps(result))
-    elif reached is None:
-        print(f"{TARGET} m/s not reached in {seconds:.0f} s and {learner.steps:,} control steps")
-    else:
-        print(
-            f"{reached.speed_mean:.2f} m/s after {seconds:.1f} s ({result['cpu_seconds']:.1f} s on processors) and "
-            f"{learner.steps:,} control steps; {evaluations} evaluations; "
-            f"{100 * result['physics_share']:.0f} % of the time was physics"
-        )
-    return 0 if reached else 1
+
+
+def main() -> int:
+    """Train with each seed until the target is met and print the times."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--limit", type=float, default=900.0, help="give up a seed after this many seconds")
+    parser.add_argument("--threads", type=int, default=0, help="of simulation and learning; 0: one a core")
+    parser.add_argument("--out", type=Path, help="CSV file")
+    options = parser.parse_args()
+    rows = []
+    for seed in options.seeds:
+        rows.append(run(seed, options.limit, options.threads))
+        print(json.dumps(rows[-1]), flush=True)
+        if options.out:
+            write_csv(options.out, rows)
+    return 0 if all(row["reached"] for row in rows) else 1
 
 
 if __name__ == "__main__":

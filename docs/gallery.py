@@ -18,10 +18,10 @@ STEPS = ((0.0, 0.7, 0.0, 0.0), (1.7, 0.5, 0.0, 0.8), (3.4, 0.0, 0.8, 0.0))
 """Commands of steered policies: start [s], and shares of the greatest forward, left and yaw rate."""
 
 
-def recorded(name: str) -> ShownTrace:
-    """Return a run of a policy that ships."""
+def recorded(name: str, push_force: tuple[float, float] | None = None) -> ShownTrace:
+    """Return a run of a policy that ships, with pushes if their least and greatest force [N] is given."""
     policy, robot, task = load_policy(find_policy(name), None)
-    task = with_duration(evaluation_task(task, robot, {}), robot, SECONDS)
+    task = with_duration(evaluation_task(task, robot, {}, push_force=push_force), robot, SECONDS)
     if (limits := task.commands.limits(robot)) is not None:
         most = (limits.forward[1], limits.sideways[1], limits.yaw_rate[1])
         rows = tuple(

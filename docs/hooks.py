@@ -1,4 +1,4 @@
-"""Additions to mkdocs: files of the repository outside docs/, and a page of API reference for each package.
+"""Additions to mkdocs: files of the repository outside docs/, and pages of reference made from the code.
 
 Links are written as they hold in the repository. In the site README.md is the first page, docs/ is the root, and all
 other folders keep their paths; links are rewritten to that.
@@ -6,17 +6,39 @@ other folders keep their paths; links are rewritten to that.
 
 from __future__ import annotations
 
+import ast
+import contextlib
+import dataclasses
+import inspect
+import io
+import os
 import posixpath
 import re
+import textwrap
+import typing
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+from surefoot.cli.main import COMMANDS, main
+from surefoot.configuration import field_bounds
+from surefoot.learn.config import PPOConfig, TrainConfig
+from surefoot.robot.params import GROUPS, PARAMETERS
+from surefoot.task.commands import CommandConfig
+from surefoot.task.config import FeedbackConfig, TaskConfig
+from surefoot.task.observation import PARTS
+from surefoot.task.pushes import PushConfig
+from surefoot.task.reference import FootConfig, ReferenceConfig, WaveConfig
+from surefoot.task.reward import TERMS
+
+os.environ |= {"COLUMNS": "76", "NO_COLOR": "1"}
 ROOT = Path(__file__).resolve().parents[1]
 OUTSIDE = (
     "CHANGELOG.md",
+    "CITATION.cff",
+    "CONTRIBUTING.md",
     "policies/README.md",
     "examples/first_hour.ipynb",
     "examples/sb3.py",
@@ -25,6 +47,114 @@ OUTSIDE = (
 )
 MODULES = sorted(path.stem for path in ROOT.glob("src/surefoot/[a-z]*.py"))
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("src/surefoot/*/__init__.py"))
+
+
+CONFIGURATIONS = {
+    TaskConfig: "",
+    FeedbackConfig: "feedback",
+    ReferenceConfig: "reference",
+    WaveConfig: "reference.swing, extension, abduction",
+    FootConfig: "reference.foot",
+    CommandConfig: "commands",
+    PushConfig: "pushes",
+    TrainConfig: "train",
+    PPOConfig: "train.ppo",
+}
+"""Dataclasses of a task's file, and the tables in which their fields stand."""
+TYPES = {
+    r"^dict.*": "table",
+    r"Literal\[(.*?)\]": r"\1",
+    r" \| None": "",
+    r"tuple\[float, float\]": "two numbers",
+    r"tuple\[(?:float|int), \.\.\.\]": "list of numbers",
+    r"tuple\[str, \.\.\.\]": "list of names",
+    r"^tuple.*": "list",
+    r"^float": "number",
+    r"^int": "whole number",
+    r"^str": "text",
+    r"^bool": "true or false",
+    r"Optional\[float\]": "number",
+    r"^number \| table": "number, or table by leg",
+    r"^number \| dict.*": "number, or table by leg",
+}
+"""Words for types of Python, replaced in this order."""
+
+
+def docstrings(kind: type) -> dict[str, str]:
+    """Return the docstrings of a dataclass's fields, by name."""
+    (body,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(body, ast.ClassDef)
+    pairs = zip(body.body, body.body[1:], strict=False)
+    return {
+        field.target.id: " ".join(text.value.value.split())
+        for field, text in pairs
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr)
+    }
+
+
+def fields_of(kind: type) -> list[str]:
+    """Return a line for each field of a dataclass: name, type, bounds, default and docstring."""
+    hints, bounds, texts = typing.get_type_hints(kind), field_bounds(kind), docstrings(kind)
+    lines = []
+    for item in dataclasses.fields(kind):
+        hint = hints[item.name]
+        about = [re.sub(r"\b(\w+\.)+", "", hint.__name__ if isinstance(hint, type) else str(hint))]
+        for pattern, words in TYPES.items():
+            about = [re.sub(pattern, words, about[0])]
+        if (within := bounds[item.name]).greatest < 1e12:
+            least, greatest = (f"{round(bound, 5):,.9g}" for bound in (within.least, within.greatest))
+            about.append(f"{'over ' if within.above else ''}{least} to {greatest}")
+        if dataclasses.is_dataclass(hint):
+            about = ["table"]
+        elif item.default is not dataclasses.MISSING:
+            default = item.default if isinstance(item.default, tuple) else (item.default,)
+            about.append(f"default {', '.join('none' if one is None else str(one) for one in default) or 'none'}")
+        lines.append(f"- `{item.name}` ({'; '.join(about)}): {texts.get(item.name, '')}")
+    return lines
+
+
+def task_reference() -> str:
+    """Return the page with every field of a task's file, and what its values can name."""
+    text = [
+        "# Task configuration",
+        "Every field of a task's YAML file. A file holds only what differs from the defaults, or with "
+        "`base: TASK` from a task that ships. As an option, a field is `--task.FIELD`, and of `train` `--FIELD`: "
+        "`--task.reward.energy -0.004 --ppo.gamma 0.98`.",
+    ]
+    for kind, table in CONFIGURATIONS.items():
+        text += [f"## {table or 'The file'}", (inspect.getdoc(kind) or "").split("\n")[0], "\n".join(fields_of(kind))]
+    text += ["## Reward terms", "Names in `reward` and `reward_limits`. Costs have negative weights."]
+    kinds = {True: "sum over a control step", False: "rate"}
+    text += [
+        "\n".join(f"- `{name}`, {kinds[term.is_sum]}: {term.unit} ({term.source})" for name, term in TERMS.items())
+    ]
+    text += ["## Observations", "Names in `observations`."]
+    text += ["\n".join(f"- `{name}` [{part.unit}], {part.frame}" for name, part in PARTS.items())]
+    about = "Names in `params` and `randomize`, and of the options `--set` and `--randomize.NAME`."
+    text += ["## Physical parameters", about]
+    for group in GROUPS:
+        rows = [f"- `{name}` [{one.unit}]: {one.meaning}" for name, one in PARAMETERS.items() if one.group == group]
+        text += [f"### {group.capitalize()}", "\n".join(rows)]
+    return "\n\n".join(text)
+
+
+def help_of(*words: str) -> str:
+    """Return the help of a command."""
+    with contextlib.redirect_stdout(io.StringIO()) as output, contextlib.suppress(SystemExit):
+        main([*words, "--help"])
+    return "\n".join(line.rstrip() for line in output.getvalue().splitlines())
+
+
+def command_reference() -> str:
+    """Return the page with the help of every command and of its actions."""
+    text = ["# Commands", "What `surefoot COMMAND --help` prints."]
+    for name in COMMANDS:
+        usage = help_of(name)
+        text += [f"## {name}", f"```text\n{usage}\n```"]
+        parts = re.findall(r"^  ([a-z][a-z-]+) ", usage, re.M) if re.search("ACTION|EXPERIMENT", usage) else []
+        for part in ["trot"] if name == "train" else parts:
+            text += [f"### {name} {part}", f"```text\n{help_of(name, part)}\n```"]
+    return "\n\n".join(text)
 
 
 def reference(title: str, modules: list[str]) -> str:
@@ -39,6 +169,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, path.relative_to(ROOT).as_posix(), abs_src_path=str(path)))
     for name in PACKAGES:
         files.append(File.generated(config, f"reference/{name}.md", content=reference(f"surefoot.{name}", [name])))
+    for name, content in (("task-configuration", task_reference()), ("commands", command_reference())):
+        files.append(File.generated(config, f"reference/{name}.md", content=content))
     files.append(File.generated(config, "reference/shared.md", content=reference("Shared modules", MODULES)))
     return files
 

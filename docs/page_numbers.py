@@ -3,17 +3,12 @@
     python docs/page_numbers.py [PAGE...]         # rewrite what is stale
     python docs/page_numbers.py --check           # one line for each stale number or table; exit code 1
 
-A marker names the source of the number right before it:
+A marker names the source of the number right before it, as in src/surefoot/studies/result_numbers.py:
 
     It goes .66<!--= evaluations trot: speed_mean --> m/s, and 27 of 100<!--= evaluations trot/table1: falls --> fall.
 
-It reads FILE ROW: COLUMN. FILE is a CSV or JSON file without its suffix, in results/ or from the root (policies/...).
-ROW is a value of the first column, or COLUMN=VALUE,COLUMN=VALUE; a JSON file has none. COLUMN is a column, or keys of a
-JSON file with dots between them; a factor may follow, as in `share x100`. Sign, leading zero and decimals stay as they
-are printed. `N of M` is one column of another, as in `falls of runs`; the other one is `episodes`, if not named.
-
-Several rows, `A; B; C`, give several numbers, `.66, .64, .69`; or one, if COLUMN begins with sum, mean, sd (with
-n - 1), min or max.
+Sign, leading zero and decimals stay as they are printed. `N of M` is one column of another, as in `falls of runs`; the
+other one is `episodes`, if not named.
 
 A table is generated from the lines in the comment above it:
 
@@ -26,90 +21,35 @@ A table is generated from the lines in the comment above it:
     <!-- end of table -->
 
 A line with {0} stands there once for each item of the list; {1} is what follows an item's first ` = `. The list
-`all of FILE` is the first column of a CSV file. Other braces hold what a marker holds, then the format: `.2`, `0.2`
-(with a leading zero), `0` (an integer), `+.2` (with its sign); without one the file's text stands as it is.
+`all of FILE` is the first column of a CSV file. Other braces hold what a marker holds, then the format.
+A backslash at the end of a line continues it.
+
+The claims of the paper that were not reproduced, or those that were, from src/surefoot/studies/paper.yaml:
+
+    <!-- claims: untried, no, partly -->
+    (lines that this script writes)
+    <!-- end of claims -->
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import difflib
 import re
-import statistics
 import sys
 from pathlib import Path
-from typing import Any
 
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.files import atomic_write
-from surefoot.studies.paper import find_row, find_value
+from surefoot.studies.paper import claims_markdown
+from surefoot.studies.result_numbers import fill, find_file, first_column, look_up, substitute
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "policies/README.md", "docs/*.md")
 MARKER = re.compile(r"<!--=\s*(.+?)\s*-->", re.DOTALL)
 TABLE = re.compile(r"(<!-- table of: *([^\n]+)\n(.+?)-->\n)(.*?)<!-- end of table -->", re.DOTALL)
-CODE = re.compile(r"^```.*?^```|^    .*?$|`[^`\n]+`", re.DOTALL | re.MULTILINE)
-FORM = re.compile(r"([+]?)(0?)(?:\.(\d))?")
+CLAIMS = re.compile(r"(<!-- claims: *([^\n]+?) *-->\n)(.*?)(?=<!-- end of claims -->)", re.DOTALL)
 TOKEN = r"(?:[+-]?(?:\d+(?:\.\d+)?|\.\d+)(?:\s+of\s+\d+)?|[A-Za-z][\w-]*)"
-COMBINED = {"sum": sum, "mean": statistics.fmean, "sd": statistics.stdev, "min": min, "max": max}
-
-
-def find_file(root: Path, name: str) -> Path:
-    """Return the file of results of a name."""
-    for path in (root / folder / f"{name}.{kind}" for folder in ("results", ".") for kind in ("csv", "json")):
-        if path.is_file():
-            return path
-    raise SurefootError(f"results has no file {name}.csv or {name}.json")
-
-
-def where(path: Path, selector: str) -> dict[str, str]:
-    """Return the values of columns that a selector of a row names."""
-    if "=" in selector:
-        return dict(part.strip().split("=", 1) for part in selector.split(","))
-    return {first_column(path)[0]: selector} if selector else {}
-
-
-def first_column(path: Path) -> list[str]:
-    """Return the first column of a CSV file, its name included."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return [row[0] for row in csv.reader(file)]
-
-
-def look_up(root: Path, source: str, form: str) -> list[str]:
-    """Return the texts of a source, `FILE ROW: COLUMN`, with numbers in a format such as `.2`."""
-    place, colon, column = " ".join(source.split()).rpartition(": ")
-    if not colon:
-        raise SurefootError(f"'{source}' is no source; it is FILE ROW: COLUMN")
-    name, _, selectors = place.partition(" ")
-    column, _, factor = column.partition(" x")
-    word, _, rest = column.partition(" ")
-    combine = COMBINED.get(word)
-    path = find_file(root, name)
-    with prefix_errors(path.relative_to(root)):
-        rows = [find_row(path, where(path, one)) for one in selectors.split("; ")]
-        parts = []
-        for key in (rest if combine else column).split(" of "):
-            values = [find_value(row, key) for row in rows]
-            if any(value is None or (value == "" and form) for value in values):
-                raise SurefootError(f"has no {key} in {selectors or 'its keys'}")
-            values = [combine(map(float, values))] if combine else values
-            parts.append([printed(value, form, float(factor or 1)) for value in values])
-    return [" of ".join(texts) for texts in zip(*parts, strict=True)]
-
-
-def printed(value: Any, form: str, factor: float) -> str:
-    """Return a value in a format; without one as it is."""
-    if not form:
-        return value or "-" if isinstance(value, str) and factor == 1 else f"{float(value) * factor:.9g}"
-    match = FORM.fullmatch(form)
-    try:
-        number = float(value) * factor
-    except ValueError:
-        raise SurefootError(f"is no number: {value}") from None
-    digits = int(match[3] or 0)
-    text = f"{round(number, digits) + 0.0:{match[1]}.{digits}f}"
-    return text if match[2] else re.sub(r"^([+-]?)0\.", r"\1.", text)
 
 
 def form_of(text: str) -> str:
@@ -143,19 +83,10 @@ def write_table(root: Path, keys: str, lines: str) -> str:
     whole = re.fullmatch(r"all of (\S+)", keys.strip())
     items = first_column(find_file(root, whole[1]))[1:] if whole else keys.strip().split(", ")
     table = []
-    for line in lines.splitlines():
+    for line in re.sub(r"\\\n *", "", lines).splitlines():
         for item in items if "{0}" in line else [""]:
-            filled = line
-            for number, part in enumerate(item.split(" = ")):
-                filled = filled.replace(f"{{{number}}}", part)
-            table.append(re.sub(r"\{([^{}]+)\}", lambda match: cell(root, match[1]), filled) + "\n")
+            table.append(fill(root, substitute(line, item)) + "\n")
     return "".join(table)
-
-
-def cell(root: Path, content: str) -> str:
-    """Return the text of a cell's source with its format."""
-    source, _, form = content.rpartition(" ")
-    return ", ".join(look_up(root, source, form) if FORM.fullmatch(form) else look_up(root, content, ""))
 
 
 def write_page(root: Path, text: str) -> str:
@@ -165,6 +96,7 @@ def write_page(root: Path, text: str) -> str:
         SurefootError: a marker or a table without a source; its line is named.
     """
     text = write_markers(root, text)
+    text = CLAIMS.sub(lambda match: match[1] + claims_markdown(root, match[2].split(", ")), text)
     out, end = "", 0
     for match in TABLE.finditer(text):
         with prefix_errors(f"line {text.count(chr(10), 0, match.start()) + 1}"):

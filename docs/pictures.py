@@ -1,28 +1,36 @@
 """Draw the pictures of robots in the documentation: python docs/pictures.py [FOLDER ...].
 
-They are docs/gaits.png, moments of a stride; docs/robots.png, the robots that ship; and, out of six folders that
-`surefoot robot new` wrote, docs/robots-imported.png.
+They are docs/gaits.webp, two gaits in motion; docs/gaits.png, moments of a stride; docs/leg-space.png, the coordinates
+of a leg; docs/robots.png, the robots that ship; and, out of six folders that `surefoot robot new` wrote,
+docs/robots-imported.png.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from gallery import recorded
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.renderer import Camera, View, draw
 from surefoot.report.drawing.scene import extent, poses, trace_poses
 from surefoot.report.drawing.video import write_label
-from surefoot.robot import RobotDescription
+from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, new_figure
+from surefoot.robot import FiveBar, RobotDescription
 
 FOLDER = Path(__file__).parent
 MOMENTS = 5
 GAP = 4
 """Between pictures [px]."""
+BETWEEN, FPS = (1.0, 4.7), 20
+"""What the moving picture shows [s], and its frames a second."""
+PUSH = 60.0
+"""Force of its pushes [N]."""
+RED = (200, 40, 40)
 
 
 def sheet(pictures: list[Image.Image], columns: int) -> Image.Image:
@@ -49,6 +57,69 @@ def stride(name: str, size: tuple[int, int]) -> list[Image.Image]:
     return pictures
 
 
+def motion(name: str, label: str, size: tuple[int, int], force: float | None = None) -> Iterator[Image.Image]:
+    """Yield the frames of a policy that ships, with an arrow for .4 s from each push [N] if it is pushed."""
+    one = recorded(name, None if force is None else (force, force))
+    placed = trace_poses(one.robot, one.trace)
+    mesh, stack = Mesh(one.robot.appearance(), list(placed)), np.stack(list(placed.values()), axis=1)
+    base = placed[one.robot.base][:, :3, 3]
+    camera = Camera.for_robot(1.25 * extent(one.robot))
+    for now in np.arange(*BETWEEN, 1 / FPS):
+        step = int(np.searchsorted(one.trace.time, now))
+        around = np.abs(one.trace.time - now) < 0.4
+        view = View(camera, base[around, :2].mean(axis=0), size)
+        picture = draw(mesh, stack[step], view)
+        recent = (one.trace.time <= now) & (one.trace.time > now - 0.4)
+        pushes = np.nan_to_num(one.trace.push_force_world[recent[: len(one.trace.push_force_world)]])
+        if (strongest := np.linalg.norm(pushes, axis=1)).any():
+            push = pushes[strongest.argmax()]
+            tail, tip = view.project(np.stack([base[step] - 0.4 * push / np.linalg.norm(push), base[step]]))[0]
+            along = (tip - tail) / np.linalg.norm(tip - tail)
+            across = np.array([-along[1], along[0]])
+            pen, end = ImageDraw.Draw(picture), tip - 16 * along
+            pen.line([*tail, *end], RED, 6)
+            pen.polygon([*tip, *(end + 9 * across), *(end - 9 * across)], RED)
+        write_label(picture, label)
+        yield picture
+
+
+def leg_lines(robot: RobotDescription, swing: float, extension: float) -> list[np.ndarray]:
+    """Return the links of a leg as lines (K, 2) [m] in its plane, x forward and z up from the hip; the foot is last."""
+    legs, hip = robot.leg_geometry, np.zeros(2)
+    if isinstance(legs, FiveBar):
+        angles = legs.to_motors([[swing], [extension]])[0]
+        first, second = legs.knees(angles)
+        return [np.array([hip, first, legs.pin(angles)]), np.array([hip, second, legs.foot_in_plane(angles)])]
+    foot = -extension * legs.length * np.array([np.sin(swing), np.cos(swing)])
+    half, middle = 0.5 * legs.length, 0.5 * foot
+    knee = middle + np.sqrt(half**2 - middle @ middle) * np.array([-np.cos(swing), np.sin(swing)])
+    return [np.array([hip, knee, foot])]
+
+
+def leg_space(path: Path) -> None:
+    """Draw what swing and extension do to both kinds of legs."""
+    with new_figure(path, (4.8, 3.6), 1, 2) as (_, axes):
+        for axis, name, title, extensions in (
+            (axes[0], "minitaur", "five-bar leg (Minitaur)", (1.4, 2.1)),
+            (axes[1], "go2", "serial leg (Go2)", (0.65, 0.85)),
+        ):
+            robot = RobotDescription.load(name)
+            short, long = extensions
+            unit = "" if name == "go2" else " rad"
+            for swing, extension, color in ((0.0, short, QUIET), (0.5, short, BLUE), (0.0, long, ORANGE)):
+                lines = leg_lines(robot, swing, extension)
+                label = f"swing {swing:g} rad, extension {extension:g}{unit}"
+                for line in lines:
+                    axis.plot(*line.T, color=color, linewidth=2.5, label=label if line is lines[-1] else None)
+                axis.plot(*lines[-1][-1], "o", color=color, markersize=7)
+            axis.plot(0, 0, "s", color=INK, markersize=8)
+            axis.annotate("", (0.27, 0.08), (0.12, 0.08), arrowprops={"arrowstyle": "->", "color": INK})
+            axis.text(0.12, 0.09, "forward")
+            axis.set(title=title, aspect="equal", xlim=(-0.29, 0.29), ylim=(-0.4, 0.13), xticks=[], yticks=[])
+            axis.spines[:].set_visible(False)
+            axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0))
+
+
 def portrait(robot: RobotDescription, size: tuple[int, int]) -> Image.Image:
     """Return a robot in its resting pose with its name."""
     level = poses(robot, np.zeros(3), [1.0, 0.0, 0.0, 0.0], robot.resting_angles)
@@ -60,7 +131,17 @@ def portrait(robot: RobotDescription, size: tuple[int, int]) -> Image.Image:
     return picture
 
 
+def moving(path: Path, size: tuple[int, int]) -> None:
+    """Write an animation: a gallop beside a trot that is pushed."""
+    gallop = motion("gallop", "gallop", size)
+    trot = motion("trot-robust", f"robust trot, pushed with {PUSH:.0f} N", size, PUSH)
+    first, *others = (sheet(list(pair), 2) for pair in zip(gallop, trot, strict=True))
+    first.save(path, save_all=True, append_images=others, duration=1000 // FPS, loop=0, quality=55, method=6)
+
+
 if __name__ == "__main__":
+    moving(FOLDER / "gaits.webp", (400, 280))
+    leg_space(FOLDER / "leg-space.png")
     sheet([*stride("gallop", (320, 240)), *stride("trot", (320, 240))], MOMENTS).save(FOLDER / "gaits.png")
     robots = [RobotDescription.load(name) for name in RobotDescription.available()]
     sheet([portrait(robot, (640, 360)) for robot in robots], 2).save(FOLDER / "robots.png")

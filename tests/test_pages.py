@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("pandas")
 
+from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -19,13 +20,21 @@ RESULTS = [
     *(
         f"docs/{name}.md"
         for name in (
-            *("results", "paper", "robustness", "reality-gap", "study", "handcrafted", "robots", "steer"),
+            *("results", "robustness", "reality-gap", "study", "handcrafted", "robots", "steer"),
             *("speed", "identification", "real-robot", "search"),
         )
     ),
 ]
 """Pages with results."""
-PENDING = set(RESULTS)
+PENDING = {
+    "README.md",
+    "docs/handcrafted.md",
+    "docs/identification.md",
+    "docs/paper.md",
+    "docs/reality-gap.md",
+    "docs/robustness.md",
+    "docs/speed.md",
+}
 """Pages whose numbers have no sources yet; none, once all are converted."""
 UNIT = (
     r"(?:%|(?:km|kN|kg|kHz|ms|mm|cm|mJ|dB|degC|deg|rad|million|minutes?|seconds?|hours?|MB|kB|[NWmsJVAMhHg]|Hz)"
@@ -37,13 +46,18 @@ CODE = re.compile(
 )
 
 
-@pytest.fixture(scope="module")
-def numbers() -> ModuleType:
-    """Return docs/page_numbers.py."""
-    spec = importlib.util.spec_from_file_location("page_numbers", ROOT / "docs" / "page_numbers.py")
+def load_script(path: str) -> ModuleType:
+    """Return a script of the repository as a module."""
+    spec = importlib.util.spec_from_file_location(Path(path).stem, ROOT / path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def numbers() -> ModuleType:
+    """Return docs/page_numbers.py."""
+    return load_script("docs/page_numbers.py")
 
 
 @pytest.fixture
@@ -135,6 +149,7 @@ def stray_numbers(text: str, numbers: ModuleType) -> list[str]:
     given = [
         " ".join(one.split()) for part in re.findall(r"<!-- given:(.*?)-->", text, re.DOTALL) for one in part.split(";")
     ]
+    text = numbers.CLAIMS.sub("", text)
     text = numbers.TABLE.sub(lambda match: re.sub(r"\{[^{}]*(\{\d\}[^{}]*)*\}", "cell", match[3]), text)
     text = re.sub(rf"(?:{numbers.TOKEN},\s+)*{numbers.TOKEN}<!--=.*?-->", "", text, flags=re.DOTALL)
     text = CODE.sub("\n\n", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
@@ -178,3 +193,17 @@ def test_a_page_is_as_the_results_are(numbers: ModuleType, page: str):
     assert numbers.changes(text, numbers.write_page(ROOT, text)) == [], "run docs/page_numbers.py"
     if page in RESULTS and page not in PENDING:
         assert stray_numbers(text, numbers) == []
+
+
+def test_evaluations_are_of_the_policies_and_options_that_are_named():
+    script = load_script("benchmarks/evaluations.py")
+    names = read_yaml(script.NAMES)
+    named = script.named_rows(names)
+    rows = script.read_table()
+    lines = script.TABLE.read_text(encoding="utf-8").splitlines()[1:]
+    assert [line.split(",")[0] for line in lines] == sorted(rows), "one row a name, sorted"
+    for name, row in rows.items():
+        policy, options = named[name]
+        about = names["policies"].get(policy, {})
+        described = script.describe(policy, options, about, script.find_file(policy, about, Path("nowhere")))
+        assert row.items() >= described.items(), f"{name} is stale: run benchmarks/evaluations.py"

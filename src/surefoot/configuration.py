@@ -91,7 +91,7 @@ def check_bounds(config: Any, where: str = "") -> None:
 
     Dataclasses in it are checked too. `where` is its dotted name, for messages.
     """
-    for name, within in _bounds(config.__class__).items():
+    for name, within in field_bounds(config.__class__).items():
         value, place = getattr(config, name), f"{where}.{name}" if where else name
         if dataclasses.is_dataclass(value):
             check_bounds(value, place)
@@ -100,7 +100,8 @@ def check_bounds(config: Any, where: str = "") -> None:
 
 
 @functools.cache
-def _bounds(kind: type) -> dict[str, Within]:
+def field_bounds(kind: type) -> dict[str, Within]:
+    """Return the bounds of a dataclass's fields, by name."""
     hints = typing.get_type_hints(kind, include_extras=True)
     return {item.name: _within(hints[item.name]) or _ANY for item in dataclasses.fields(kind)}
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ pytest.importorskip("viser")
 import surefoot
 from surefoot.api import facade
 from surefoot.api.drive_page import DrivePage
-from surefoot.api.extras import describe_missing
+from surefoot.api.extras import describe_missing, install_command
 from surefoot.evaluation.runs import summarize
 
 
@@ -42,7 +43,7 @@ def test_robots_and_errors_need_the_bare_install_alone():
     names, error = python(code, absent).splitlines()
     assert names == "go2 minitaur pupper_v2 solo8"
     assert error.startswith("this needs ")
-    assert error.endswith("which is not installed: pip install 'surefoot[train]'")
+    assert error.endswith(f"which is not installed: {install_command('train')}")
 
 
 def test_every_name_is_there_and_others_are_not():
@@ -140,4 +141,19 @@ def test_a_page_runs_on_when_its_policy_is_moved(tmp_path: Path):
 
 def test_packages_that_read_meshes_are_of_an_extra():
     for name in ("trimesh", "collada", "fast_simplification"):
-        assert str(describe_missing(ModuleNotFoundError(name=name))).endswith("pip install 'surefoot[sim]'")
+        assert str(describe_missing(ModuleNotFoundError(name=name))).endswith(install_command("sim"))
+
+
+@pytest.mark.parametrize(
+    ("origin", "command"),
+    [
+        ('{"dir_info": {"editable": true}, "url": "file:///home/my%20dog"}', "pip install -e '/home/my dog[sim]'"),
+        ('{"archive_info": {}, "url": "file:///tmp/surefoot-1-py3.whl"}', "pip install '/tmp/surefoot-1-py3.whl[sim]'"),
+        (None, "pip install 'surefoot[sim]'"),
+    ],
+)
+def test_an_extra_is_installed_from_where_surefoot_was(
+    origin: str | None, command: str, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("importlib.metadata.distribution", lambda name: SimpleNamespace(read_text=lambda file: origin))
+    assert install_command("sim") == command

@@ -10,6 +10,7 @@ from processes import refused, surefoot
 
 pytest.importorskip("mujoco")
 
+from surefoot.api.extras import install_command
 from surefoot.cli import emulate
 from surefoot.emulator.faults import FAULTS
 from surefoot.robot.params_file import read_params
@@ -57,7 +58,7 @@ def test_emulate_refuses_a_viewer_without_a_display():
 
 def test_emulate_reports_a_missing_engine_before_it_starts(monkeypatch):
     monkeypatch.setattr("surefoot.world.registry.find_spec", lambda name: None)
-    refused(surefoot("emulate", "--world", "bullet"), "pip install 'surefoot[bullet]'")
+    refused(surefoot("emulate", "--world", "bullet"), install_command("bullet"))
 
 
 def test_the_faults_are_listed():

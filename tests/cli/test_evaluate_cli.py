@@ -21,6 +21,8 @@ pytest.importorskip("torch")
 pytest.importorskip("mujoco")
 pytest.importorskip("onnx")
 
+from surefoot.api.extras import install_command
+
 KEYS = {
     *("episodes", "falls", "steps_mean", "distance_mean", "speed_mean", "speed_std", "power_mean"),
     *("return_mean", "return_std", "drift_mean", "gait", "duty_factor", "phases", "world", "policy"),
@@ -164,12 +166,12 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
     script = f"{hide}\nfrom surefoot.cli.main import main\nsys.exit(main())"
     command = [sys.executable, "-c", script, "evaluate", str(policy)]
     without = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    refused(without, "this needs mujoco, which is not installed: pip install 'surefoot[sim]'")
+    refused(without, f"this needs mujoco, which is not installed: {install_command('sim')}")
     for module in ("matplotlib", "imageio_ffmpeg"):
         monkeypatch.setitem(sys.modules, module, None)
     without = surefoot("evaluate", policy, "--out", tmp_path / "out")
-    refused(without, "this needs matplotlib, which is not installed: pip install 'surefoot[report]'")
-    refused(surefoot("play", policy, cwd=tmp_path), "this needs imageio_ffmpeg", "pip install 'surefoot[report]'")
+    refused(without, f"this needs matplotlib, which is not installed: {install_command('report')}")
+    refused(surefoot("play", policy, cwd=tmp_path), "this needs imageio_ffmpeg", install_command("report"))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -18,6 +18,7 @@ from processes import refused, surefoot
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
 
+from surefoot.api.extras import install_command
 from surefoot.cli.gap import make_labels, parse_side
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
@@ -243,7 +244,7 @@ def test_a_policy_whose_name_is_no_folder_name_is_refused(name: str, here: Path)
 def test_without_bullet_the_error_names_the_extra(line: str, here: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "pybullet", None)
     before = sorted(here.iterdir())
-    refused(surefoot(*line.split()), "this needs pybullet, which is not installed: pip install 'surefoot[bullet]'\n")
+    refused(surefoot(*line.split()), f"this needs pybullet, which is not installed: {install_command('bullet')}\n")
     assert sorted(here.iterdir()) == before
 
 

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from processes import SUREFOOT, EmulatorHere, emulators, printed_commands, refused, surefoot
 
+from surefoot.api.extras import install_command
 from surefoot.cli.helpers.identify_run import refuse_another_robot
 from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
@@ -230,9 +231,8 @@ def test_a_recording_is_fitted(recorded: Recorded, robot: RobotDescription, tmp_
 def test_identify_refuses_before_motion_without_fit_libraries(tmp_path: Path):
     done = run_bare("latency", "--port", "/dev/none", "--lockstep", "--yes", "--out", tmp_path / "out")
     assert done.returncode == 2
-    assert "the fit needs mujoco, which is not installed: pip install 'surefoot[sim]'; surefoot identify latency" in (
-        done.stderr
-    )
+    message = f"the fit needs mujoco, which is not installed: {install_command('sim')}; surefoot identify latency"
+    assert message in done.stderr
     assert "--record-only records without it" in done.stderr
     assert not (tmp_path / "out").exists()
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from processes import SUREFOOT, refused, surefoot, wait_until
 
+from surefoot.api.extras import install_command
 from surefoot.studies.training import Training
 
 TINY = """
@@ -232,7 +233,7 @@ def test_a_missing_world_is_refused_before_training(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(study_results, "find_world", find_world)
     assert main(["study", "gaps.yaml"]) == 2
-    assert "pip install 'surefoot[bullet]'" in capsys.readouterr().err
+    assert install_command("bullet") in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
 
 
@@ -246,7 +247,8 @@ BAD = [
     (["none.yaml"], "none.yaml: can't be read"),
     (["kind.yaml"], "evaluate: 'luck' is no kind of evaluation; choices: nominal, table1, sensitivity, gap"),
     (["primary.yaml"], "primary: 'gap' is no figure of its evaluations; choices: nominal_speed, nominal_return"),
-    (["bars.yaml"], "bars: they show the reality gap; evaluate must name 'gap' for them"),
+    (["gaps.yaml"], "evaluate: a study measures one reality gap; it has gap, gap_test"),
+    (["bars.yaml"], "bars: they show the reality gap; evaluate must name 'gap' or 'gap_test' for them"),
     (["robot.yaml"], "group a: observation 'smell' does not exist"),
     ([], "FILE"),
 ]
@@ -256,6 +258,7 @@ BAD = [
 def test_study_refuses_bad_input_in_one_line(words: list[str], message: str, tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TINY)
     (tmp_path / "kind.yaml").write_text("{groups: {a: {}}, evaluate: [luck]}")
+    (tmp_path / "gaps.yaml").write_text("{groups: {a: {}}, evaluate: [gap, gap_test]}")
     (tmp_path / "primary.yaml").write_text("{groups: {a: {}}, primary: gap}")
     (tmp_path / "bars.yaml").write_text("{groups: {a: {}}, bars: {all: [a]}}")
     (tmp_path / "robot.yaml").write_text("groups: {a: {train: {task: {observations: [smell]}}}}")

@@ -1,15 +1,14 @@
-"""The summary of `benchmarks/identification.py`."""
+"""The tables of `benchmarks/identification.py`."""
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "identification.py"
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
 def draw(seed: int, identifiable: bool, estimate: float, low: float = 0.05, high: float = 3.0) -> dict[str, Any]:
@@ -26,17 +25,17 @@ def draw(seed: int, identifiable: bool, estimate: float, low: float = 0.05, high
     }  # fmt: skip
 
 
-def test_summary_counts_unidentifiable_values_apart():
+def test_values_that_are_not_identifiable_count_as_neither(monkeypatch):
     pytest.importorskip("mujoco")
-    spec = importlib.util.spec_from_file_location("identification_benchmark", SCRIPT)
-    benchmark = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(benchmark)
-    open_draw = draw(901, False, math.nan)
-    text = benchmark.summary([draw(1, True, 1.14, 1.1, 1.3), open_draw])
-    assert "nan" not in text
-    (row,) = (line.split() for line in text.splitlines() if line.startswith("contact_friction"))
-    assert row == ["contact_friction", "contact", "2", "1", "1", "0.060000", "5.00%", "0.060000"]
-    assert "hidden values within their 95 % intervals: 1 of 1, 100.0 %; 1 not identifiable" in text
-    text = benchmark.summary([open_draw])
-    assert "nan" not in text
-    assert "hidden values within their 95 % intervals: 0 of 0; 1 not identifiable" in text
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    from identification import accuracy, estimates
+
+    draws = [draw(1, True, 1.14, 1.1, 1.3), draw(2, True, 1.32, 1.25, 1.4), draw(901, False, math.nan)]
+    table = {row["parameter"]: row for row in accuracy(estimates(draws), draws)}
+    friction = table["contact_friction/contact"]
+    assert [friction[key] for key in ("values", "identifiable", "inside")] == [3, 2, 1]
+    assert friction["median"] == pytest.approx(0.09)
+    assert friction["worst_percent"] == pytest.approx(10.0)
+    assert [table["hidden"][key] for key in ("values", "identifiable", "inside")] == [3, 2, 1]
+    assert table["fit_seconds"]["worst"] == 5.0
+    assert "median" not in accuracy(estimates(draws[2:]), draws)[0]

@@ -130,6 +130,7 @@ def test_figures_of_a_gap_are_means_over_its_runs(rollouts: Rollouts) -> None:
 def test_world_names_come_from_the_settings() -> None:
     assert EVALUATIONS["nominal"].world_names == ("mujoco",)
     assert EVALUATIONS["gap"].world_names == ("mujoco", "ensemble")
+    assert EVALUATIONS["gap_test"].settings == EVALUATIONS["gap"].settings | {"away": "ensemble-test", "episodes": 40}
     with pytest.raises(SurefootError, match="'luck' is no kind of evaluation; choices: nominal, table1"):
         evaluation_names(("luck",))
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,116 +13,94 @@ from chromium import CHROMIUM, in_browser
 pytest.importorskip("matplotlib")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.statistics import Interval, MeanEstimate
-from surefoot.studies.paper import (
-    NumberSource,
-    ValueCounts,
-    difference,
-    find_counts,
-    find_number,
-    load_content,
-    write_page,
-)
+from surefoot.studies.paper import claims_markdown, difference, load_content, write_page
+from surefoot.studies.result_numbers import fill
 
 
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
-    """A folder with one table and one summary."""
-    (tmp_path / "groups.csv").write_text("group,world,mean,error\na,home,2.0,0.1\na,away,1.5,0.2\nb,home,1.0,\n")
-    (tmp_path / "run.json").write_text(json.dumps({"calm": {"speed": 0.66}, "falls": 3, "gait": "trot"}))
+    """A root with one table and one summary."""
+    (tmp_path / "results").mkdir()
+    rows = ["group,world,mean,error,low,high,gait", "a,home,2.0,0.1,1.8,2.2,trot", "a,away,1.5,0.2,1.1,1.9,trot"]
+    (tmp_path / "results/groups.csv").write_text("\n".join([*rows, "b,home,1.0,,,,bound", "c,home,,,,,"]) + "\n")
+    (tmp_path / "results/run.json").write_text(json.dumps({"calm": {"speed": 0.66}, "falls": 3, "gait": "trot"}))
     return tmp_path
 
 
-def test_a_number_is_read_from_the_row_of_its_columns(results: Path):
-    where = {"group": "a", "world": "away"}
-    number = find_number(results, NumberSource("groups.csv", "mean", where, error="error", scale=100))
-    assert number == MeanEstimate(150.0, 20.0)
-
-
-def test_a_number_is_read_at_keys_of_a_json_file(results: Path):
-    assert find_number(results, NumberSource("run.json", "calm.speed")) == Interval(0.66)
-
-
-def test_an_interval_or_error_of_a_single_policy_is_left_out(results: Path):
-    where = {"group": "b"}
-    assert find_number(results, NumberSource("groups.csv", "mean", where, low="error", high="error")).text() == "1.00"
-    assert find_number(results, NumberSource("groups.csv", "mean", where, error="error")).text() == "1.00"
-    with pytest.raises(SurefootError, match="has no number low"):
-        find_number(results, NumberSource("groups.csv", "mean", where, low="low", high="high"))
-
-
-def test_values_are_counted_the_most_frequent_first(results: Path):
-    (results / "gaits.csv").write_text("state,gait\ncomplete,bound\ncomplete,trot\npruned,trot\nfail,\n")
-    assert find_counts(results, ValueCounts("gaits.csv", "gait")) == "2 trot, 1 bound"
-    assert find_counts(results, ValueCounts("gaits.csv", "gait", {"state": "complete"})) == "1 bound, 1 trot"
-    with pytest.raises(SurefootError, match=r"gaits\.csv: has no column pattern in rows of any kind"):
-        find_counts(results, ValueCounts("gaits.csv", "pattern"))
-    with pytest.raises(SurefootError, match="has no column gait in rows of state running"):
-        find_counts(results, ValueCounts("gaits.csv", "gait", {"state": "running"}))
+@pytest.mark.parametrize(
+    ("text", "filled"),
+    [
+        ("goes {groups group=a,world=away: mean ± error x100 0} m/s", "goes 150 ± 20 m/s"),
+        ("{groups group=a,world=away: mean [low, high] .2} m", "1.50 [1.10, 1.90] m"),
+        # A single policy has no error.
+        ("{groups b: mean [low, high] .2} m, {groups b: mean ± error .1} m", "1.00 m, 1.0 m"),
+        ("{groups group=a,world=home; b: mean ± error .1}", "2.0 ± .1, 1.0"),
+        ("{groups group=a,world=home; b: mean mean .1}", "1.5"),
+        ("{run: calm.speed 0.2} m/s, {run: gait}", "0.66 m/s, trot"),
+        ("{groups: count gait}; {groups group=b: count} of {groups: count}", "2 trot, 1 bound; 1 of 4"),
+    ],
+)
+def test_a_text_is_filled_with_numbers_of_results(results: Path, text: str, filled: str):
+    assert fill(results, text) == filled
 
 
 @pytest.mark.parametrize(
-    ("source", "pieces"),
+    ("source", "piece"),
     [
-        (NumberSource("groups.csv", "mean", {"group": "a"}), ["groups.csv: has 2 rows of group a; there must be one"]),
-        (NumberSource("groups.csv", "mean", {"group": "c"}), ["has 0 rows of group c"]),
-        (NumberSource("groups.csv", "mode", {"group": "b"}), ["has no number mode"]),
-        (NumberSource("groups.csv", "error", {"group": "b"}), ["has no number error"]),
-        (NumberSource("run.json", "calm.power"), ["run.json: has no number calm.power"]),
-        (NumberSource("run.json", "gait"), ["has no number gait"]),
-        (NumberSource("run.json", "falls.mean"), ["has no number falls.mean"]),
+        ("groups a: mean .2", "results/groups.csv: has 2 rows of group a; there must be one"),
+        ("groups d: mean .2", "has 0 rows of group d"),
+        ("groups b: mode .2", "has no mode in b"),
+        ("groups c: mean [low, high] .2", "has no mean in c"),
+        ("groups b: mean [least, most] .2", "has no least in b"),
+        ("groups group=b: count pattern", "has no column pattern in such rows"),
+        ("run: calm.power .2", "results/run.json: has no calm.power in its keys"),
+        ("run: gait .2", "is no number: trot"),
+        ("runs: gait", "results has no file runs.csv or runs.json"),
+        ("cut: speed .2", "results/cut.json: is not JSON"),
     ],
 )
-def test_find_number_refuses_a_source_without_a_number(results: Path, source: NumberSource, pieces: list[str]):
-    with pytest.raises(SurefootError) as caught:
-        find_number(results, source)
-    for piece in pieces:
-        assert piece in str(caught.value)
-
-
-def test_find_number_refuses_a_file_that_is_cut_off(results: Path):
-    (results / "cut.json").write_text('{"speed": ')
-    with pytest.raises(SurefootError, match=r"cut\.json: is not JSON"):
-        find_number(results, NumberSource("cut.json", "speed"))
+def test_a_source_without_a_number_is_refused(results: Path, source: str, piece: str):
+    (results / "results/cut.json").write_text('{"speed": ')
+    with pytest.raises(SurefootError, match=re.escape(piece)):
+        fill(results, f"{{{source}}}")
 
 
 @pytest.mark.parametrize(
     ("paper", "ours", "words"),
     [
-        (2.0, Interval(3.0), "50% more"),
-        (2.0, Interval(1.5), "25% less"),
-        (1.0, Interval(4.0), "4.0 times as much"),
-        (1.0, Interval(1.004), "the same"),
-        (2.0, Interval(3.0, low=1.9, high=4.1), "the interval holds the paper's"),
-        (2.0, Interval(3.0, low=2.1, high=3.9), "50% more"),
-        ("few", Interval(3.0), ""),
-        (2.0, None, ""),
+        ("2.0 m", "3.00 m", "50% more"),
+        ("2.0 m", "1.50 ± .10 m", "25% less"),
+        ("1.0", "4", "4.0 times as much"),
+        ("1.00 m/s", "1.004 m/s", "the same"),
+        (".50 m/s", ".66 [.45, .87] m/s", "the interval holds the paper's"),
+        ("2.0 m", "3.0 [2.1, 3.9] m", "50% more"),
+        ("2.0 m", "3.0 s", ""),
+        ("few", "3.0 m", ""),
+        ("2.0 m", "not measured", ""),
+        ("15 to 19 ms", "20 ms", ""),
     ],
 )
-def test_the_difference_in_words(paper: float | str, ours: Interval | None, words: str):
+def test_the_difference_in_words(paper: str, ours: str, words: str):
     assert difference(paper, ours) == words
 
 
-def sources() -> Iterator[NumberSource | ValueCounts]:
-    for section in load_content().sections:
-        for item in section.items:
-            if not isinstance(item.surefoot, str):
-                yield item.surefoot
-
-
-def test_every_number_of_the_page_is_among_the_results(repository: Path):
-    for one in sources():
-        if isinstance(one, NumberSource):
-            assert math.isfinite(find_number(repository, one).mean), one
-        else:
-            assert find_counts(repository, one), one
+def test_claims_are_listed_by_verdict(repository: Path):
+    head, rule, *lines = claims_markdown(repository, ["untried", "no"]).splitlines()
+    assert (head.count("|"), rule.count("|")) == (3, 3)
+    verdicts = [line.split("**")[1] for line in lines]
+    assert verdicts == sorted(verdicts, key=["Not tried.", "Not reproduced."].index)
+    for page, part in (re.search(r"\]\(([^)#]*)#?([^)]*)\)", line).groups() for line in lines):
+        text = (repository / "docs" / (page or "results.md")).read_text(encoding="utf-8")
+        titles = [re.sub(r"[^\w-]", "", one.lower().replace(" ", "-")) for one in re.findall("^#+ (.*)", text, re.M)]
+        assert not part or part in titles, (page, part)
 
 
 @pytest.fixture(scope="module")
 def page(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of the results that ship."""
     path = tmp_path_factory.mktemp("page") / "paper.html"
-    assert write_page(repository, path) == []
+    missing = write_page(repository, path)
+    assert all(one.startswith("results/evaluations ") for one in missing), missing
     return path
 
 
@@ -137,8 +113,8 @@ def shown(root: Path) -> int:
     ("section", "line", "number"),
     [
         ("Section VI-A: gaits that emerge", "gaits, policies trained to the end", r"\d+ \w+(, \d+ \w+)*"),
-        ("Section VI-A: from scratch", "improved: speed in simulation", r"\d\.\d\d \[-?\d\.\d\d, \d\.\d\d\] m/s"),
-        ("Section VI-B: a hundred controllers", "top three: speed at home", r"\d\.\d\d ± \d\.\d\d m/s"),
+        ("Section VI-A: from scratch", "improved: speed in simulation", r"\d?\.\d\d \[-?\d?\.\d\d, \d?\.\d\d\] m/s"),
+        ("Section VI-B: a hundred controllers", "top three: speed at home", r"\d\.\d\d ± \.\d\d m/s"),
     ],
 )
 def test_a_line_of_the_page_has_the_number_of_the_results(page: Path, section: str, line: str, number: str):
@@ -153,20 +129,20 @@ def test_a_line_of_the_page_has_the_number_of_the_results(page: Path, section: s
 def test_the_page_holds_every_section_and_picture_and_loads_nothing(page: Path, repository: Path):
     text = page.read_text(encoding="utf-8")
     content = load_content()
-    assert text.count("<h2") == 1 + len(content.sections)
+    assert text.count("<h2") == 3 + len(content.sections)
+    assert text.index("Not reproduced") < text.index("Reproduced") < text.index("Contents")
     links, places = (re.findall(rf'{name}="#?(s\d+)"', text) for name in ("href", "id"))
     assert links == places == [f"s{k + 1}" for k in range(len(content.sections))]
     assert text.count("<figure>") == shown(repository)
     assert all(section.title.replace("'", "&#x27;") in text for section in content.sections)
-    speed = json.loads((repository / "results/policies/trot.json").read_text())["speed_mean"]
-    assert f"{speed:.2f} ± " in text
     assert not re.search(r'(src|href)="(?!data:|#)', text)
 
 
 def test_missing_results_are_named(tmp_path: Path):
     missing = write_page(tmp_path, tmp_path / "paper.html")
-    assert "results/policies/trot.json" in missing
-    assert {"docs/motor.png", "results/from-scratch/policies.csv", "results/search/gait_*.png"} <= set(missing)
+    assert "results/evaluations trot" in missing
+    assert {"docs/motor.png", "results/from-scratch/policies group=baseline"} <= set(missing)
+    assert "results/search/gait_*.png" in missing
     assert "not measured" in (tmp_path / "paper.html").read_text(encoding="utf-8")
 
 

@@ -15,7 +15,8 @@ from run_tables import runs_table
 
 pytest.importorskip("matplotlib")
 
-from surefoot.studies.paper import NumberSource, ValueCounts, find_counts, find_number, load_content
+from surefoot.studies.paper import load_content
+from surefoot.studies.result_numbers import fill
 from surefoot.studies.search import make_config
 from surefoot.studies.search_report import SearchResult, write_report
 from surefoot.task.trace import EpisodeTrace
@@ -103,14 +104,11 @@ def test_the_table_of_the_best_has_each_and_all_of_them(result: SearchResult, tm
 
 def test_the_page_of_the_paper_finds_its_numbers_in_the_report(result: SearchResult, tmp_path: Path) -> None:
     write_report(result, tmp_path / "results/search", "surefoot search gallop")
-    items = [item.surefoot for section in load_content().sections for item in section.items]
-    read = [one for one in items if not isinstance(one, str) and one.file.startswith("results/search/")]
-    assert {type(one) for one in read} == {NumberSource, ValueCounts}
-    for one in read:
-        if isinstance(one, NumberSource):
-            assert math.isfinite(find_number(tmp_path, one).mean), one
-        else:
-            assert find_counts(tmp_path, one), one
+    lines = [line for section in load_content().sections for item in section.items for line in item.lines()]
+    read = [line.surefoot for line in lines if "{search/" in line.surefoot]
+    assert len(read) > 10
+    for text in read:
+        assert fill(tmp_path, text)
 
 
 def test_without_bullet_the_table_of_the_best_has_no_columns_of_it(result: SearchResult, tmp_path: Path) -> None:

@@ -141,7 +141,7 @@ def test_the_report_holds_the_tables_and_figures(tmp_path: Path, study: Comparis
     assert cells(text, "Trainings", "4-D, randomized")[3] == "3,000,000"
     assert cells(text, "Results", "4-D")[2] == "2.10 [1.85, 2.35]"
     assert cells(text, "Comparisons", "4-D, randomized")[1:4] == ["4-D", "-0.20 [-0.43, +0.03]", "0.070"]
-    assert "declares 2 comparisons; 1 of them" in text
+    assert "the study's file declares: 2; with p < 0.05 after Holm's correction for 2: 1." in text
     # Significant after correction is bold.
     section = text.split("## Differences")[1]
     heads = next(line for line in section.splitlines() if "standard deviation" in line).split(" | ")

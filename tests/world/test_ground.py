@@ -43,12 +43,16 @@ def test_an_uneven_floor_is_rough_around_level_ground_and_flat_at_the_start():
     assert uneven_floor(0.0) is FLAT
 
 
-def test_bullet_has_the_same_heights(make_world):
+def test_bullet_has_the_same_heights_under_each_foot(make_world):
     pybullet = pytest.importorskip("pybullet")
     (model,) = make_world(1, engine="bullet", floor_unevenness=0.004).engine.models
-    for body, z in ((model.ground, -0.1), (model.body, 5.0)):
-        pybullet.resetBasePositionAndOrientation(body, [0, 0, z], [0, 0, 0, 1], model.client)
-    points = np.random.default_rng(1).uniform([-3.9, -5.9], [23.8, 5.9], (400, 2))
-    ends = [[[x, y, z] for x, y in points.tolist()] for z in (0.5, -0.5)]
-    hits = pybullet.rayTestBatch(*ends, physicsClientId=model.client)
-    np.testing.assert_allclose([hit[3][2] for hit in hits], uneven_floor(0.004).height(points), atol=1e-6)
+    for x, y in np.random.default_rng(1).uniform([-3.9, -5.9], [23.8, 5.9], (20, 2)):
+        pybullet.resetBasePositionAndOrientation(model.body, [x, y, 0.3], [0, 0, 0, 1], model.client)
+        model.place_planes()
+        feet = model.foot_positions()[:, :2]
+        for foot, plane in zip(feet, model.planes, strict=True):
+            (*_, height), quat = pybullet.getBasePositionAndOrientation(plane, model.client)
+            normal = np.array(pybullet.getMatrixFromQuaternion(quat))[2::3]
+            floor = uneven_floor(0.004)
+            np.testing.assert_allclose(normal, floor.normal(foot), atol=1e-9)
+            assert height - normal[:2] @ foot / normal[2] == pytest.approx(floor.height(foot), abs=1e-9)

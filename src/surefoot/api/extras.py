@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import functools
+import json
+import shlex
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
+from urllib.parse import unquote, urlsplit
 
 from surefoot.errors import SurefootError
 
@@ -23,6 +26,19 @@ _EXTRAS = {
 }
 
 
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra, from the folder or file that surefoot was installed from."""
+    from importlib.metadata import PackageNotFoundError, distribution
+
+    try:
+        origin = json.loads(distribution("surefoot").read_text("direct_url.json") or "{}")
+    except PackageNotFoundError:
+        origin = {}
+    path = unquote(urlsplit(origin.get("url", "")).path) or "surefoot"
+    editable = "-e " if origin.get("dir_info", {}).get("editable") else ""
+    return f"pip install {editable}{shlex.quote(f'{path}[{extra}]')}"
+
+
 def describe_missing(error: ModuleNotFoundError) -> str | None:
     """Return what to install, for a package of one of surefoot's extras that is missing; None for any other."""
     from surefoot.world.registry import WORLDS
@@ -31,7 +47,7 @@ def describe_missing(error: ModuleNotFoundError) -> str | None:
     engines = [(entry.extra, (entry.package,)) for entry in WORLDS.values()]
     for extra, modules in [*_EXTRAS.items(), *engines]:
         if module in modules:
-            return f"this needs {module}, which is not installed: pip install 'surefoot[{extra}]'"
+            return f"this needs {module}, which is not installed: {install_command(extra)}"
     return None
 
 

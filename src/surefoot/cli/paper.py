@@ -60,7 +60,7 @@ def main(argv: list[str]) -> int:
         note = QUICK_NOTE if command.quick else ""
     elif command.workers or command.ray:
         raise SurefootError("--workers and --ray go with --quick or --full, and neither is given")
-    missing = write_page(root, page, note)
+    missing = write_page(root, page, note, command.root)
     print(f"wrote {page}")
     for name in missing:
         print(f"not there: {name}")

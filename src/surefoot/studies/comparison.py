@@ -29,7 +29,7 @@ from surefoot.evaluation.statistics import (
     welch_interval,
 )
 from surefoot.files import atomic_write
-from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, evaluation_names, gap_from_result
+from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, evaluation_names, find_gap, gap_from_result
 from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import plain_rows, write_csv
 
@@ -110,6 +110,11 @@ class Comparison:
         return evaluation_names(self.study.evaluate)
 
     @property
+    def gap_kind(self) -> str:
+        """The kind that measures the reality gap; empty if there is none."""
+        return find_gap(self.kinds)
+
+    @property
     def figures(self) -> tuple[ResultFigure, ...]:
         """The numbers that are compared."""
         return tuple(figure for kind in self.kinds for figure in EVALUATIONS[kind].figures)
@@ -163,7 +168,9 @@ class Comparison:
 
     def gap(self, group: str) -> PolicyGap:
         """Return the runs of all policies of a group at home, away and, last, at home as described."""
-        parts = [gap_from_result(row.results["gap"], self._name(row)) for row in self.of_group(group).itertuples()]
+        parts = [
+            gap_from_result(row.results[self.gap_kind], self._name(row)) for row in self.of_group(group).itertuples()
+        ]
         return PolicyGap.pooled(self.study.label(group), parts)
 
     def _name(self, row: Any) -> str:
@@ -207,13 +214,13 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
         tested = [one for group in groups for one in comparison.sensitivities(group)]
         tables["sensitivity"] = pd.concat([one.worlds.assign(policy=one.policy) for one in tested])
         tables["sensitivity"] = tables["sensitivity"].set_index("policy").reset_index()
-    if "gap" in comparison.kinds:
+    if comparison.gap_kind:
         best = comparison.best()
         parts = {"all": comparison, "top": best}
         tables["gap_groups"] = [
             row for group in groups for which, part in parts.items() for row in _gap_rows(which, group, part)
         ]
-        tables["top_differences"] = _differences(best, EVALUATIONS["gap"].figures)
+        tables["top_differences"] = _differences(best, EVALUATIONS[comparison.gap_kind].figures)
     return {name: pd.DataFrame(table) for name, table in tables.items()}
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from surefoot import __version__
 from surefoot.arrays import Array
 from surefoot.configuration import to_mapping
-from surefoot.errors import SurefootError, suggest
+from surefoot.errors import SurefootError, choices, suggest
 from surefoot.evaluation.footfalls import analyze_footfalls
 from surefoot.evaluation.gap import PolicyGap, away_task, home_task
 from surefoot.evaluation.recorded import save_runs
@@ -36,8 +36,6 @@ from surefoot.world.registry import WORLDS, find_world
 SEED = 1
 GAP_SEED = 2
 """Runs of a gap are independent of those that policies are selected by."""
-AWAY = "ensemble"
-ROBOTS = len(WORLDS[AWAY].seeds or ())
 Result = dict[str, Any]
 """Result of an evaluation, as JSON holds it."""
 Traces = dict[str, list[EpisodeTrace]]
@@ -185,6 +183,28 @@ def _read_gap(result: Result) -> tuple[ArrayLike, ...]:
     return *returns, gap.gaps(gap.worlds[1])[0], 100 * away.balanced, away.distance, away.speed, away.power
 
 
+def _gap_kind(away: str) -> EvaluationKind:
+    """Return the evaluation of the reality gap to a world of different robots."""
+    robots = len(WORLDS[away].seeds or ())
+    return EvaluationKind(
+        f"a run on each of the {robots} robots of world {away}, and as many in the policy's own simulator and "
+        "there with the robot of the data sheet; none with pushes, each from a start of its own",
+        {"home": "mujoco", "away": away, "described": True, "episodes": robots, "seed": GAP_SEED},
+        _run_gap,
+        _read_gap,
+        (
+            ResultFigure("gap_home", "return at home", "m", 2),
+            ResultFigure("gap_described", "return at home as described", "m", 2),
+            ResultFigure("gap_away", "return away", "m", 2),
+            ResultFigure("gap", "gap", "m", 2),
+            ResultFigure("gap_balanced", "balanced away", "%", 1, robots),
+            ResultFigure("gap_distance", "distance away", "m", 2),
+            ResultFigure("gap_speed", "speed away", "m/s", 3),
+            ResultFigure("gap_power", "power away", "W", 1),
+        ),
+    )
+
+
 EVALUATIONS: dict[str, EvaluationKind] = {
     "nominal": EvaluationKind(
         "20 episodes in the nominal world of the policy's own simulator, without pushes",
@@ -218,23 +238,8 @@ EVALUATIONS: dict[str, EvaluationKind] = {
             ResultFigure("sensitivity_falls", "falls in test worlds", "%", 1, 400),
         ),
     ),
-    "gap": EvaluationKind(
-        f"a run on each of the {ROBOTS} robots of world {AWAY}, and as many in the policy's own simulator and "
-        "there with the robot of the data sheet; none with pushes, each from a start of its own",
-        {"home": "mujoco", "away": AWAY, "described": True, "episodes": ROBOTS, "seed": GAP_SEED},
-        _run_gap,
-        _read_gap,
-        (
-            ResultFigure("gap_home", "return at home", "m", 2),
-            ResultFigure("gap_described", "return at home as described", "m", 2),
-            ResultFigure("gap_away", "return away", "m", 2),
-            ResultFigure("gap", "gap", "m", 2),
-            ResultFigure("gap_balanced", "balanced away", "%", 1, ROBOTS),
-            ResultFigure("gap_distance", "distance away", "m", 2),
-            ResultFigure("gap_speed", "speed away", "m/s", 3),
-            ResultFigure("gap_power", "power away", "W", 1),
-        ),
-    ),
+    "gap": _gap_kind("ensemble"),
+    "gap_test": _gap_kind("ensemble-test"),
     "gait": EvaluationKind(
         "names of the gait in 5 episodes in the nominal world of the policy's own simulator, without pushes",
         {"world": "mujoco", "episodes": 5, "seed": SEED},
@@ -252,6 +257,14 @@ def evaluation_names(names: Iterable[str]) -> tuple[str, ...]:
         if name not in EVALUATIONS:
             raise SurefootError(f"evaluate: '{name}' is no kind of evaluation; {suggest(name, EVALUATIONS)}")
     return tuple(dict.fromkeys(("nominal", *names)))
+
+
+def find_gap(kinds: Iterable[str]) -> str:
+    """Return which of the evaluations measures the reality gap; empty if none does."""
+    found = [kind for kind in kinds if EVALUATIONS[kind].run is _run_gap]
+    if len(found) > 1:
+        raise SurefootError(f"evaluate: a study measures one reality gap; it has {choices(found)}")
+    return found[0] if found else ""
 
 
 def stored_result(policy: Path, name: str) -> Result | None:

@@ -2,57 +2,36 @@
 
 from __future__ import annotations
 
-import csv
-import json
-import math
 import re
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
-from surefoot.evaluation.statistics import Interval, MeanEstimate
-from surefoot.files import atomic_write, check_readable
+from surefoot.errors import prefix_errors
+from surefoot.files import atomic_write
 from surefoot.report.pages.html import page, picture, row
+from surefoot.studies.result_numbers import BRACES, NotMeasured, cell, substitute
 
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"
+VERDICTS = {"untried": "Not tried.", "no": "Not reproduced.", "partly": "In part.", "yes": "Reproduced."}
 _MAX_NUMBER = 30
 """Characters of a cell beside numbers; a longer one is folded as text."""
 
 
 @dataclass(frozen=True)
-class NumberSource:
-    """Place of a number of surefoot: in a row of a CSV file, or at keys of a JSON file."""
+class PaperClaim:
+    """A claim of the paper, and whether surefoot reproduces it."""
 
-    file: str
-    """Path from the root of the repository."""
-    value: str
-    """Column, or keys with dots between them."""
-    where: dict[str, str] = field(default_factory=dict)
-    """Values of the columns that identify the row."""
-    error: str = ""
-    """Column or key of the standard error."""
-    low: str = ""
-    """Column or key of an interval's lower end."""
-    high: str = ""
-    """Column or key of its upper end."""
-    scale: float = 1.0
-    """Factor from the file's unit to the page's."""
-
-
-@dataclass(frozen=True)
-class ValueCounts:
-    """How often each value stands in a column of a CSV file; empty cells do not count."""
-
-    file: str
-    """Path from the root of the repository."""
-    count: str
-    where: dict[str, str] = field(default_factory=dict)
+    claim: str
+    verdict: Literal["untried", "no", "partly", "yes"]
+    surefoot: str
+    """What surefoot found; numbers as in `result_numbers.fill`."""
+    where: str = ""
+    """Page of the documentation that has the measurement."""
 
 
 @dataclass(frozen=True)
@@ -60,14 +39,21 @@ class PaperItem:
     """One line of the comparison."""
 
     what: str
-    paper: float | str
-    """The paper's number, or its words."""
-    surefoot: NumberSource | ValueCounts | str
-    """surefoot's number, counts or words."""
-    unit: str = ""
-    digits: int = 2
+    paper: str
+    """The paper's number with its unit, or its words."""
+    surefoot: str
+    """surefoot's, with numbers as in `result_numbers.fill`."""
     how: str = ""
     """How surefoot's was measured: episodes, seeds, what the interval is over."""
+    each: tuple[str, ...] = ()
+    """The line stands there once for each: {0} is what comes before ` = `, {1} what follows."""
+
+    def lines(self) -> list[PaperItem]:
+        """Return one item for each."""
+        return [
+            replace(self, what=substitute(self.what, one), surefoot=substitute(self.surefoot, one), each=())
+            for one in self.each or [""]
+        ]
 
 
 @dataclass(frozen=True)
@@ -95,7 +81,7 @@ class PaperSection:
     paper: str
     """Method and result of the paper."""
     surefoot: str = ""
-    """Differences in surefoot's method, and its result."""
+    """Differences in surefoot's method, and its result; numbers as in `result_numbers.fill`."""
     commands: tuple[str, ...] = ()
     """Commands that reproduce surefoot's numbers."""
     items: tuple[PaperItem, ...] = ()
@@ -108,9 +94,18 @@ class PaperContent:
 
     title: str
     about: str
+    claims: tuple[PaperClaim, ...]
     differences: tuple[str, ...]
     """The main differences between paper and surefoot."""
     sections: tuple[PaperSection, ...]
+
+
+def evaluations_on_page() -> list[str]:
+    """Return the rows of `results/evaluations.csv` that the page's sections show, such as `trot/ensemble-test`."""
+    sections = load_content().sections
+    texts = [line.surefoot for section in sections for item in section.items for line in item.lines()]
+    texts += [section.surefoot for section in sections]
+    return sorted({name for text in texts for name in re.findall(r"\{evaluations ([\w/-]+):", text)})
 
 
 def load_content() -> PaperContent:
@@ -119,43 +114,69 @@ def load_content() -> PaperContent:
         return from_mapping(PaperContent, read_yaml(CONTENT))
 
 
-def write_page(root: Path, path: Path, note: str = "") -> list[str]:
+def claims(root: Path, verdicts: Sequence[str], missing: list[str]) -> list[tuple[str, str, str, str]]:
+    """Return claim, verdict, finding and page of each claim with one of these verdicts."""
+    return [
+        (one.claim, VERDICTS[verdict], _fill(root, one.surefoot, missing), one.where)
+        for verdict in verdicts
+        for one in load_content().claims
+        if one.verdict == verdict
+    ]
+
+
+def claims_markdown(root: Path, verdicts: Sequence[str]) -> str:
+    """Return the claims with one of these verdicts as a Markdown table for a page in `docs`."""
+    rows = claims(root, verdicts, [])
+    lines = [f"| {claim} | **{verdict}** {text} [More]({page}) |" for claim, verdict, text, page in rows]
+    return "\n".join(["| the paper | surefoot |", "|---|---|", *lines]) + "\n"
+
+
+def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None) -> list[str]:
     """Write the page; return the files of results that are missing.
 
     Args:
         root: folder with `results`, `docs` and `policies`.
         path: the page (.html).
         note: remark on all results, at the top.
+        clone: folder of the results that the verdicts on the paper's claims are about; `root`, if not given.
 
     Raises:
         SurefootError: a file of results that can't be read, or has no such row or number.
     """
     content = load_content()
     missing: list[str] = []
-    parts = [
-        f"<h1>{escape(content.title)}</h1>",
-        f"<p>{escape(content.about)}</p>",
-    ]
-    parts.append(_contents([section.title for section in content.sections]))
-    parts.append("<h2>Main differences</h2>")
+    parts = [f"<h1>{escape(content.title)}</h1>", f"<p>{escape(content.about)}</p>"]
     if note:
-        parts.insert(2, f"<p><b>{escape(note)}</b></p>")
-    parts += ["<ul>", *(f"<li>{escape(text)}</li>" for text in content.differences), "</ul>"]
+        parts.append(f"<p><b>{escape(note)}</b></p>")
+    for title, *verdicts in (("Not reproduced, or in part", "untried", "no", "partly"), ("Reproduced", "yes")):
+        rows = [
+            (escape(claim), f"<b>{verdict}</b> {escape(text)} <span class=quiet>{_shown(where)}</span>")
+            for claim, verdict, text, where in claims(clone or root, verdicts, missing)
+        ]
+        parts += [f"<h2>{title}</h2>", _table([("the paper", "surefoot"), *rows], ["hh"] * (len(rows) + 1))]
+    parts.append(_contents([section.title for section in content.sections]))
+    parts += [
+        "<h2>Main differences</h2>",
+        "<ul>",
+        *(f"<li>{escape(text)}</li>" for text in content.differences),
+        "</ul>",
+    ]
     parts += _all_differences(root)
     for number, section in enumerate(content.sections, start=1):
         parts += [f'<h2 id="s{number}">{escape(section.title)}</h2>', f"<p><b>Paper:</b> {escape(section.paper)}</p>"]
         if section.surefoot:
-            parts.append(f"<p><b>surefoot:</b> {escape(section.surefoot)}</p>")
+            parts.append(f"<p><b>surefoot:</b> {escape(_fill(root, section.surefoot, missing))}</p>")
         if section.items:
             lines: list[tuple[str, ...]] = [("", "paper", "surefoot", "difference", "how measured")]
-            lines += [_line(root, item, missing) for item in section.items]
+            for item in section.items:
+                lines += [_line(root, one, missing) for one in item.lines()]
+            for k in range(len(lines) - 1, 1, -1):
+                lines[k] = (*lines[k][:-1], "likewise") if lines[k][-1] == lines[k - 1][-1] != "" else lines[k]
             columns = [k for k in range(len(lines[0])) if any(line[k] for line in lines[1:])]
-            cells = [[line[k] for k in columns] for line in lines]
             kinds = [
                 "".join("n" if k in (1, 2) and len(line[k]) < _MAX_NUMBER else "t" for k in columns) for line in lines
             ]
-            rows = [row(*both, "td" if i else "th") for i, both in enumerate(zip(cells, kinds, strict=True))]
-            parts.append(f"<div class=wide><table>{''.join(rows)}</table></div>")
+            parts.append(_table([[line[k] for k in columns] for line in lines], kinds))
         for one in section.pictures:
             files = one.find_files(root)
             for source, caption in files:
@@ -169,120 +190,58 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
     return list(dict.fromkeys(missing))
 
 
+def _shown(where: str) -> str:
+    """Return the path of a page from the root of the repository."""
+    name = where.partition("#")[0] or "results.md"
+    return name.removeprefix("../").removesuffix("/README.md") if name.startswith("../") else f"docs/{name}"
+
+
+def _table(rows: Sequence[Sequence[str]], kinds: Sequence[str]) -> str:
+    """Return a table that scrolls where it is too wide; the first row is its head."""
+    lines = (row(*both, "td" if i else "th") for i, both in enumerate(zip(rows, kinds, strict=True)))
+    return f"<div class=wide><table>{''.join(lines)}</table></div>"
+
+
 def _contents(titles: Sequence[str]) -> str:
     """Return the list of contents: links to the sections."""
     links = (f'<li><a href="#s{number}">{escape(title)}</a></li>' for number, title in enumerate(titles, start=1))
     return f"<nav aria-label=Contents><ul>{''.join(links)}</ul></nav>"
 
 
+def _fill(root: Path, text: str, missing: list[str]) -> str:
+    """Return a text with numbers of results; what is not there is added to `missing`."""
+
+    def number(match: re.Match[str]) -> str:
+        try:
+            return cell(root, match[1])
+        except NotMeasured:
+            missing.append(f"results/{match[1].rpartition(': ')[0]}")
+            return NOT_MEASURED
+
+    return BRACES.sub(number, text)
+
+
 def _line(root: Path, item: PaperItem, missing: list[str]) -> tuple[str, ...]:
     """Return the cells of an item's line."""
-    number = None
-    if isinstance(item.surefoot, str):
-        text = item.surefoot
-    elif not (root / item.surefoot.file).is_file():
+    text = _fill(root, item.surefoot, missing)
+    if NOT_MEASURED in text:
         text = NOT_MEASURED
-        missing.append(item.surefoot.file)
-    elif isinstance(item.surefoot, ValueCounts):
-        text = find_counts(root, item.surefoot)
-    else:
-        number = find_number(root, item.surefoot)
-        text = number.text(item.digits)
-    paper = f"{item.paper:.{item.digits}f}" if isinstance(item.paper, float) else item.paper
-    with_unit = (f"{one} {item.unit}".strip() if any(map(str.isdigit, one)) else one for one in (paper, text))
-    return (item.what, *with_unit, difference(item.paper, number), item.how)
+    return item.what, item.paper, text, difference(item.paper, text), item.how
 
 
-def find_number(root: Path, source: NumberSource) -> Interval | MeanEstimate:
-    """Read a number of surefoot, with its error if the source names one, else with its interval if it names that.
+def difference(paper: str, surefoot: str) -> str:
+    """Return the difference of two numbers with the same unit in words, such as `25% less`; nothing for other texts.
 
-    Error and ends of an interval may be empty, as they are for a single policy.
-
-    Raises:
-        SurefootError: a file that can't be read, without such a row, or without a number there.
+    Whatever stands between number and unit, ± or an interval, is surefoot's uncertainty.
     """
-    path = root / source.file
-    with prefix_errors(path):
-        data = find_row(path, source.where)
-        keys = filter(None, (source.error,) if source.error else (source.low, source.high))
-        ends = [math.nan if isinstance(data, dict) and data.get(key) == "" else _number(data, key) for key in keys]
-        mean, *spread = (number * source.scale for number in (_number(data, source.value), *ends))
-    if source.error:
-        return MeanEstimate(mean, *spread)
-    low, high = spread or (math.nan, math.nan)
-    return Interval(mean, low, high)
-
-
-def find_counts(root: Path, counts: ValueCounts) -> str:
-    """Return how often each value is there, the most frequent first, such as `3 trot, 1 pace`.
-
-    Raises:
-        SurefootError: a file that can't be read, or without such a column in such rows.
-    """
-    path = root / counts.file
-    with prefix_errors(path):
-        rows = _read_rows(path, counts.where)
-        if not rows or rows[0].get(counts.count) is None:
-            raise SurefootError(f"has no column {counts.count} in rows of {_describe(counts.where)}")
-    values = Counter(filter(None, (row[counts.count] for row in rows)))
-    return ", ".join(f"{number} {value}" for value, number in values.most_common())
-
-
-def find_row(path: Path, where: dict[str, str]) -> Any:
-    """Return the one row of a CSV file with these values of columns; all of a JSON file.
-
-    Raises:
-        SurefootError: a file that can't be read, or not just one such row.
-    """
-    if path.suffix == ".csv":
-        rows = _read_rows(path, where)
-        if len(rows) != 1:
-            raise SurefootError(f"has {len(rows)} rows of {_describe(where)}; there must be one")
-        return rows[0]
-    try:
-        return json.loads(_read(path))
-    except (ValueError, RecursionError):
-        raise SurefootError("is not JSON") from None
-
-
-def find_value(data: Any, key: str) -> Any:
-    """Return what is in a column of a row, or at keys with dots between them; None without such a key."""
-    for part in [key] if isinstance(data, dict) and key in data else key.split("."):
-        data = data.get(part) if isinstance(data, dict) else None
-    return data
-
-
-def _read(path: Path) -> str:
-    with describe_os_errors(path.name):
-        check_readable(path)
-        return path.read_text(encoding="utf-8")
-
-
-def _read_rows(path: Path, where: dict[str, str]) -> list[dict[str, str]]:
-    """Return the rows of a CSV file with these values of columns."""
-    rows = csv.DictReader(_read(path).splitlines())
-    return [row for row in rows if all(row.get(column) == value for column, value in where.items())]
-
-
-def _describe(where: dict[str, str]) -> str:
-    return ", ".join(f"{key} {value}" for key, value in where.items()) or "any kind"
-
-
-def _number(data: Any, key: str) -> float:
-    """Return the number in a column of a row, or at keys with dots between them."""
-    try:
-        return float(find_value(data, key))
-    except (TypeError, ValueError):
-        raise SurefootError(f"has no number {key}") from None
-
-
-def difference(paper: float | str, reproduced: Interval | MeanEstimate | None) -> str:
-    """Return the difference in words; nothing where there are not two numbers."""
-    if reproduced is None or isinstance(paper, str):
+    one = re.fullmatch(r"(\d*\.?\d+)( \D\S*)?", paper)
+    other = re.fullmatch(r"(-?\d*\.?\d+)(?: ± \S+| \[(\S+), (\S+)\])?( \D\S*)?", surefoot)
+    if one is None or other is None or one[2] != other[4]:
         return ""
-    if isinstance(reproduced, Interval) and reproduced.low <= paper <= reproduced.high:
+    expected, measured = float(one[1]), float(other[1])
+    if other[2] and float(other[2]) <= expected <= float(other[3]):
         return "the interval holds the paper's"
-    change = reproduced.mean / paper - 1 if paper else 0.0
+    change = measured / expected - 1
     if abs(change) < 0.005:
         return "the same"
     return f"{abs(change):.0%} {'more' if change > 0 else 'less'}" if change < 2 else f"{1 + change:.1f} times as much"
@@ -293,21 +252,17 @@ def _all_differences(root: Path) -> list[str]:
     path = root / "docs" / "paper.md"
     if not path.is_file():
         return []
-    heads: list[str] = []
-
-    def join(match: re.Match[str]) -> str:
-        heads.append(match[2])
-        return f"| **{match[1]}** | | | |\n"
-
-    # Every section's table has a head of its own; here the sections are rows of one table.
-    text = re.sub(r"^## (.+)\n\n(\| .*)\n", join, path.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    lines = [line.strip("|").split("|") for line in [*heads[:1], *text.splitlines()] if line[:2] == "| "]
+    # Every section's table has a head of its own; here it is a row of one table, with the section's title.
+    text = re.sub(r"^## (.+)\n\n\| [^|]+\|", r"| **\1** |", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    text = re.sub(r"<!--.*?-->", "", text)
+    lines = [line.strip("|").split("|") for line in text.splitlines() if line[:2] == "| "]
     cells = [[_inline(cell.strip()) for cell in line] for line in lines]
-    rows = row(cells[0], "hhhh", "th") + "".join(row(line, "hhhh") for line in cells[1:] if len(line) == 4)
+    rows = "".join(row(line, "hhhh") for line in cells if len(line) == 4)
     return [f"<details><summary>Every difference</summary><table>{rows}</table></details>"]
 
 
 def _inline(markdown: str) -> str:
-    """Convert bold type and code of a cell to HTML."""
-    text = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", escape(markdown))
+    """Convert bold type and code of a cell to HTML, and links to their texts."""
+    text = re.sub(r"\[(.+?)\]\([^)]*\)", r"\1", escape(markdown))
+    text = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", text)
     return re.sub(r"`(.+?)`", r"<code>\1</code>", text)

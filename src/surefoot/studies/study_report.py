@@ -61,7 +61,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         "## Trainings",
         markdown([_training(comparison, group) for group in comparison.groups]),
         *_curves(comparison, folder),
-        *(_gaps(comparison, tables, folder) if "gap" in comparison.kinds else []),
+        *(_gaps(comparison, tables, folder) if comparison.gap_kind else []),
         "## Results",
         *_by_figure(figures, [{"group": label(group)} for group in comparison.groups], levels),
         "![Groups side by side](groups.png)",
@@ -90,8 +90,8 @@ def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
     rows = table[table.figure == figure.name]
     count, survive = len(rows), int((rows.p_holm < _LEVEL).sum())
     lines = [
-        f"Primary figure: {figure.heading}. The study's file declares {count} comparisons; {survive} of them have "
-        f"p < {_LEVEL:.2g} after Holm's correction for {count}.",
+        f"Primary figure: {figure.heading}. Comparisons that the study's file declares: {count}; with p < {_LEVEL:.2g} "
+        f"after Holm's correction for {count}: {survive}.",
         markdown(
             [
                 {"group": label(row.group), "against": label(row.against)}
@@ -220,7 +220,7 @@ def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Pa
         gap_figure([best.gap(group) for group in names], folder / file)
         lines += [f"![Return of the best {top} policies at home and away]({file})"]
         lines.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
-    return [*lines, *_differences(best, tables["top_differences"], EVALUATIONS["gap"].figures)]
+    return [*lines, *_differences(best, tables["top_differences"], EVALUATIONS[comparison.gap_kind].figures)]
 
 
 def _gap_table(table: pd.DataFrame) -> str:

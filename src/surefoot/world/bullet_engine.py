@@ -83,7 +83,7 @@ class BulletEngine:
             first = np.zeros(1, np.int64)
             before = self.get_state(first)
             self.set_state(first, state)
-            feet = self._foot_positions(0)
+            feet = model.foot_positions()
             state[2] -= float(np.min(feet[:, 2] - model.foot_radius - self._config.ground.height(feet[:, :2])))
             self.set_state(first, before)
         return state
@@ -141,11 +141,13 @@ class BulletEngine:
             p.applyExternalForce(body, -1, self._force[i].tolist(), measured[:3].tolist(), p.WORLD_FRAME, client)
         if model.soles:
             model.apply_sole_forces()
+        if model.planes:
+            model.place_planes()
         p.stepSimulation(client)
         if model.values["knee_play"]:
             model.update_pins()
         measured[:] = self._read(i, motors)
-        points = p.getContactPoints(body, model.floor, physicsClientId=client)
+        points = model.contact_points()
         if model.soles:
             model.update_soles(points)
         for leg in {self._feet[point[3]] for point in points if point[9] > 0.0 and point[3] in self._feet}:
@@ -286,12 +288,4 @@ class BulletEngine:
 
     def foot_positions(self) -> Array:
         """Return the centres of the feet in the world frame [m], (N, L, 3)."""
-        return np.array([self._foot_positions(i) for i in range(len(self.models))])
-
-    def _foot_positions(self, i: int) -> Array:
-        model = self.models[i]
-        states = self._p.getLinkStates(model.body, model.feet, computeForwardKinematics=1, physicsClientId=model.client)
-        turns = xyzw_matrix(np.array([state[1] for state in states]))
-        places = np.array([state[0] for state in states])
-        feet: Array = places + np.einsum("lij,lj->li", turns, model.foot_centre)
-        return feet
+        return np.array([model.foot_positions() for model in self.models])

@@ -22,10 +22,10 @@ from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.self_collision import collision_pairs
 from surefoot.robot.urdf import Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
-from surefoot.rotations import matrix_quat
+from surefoot.rotations import matrix_quat, xyzw_matrix
 from surefoot.world.actuation import CONTACT, RACK_HEIGHT, RATIOS
 from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
-from surefoot.world.ground import Ground, uneven_floor
+from surefoot.world.ground import FLAT, Ground, uneven_floor
 from surefoot.world.interface import WorldConfig
 
 SOLVER_ITERATIONS = 50
@@ -95,8 +95,8 @@ class BulletModel:
     client: int
     ground: int
     """Body of the world's ground, on which all but the feet may stand."""
-    floor: int
-    """Body that the feet stand on: the ground, or an uneven floor."""
+    planes: list[int]
+    """Bodies of an uneven floor, one for each foot; none, if feet stand on the ground."""
     body: int
     """The robot's."""
     links: dict[str, int]
@@ -170,7 +170,7 @@ class BulletModel:
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
-        self.ground = self.floor = self._add_ground(self._ground, settings.ground == "box")
+        self.ground, self.planes = self._add_ground(self._ground, settings.ground == "box"), []
         pairs = {frozenset(places[link][0] for link in pair) for pair in self._pairs}
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "fused.urdf"
@@ -416,20 +416,47 @@ class BulletModel:
                 )
 
     def _set_floor(self, unevenness: float) -> None:
-        """Give the feet another floor, see `uneven_floor`.
+        """Give the feet another floor, see `uneven_floor`; all of the robot but its feet stays on `ground`.
 
-        All of the robot but its feet stays on `ground`: an uneven floor under every link costs time.
+        Each foot has a plane of its own, that of the triangle under it: a height field would push a foot whose centre
+        is below its surface, as that of soft feet is, down and out.
         """
         p, client = self._p, self.client
-        if self.floor != self.ground:
-            p.removeBody(self.floor, physicsClientId=client)
-        self.floor = self.ground
-        for link in self.feet:
-            p.setCollisionFilterPair(self.body, self.ground, link, -1, int(unevenness == 0.0), physicsClientId=client)
-        if unevenness != 0.0:
-            self.floor = self._add_ground(uneven_floor(unevenness))
-            for link in set(self.links.values()) - set(self.feet):
-                p.setCollisionFilterPair(self.body, self.floor, link, -1, 0, physicsClientId=client)
+        for plane in self.planes:
+            p.removeBody(plane, physicsClientId=client)
+        self._floor = uneven_floor(unevenness)
+        self.planes = [self._add_ground(FLAT) for _ in self.feet] if unevenness else []
+        self._slopes = np.full((len(self.planes), 2), np.nan)
+        for foot in self.feet:
+            p.setCollisionFilterPair(self.body, self.ground, foot, -1, int(unevenness == 0.0), physicsClientId=client)
+        for foot, plane in zip(self.feet, self.planes, strict=False):
+            for link in set(self.links.values()) - {foot}:
+                p.setCollisionFilterPair(self.body, plane, link, -1, 0, physicsClientId=client)
+
+    def place_planes(self) -> None:
+        """Put the planes of an uneven floor where its triangles under the feet are."""
+        points = self.foot_positions()[:, :2]
+        triangles = self._floor.plane_at(points)
+        heights, slopes = triangles[:, 0], triangles[:, 1:]
+        for k in np.flatnonzero((slopes != self._slopes).any(axis=1)):
+            (x, y), height = slopes[k], heights[k] - slopes[k] @ points[k]
+            quat = np.array([y, -x, 0.0, 1.0 + np.sqrt(1.0 + x * x + y * y)])
+            quat /= np.linalg.norm(quat)
+            self._p.resetBasePositionAndOrientation(self.planes[k], [0, 0, height], quat.tolist(), self.client)
+        self._slopes = slopes
+
+    def contact_points(self) -> list[tuple[Any, ...]]:
+        """Return Bullet's contact points of the robot with what its feet stand on."""
+        bodies = self.planes or [self.ground]
+        return [point for body in bodies for point in self._p.getContactPoints(self.body, body, -2, -2, self.client)]
+
+    def foot_positions(self) -> Array:
+        """Return the centres of the feet in the world frame [m], (F, 3)."""
+        states = self._p.getLinkStates(self.body, self.feet, computeForwardKinematics=1, physicsClientId=self.client)
+        turns = xyzw_matrix(np.array([state[1] for state in states]))
+        places = np.array([state[0] for state in states])
+        feet: Array = places + np.einsum("lij,lj->li", turns, self.foot_centre)
+        return feet
 
     def update_pins(self) -> None:
         """Move pins with play in their bores, as the forces through them have it after a step; see `pin_kernel`."""

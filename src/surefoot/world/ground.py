@@ -16,9 +16,9 @@ from surefoot.arrays import Array
 FLOOR_CELL = 0.1
 """Distance [m] of the points at which an uneven floor has its heights."""
 FLOOR_CELLS = (280, 120)
-"""Points of an uneven floor along x and y: 28 m by 12 m. Bullet takes about 1 kB for each."""
+"""Points of an uneven floor along x and y: 28 m by 12 m, level beyond."""
 FLOOR_BEHIND = 4.0
-"""Length [m] of an uneven floor behind the place where robots start; the floor ends on all sides."""
+"""Length [m] of an uneven floor behind the place where robots start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +36,11 @@ class Ground:
 
     def height(self, points: Array) -> Array:
         """Return the heights (...) at points (..., 2); 0 beyond the grid."""
-        return self._plane_at(points)[..., 0]
+        return self.plane_at(points)[..., 0]
 
     def normal(self, points: Array) -> Array:
         """Return the unit normals (..., 3) at points (..., 2)."""
-        slope = self._plane_at(points)[..., 1:]
+        slope = self.plane_at(points)[..., 1:]
         normal = np.concatenate([-slope, np.ones_like(slope[..., :1])], axis=-1)
         unit: Array = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
         return unit
@@ -49,7 +49,7 @@ class Ground:
         """Return the heights (...) of the smooth ground at points (..., 2): robots' heights are measured from it."""
         return np.zeros(points.shape[:-1]) if self.rough else self.height(points)
 
-    def _plane_at(self, points: Array) -> Array:
+    def plane_at(self, points: Array) -> Array:
         """Return height and slope along x and y (..., 3) of the triangles at points (..., 2)."""
         planes = np.zeros((*points.shape[:-1], 3))
         if not self.heights.size:

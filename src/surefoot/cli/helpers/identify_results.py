@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from surefoot.api.extras import install_command
 from surefoot.cli.helpers.output import print_json
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import overlay, write_overlay
@@ -35,7 +36,7 @@ def check_installed(otherwise: str = "") -> None:
         except ImportError:
             instead = f"; {otherwise} records without it" if otherwise else ""
             raise SurefootError(
-                f"the fit needs {module}, which is not installed: pip install 'surefoot[{extra}]'{instead}"
+                f"the fit needs {module}, which is not installed: {install_command(extra)}{instead}"
             ) from None
 
 

@@ -24,7 +24,7 @@ def check_evaluations(study: StudyConfig, worlds: bool) -> None:
     Raises:
         SurefootError: an unknown evaluation, figure or world, or bars without a gap.
     """
-    from surefoot.studies.evaluations import EVALUATIONS, evaluation_names
+    from surefoot.studies.evaluations import EVALUATIONS, evaluation_names, find_gap
 
     kinds = evaluation_names(study.evaluate)
     figures = [figure.name for kind in kinds for figure in EVALUATIONS[kind].figures]
@@ -32,8 +32,8 @@ def check_evaluations(study: StudyConfig, worlds: bool) -> None:
         raise SurefootError(
             f"primary: '{study.primary}' is no figure of its evaluations; {suggest(study.primary, figures)}"
         )
-    if study.bars and "gap" not in kinds:
-        raise SurefootError("bars: they show the reality gap; evaluate must name 'gap' for them")
+    if not find_gap(kinds) and study.bars:
+        raise SurefootError("bars: they show the reality gap; evaluate must name 'gap' or 'gap_test' for them")
     for world in [name for kind in kinds for name in EVALUATIONS[kind].world_names] if worlds else ():
         find_world(world)
 

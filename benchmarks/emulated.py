@@ -1,0 +1,48 @@
+"""What the benchmarks share: emulated robots in processes of their own, and policies deployed on them in lockstep."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from surefoot.task.trace import EpisodeTrace
+
+SUREFOOT = (sys.executable, "-m", "surefoot")
+
+
+@contextmanager
+def emulated_robot(*options: object) -> Iterator[str]:
+    """Run `surefoot emulate --lockstep` with more options; give the name of its port."""
+    command = [*SUREFOOT, "emulate", "--lockstep", *map(str, options)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            assert process.stdout is not None
+            words = process.stdout.readline().split()
+            if not words:
+                raise SystemExit(f"surefoot emulate {' '.join(command[4:])}: no robot")
+            yield words[-1]
+        finally:
+            process.terminate()
+
+
+def deploy(policy: str, *options: object, robot: tuple[object, ...] = ()) -> list[EpisodeTrace]:
+    """Return the runs of `surefoot deploy` on an emulated robot, with positions by motion capture.
+
+    Args:
+        policy: name or file.
+        options: of `surefoot deploy`.
+        robot: options of `surefoot emulate`.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        capture = f"{folder}/capture.csv"
+        with emulated_robot(*robot, "--out", capture) as port:
+            words = ["--port", port, "--lockstep", "--motion-capture", capture, "--out", folder, *map(str, options)]
+            done = subprocess.run([*SUREFOOT, "deploy", policy, *words], capture_output=True, text=True, check=False)
+        runs = sorted(Path(folder).glob("run_*.npz"))
+        if not runs:
+            raise SystemExit(f"deploy {policy}: {done.stderr.strip()}")
+        return [EpisodeTrace.load(run) for run in runs]

@@ -1,0 +1,184 @@
+"""Numbers of results by name, for text: `evaluations trot/table1: falls of episodes` in results/evaluations.csv.
+
+A source reads FILE ROW: COLUMN. FILE is a CSV or JSON file without its suffix, in results/ or from the root
+(policies/...). ROW is a value of the first column, or COLUMN=VALUE,COLUMN=VALUE; a JSON file has none. COLUMN is a
+column, or keys of a JSON file with dots between them; a factor may follow, as in `share x100`. `N of M` is one column
+of another. `mean [low, high]` and `mean ± error` are several columns; what is in brackets or behind ± is left out
+where it is empty, as it is for a single policy.
+
+Several rows, `A; B; C`, give several numbers; or one, if COLUMN begins with sum, mean, sd (with n - 1), min or max.
+`count` is how many rows there are, and `count COLUMN` how often each value is in a column, such as `3 trot, 1 pace`.
+
+A format follows in braces of a text: `.2`, `0.2` (with a leading zero), `0` (an integer), `+.2` (with its sign);
+without one the file's text stands as it is, and - for an empty one.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import statistics
+from collections import Counter
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
+from surefoot.files import check_readable
+
+FORM = re.compile(r"([+]?)(0?)(?:\.(\d))?")
+BRACES = re.compile(r"\{([^{}]+)\}")
+_COMBINED: dict[str, Callable[[Iterable[float]], float]] = {
+    **{"sum": sum, "mean": statistics.fmean, "sd": statistics.stdev},
+    **{"min": min, "max": max},
+}
+_SPREAD = re.compile(r"(.+?)(?: (?:\[(\S+), (\S+)\]|± (\S+)))?")
+
+
+class NotMeasured(SurefootError):
+    """There is no such file of results, no such row, or nothing in it."""
+
+
+def fill(root: Path, text: str) -> str:
+    """Return a text with what its braces name, such as `{evaluations trot: speed_mean .2} m/s`.
+
+    Raises:
+        SurefootError: a file that is not there, or without such a row or number.
+    """
+    return BRACES.sub(lambda match: cell(root, match[1]), text)
+
+
+def substitute(text: str, item: str) -> str:
+    """Return a text with {0}, {1}, ... replaced by the parts of an item, ` = ` between them."""
+    for number, part in enumerate(item.split(" = ")):
+        text = text.replace(f"{{{number}}}", part)
+    return text
+
+
+def cell(root: Path, content: str) -> str:
+    """Return the text of a source that its format follows."""
+    source, _, form = content.rpartition(" ")
+    return ", ".join(look_up(root, source, form) if FORM.fullmatch(form) else look_up(root, content, ""))
+
+
+def look_up(root: Path, source: str, form: str) -> list[str]:
+    """Return the texts of a source, with numbers in a format such as `.2`."""
+    place, colon, column = " ".join(source.split()).rpartition(": ")
+    if not colon:
+        raise SurefootError(f"'{source}' is no source; it is FILE ROW: COLUMN")
+    name, _, selectors = place.partition(" ")
+    counts = re.match(r"count\b", column)
+    path = find_file(root, name, ("csv", "json") if selectors or counts else ("json", "csv"))
+    with prefix_errors(path.relative_to(root)):
+        if counts:
+            return [count(read_rows(path, where(path, selectors)), column[6:])]
+        column, _, factor = column.partition(" x")
+        word, _, rest = column.partition(" ")
+        # A column may be called mean, and have a spread.
+        combine = _COMBINED.get(word) if rest and rest[0] not in "[±" else None
+        rows = [find_row(path, where(path, one)) for one in selectors.split("; ")]
+
+        def texts(key: str) -> list[str]:
+            """Return the text in each row; an empty one where there is nothing."""
+            values = [find_value(row, key) for row in rows]
+            if None in values:
+                raise SurefootError(f"has no {key} in {selectors or 'its keys'}")
+            values = [combine(map(float, values))] if combine else values
+            empty = "" if form else "-"
+            return [empty if value == "" else printed(value, form, float(factor or 1)) for value in values]
+
+        match = _SPREAD.fullmatch(rest if combine else column)
+        assert match is not None
+        parts = [texts(key) for key in match[1].split(" of ")]
+        if any("" in part for part in parts):
+            raise NotMeasured(f"has no {match[1]} in {selectors or 'its keys'}")
+        means = [" of ".join(one) for one in zip(*parts, strict=True)]
+        if not (ends := [texts(key) for key in match.groups()[1:] if key]):
+            return means
+        spreads = [f" ± {one[0]}" if len(one) == 1 else f" [{', '.join(one)}]" for one in zip(*ends, strict=True)]
+        empty = ["" in one for one in zip(*ends, strict=True)]
+        return [mean if none else mean + spread for mean, spread, none in zip(means, spreads, empty, strict=True)]
+
+
+def count(rows: list[dict[str, str]], column: str) -> str:
+    """Return how many rows there are, or how often each value is in a column, the most frequent first."""
+    if not column:
+        return str(len(rows))
+    if not rows or column not in rows[0]:
+        raise SurefootError(f"has no column {column} in such rows")
+    values = Counter(filter(None, (row[column] for row in rows)))
+    return ", ".join(f"{number} {value}" for value, number in values.most_common())
+
+
+def printed(value: Any, form: str, factor: float) -> str:
+    """Return a value in a format; without one as it is."""
+    if not form:
+        return str(value) if isinstance(value, str) and factor == 1 else f"{float(value) * factor:.9g}"
+    match = FORM.fullmatch(form)
+    assert match is not None
+    try:
+        number = float(value) * factor
+    except ValueError:
+        raise SurefootError(f"is no number: {value}") from None
+    digits = int(match[3] or 0)
+    text = f"{round(number, digits) + 0.0:{match[1]}.{digits}f}"
+    return text if match[2] else re.sub(r"^([+-]?)0\.", r"\1.", text)
+
+
+def find_file(root: Path, name: str, kinds: Iterable[str] = ("csv", "json")) -> Path:
+    """Return the file of results of a name, of the first of these kinds that is there."""
+    for path in (root / folder / f"{name}.{kind}" for folder in ("results", ".") for kind in kinds):
+        if path.is_file():
+            return path
+    raise NotMeasured(f"results has no file {name}.csv or {name}.json")
+
+
+def where(path: Path, selector: str) -> dict[str, str]:
+    """Return the values of columns that a selector of a row names."""
+    if "=" in selector:
+        return dict(part.strip().split("=", 1) for part in selector.split(","))
+    return {first_column(path)[0]: selector} if selector else {}
+
+
+def first_column(path: Path) -> list[str]:
+    """Return the first column of a CSV file, its name included."""
+    return [row[0] for row in csv.reader(_read(path).splitlines())]
+
+
+def find_row(path: Path, columns: dict[str, str]) -> Any:
+    """Return the one row of a CSV file with these values of columns; all of a JSON file.
+
+    Raises:
+        SurefootError: a file that can't be read, or not just one such row.
+    """
+    if path.suffix == ".csv":
+        rows = read_rows(path, columns)
+        if len(rows) != 1:
+            described = ", ".join(f"{key} {value}" for key, value in columns.items()) or "any kind"
+            error = SurefootError if rows else NotMeasured
+            raise error(f"has {len(rows)} rows of {described}; there must be one")
+        return rows[0]
+    try:
+        return json.loads(_read(path))
+    except (ValueError, RecursionError):
+        raise SurefootError("is not JSON") from None
+
+
+def read_rows(path: Path, columns: dict[str, str]) -> list[dict[str, str]]:
+    """Return the rows of a CSV file with these values of columns."""
+    rows = csv.DictReader(_read(path).splitlines())
+    return [row for row in rows if all(row.get(column) == value for column, value in columns.items())]
+
+
+def find_value(data: Any, key: str) -> Any:
+    """Return what is in a column of a row, or at keys with dots between them; None without such a key."""
+    for part in [key] if isinstance(data, dict) and key in data else key.split("."):
+        data = data.get(part) if isinstance(data, dict) else None
+    return data
+
+
+def _read(path: Path) -> str:
+    with describe_os_errors(path.name):
+        check_readable(path)
+        return path.read_text(encoding="utf-8")
