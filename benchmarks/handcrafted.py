@@ -121,7 +121,8 @@ def run(entry: Entry, condition: str, command: Command) -> list[dict[str, Any]]:
     traces = run_episodes(policy, task, command.episodes, find_world(world), command.seed, command.threads)
     if command.draw and condition == "mujoco":
         footfall_diagram(traces[0], command.folder / f"{entry.path.stem}-footfalls.png")
-    rows = measure_runs(traces).drop(columns="world").to_dict("records")
+    runs = measure_runs(traces).drop(columns="world")
+    rows = runs.astype(dict.fromkeys(runs.select_dtypes(bool), int)).to_dict("records")
     feet = [analyze_footfalls(trace) for trace in traces]
     return [
         {**key, "digest": entry.digest, **row, "pattern": foot.pattern} for row, foot in zip(rows, feet, strict=True)
@@ -192,16 +193,18 @@ def comparison(rows: list[dict[str, Any]], others: list[dict[str, Any]]) -> dict
 
 
 def tuning(curve: list[dict[str, str]]) -> dict[str, Any]:
-    """Return the row of a gait's tuning: of all its generations, and of those with the commonest number of episodes."""
+    """Return the row of a gait's tuning: its own generations, and of those the ones with the commonest episodes."""
+    own = [row for row in curve if row["gait"] == curve[-1]["gait"]]
     searches: dict[tuple[str, str], list[float]] = {}
-    for row in curve:
+    for row in own:
         searches.setdefault((row["starts"], row["duration"]), []).append(float(row["cost"]))
     (starts, duration), costs = max(searches.items(), key=lambda item: len(item[1]))
     last, before = min(costs[-WINDOW:]), min(costs[-2 * WINDOW : -WINDOW], default=math.nan)
     return {
-        "gait": curve[-1]["gait"],
-        "generations": len(curve),
-        "control_steps": sum(float(row["control_steps"]) for row in curve),
+        "gait": own[-1]["gait"],
+        "started_from": curve[0]["gait"] if len(own) < len(curve) else "",
+        "generations": len(own),
+        "control_steps": sum(float(row["control_steps"]) for row in own),
         **{"starts": starts, "duration": duration, "searched": len(costs)},
         **{"first_cost": costs[0], "cost_before": before, "last_cost": last, "last_gain": 100 * (1 - last / before)},
         "converged": has_converged(costs, WINDOW),
