@@ -32,7 +32,6 @@ PENDING = {
     "docs/paper.md",
     "docs/reality-gap.md",
     "docs/robustness.md",
-    "docs/speed.md",
 }
 """Pages whose numbers have no sources yet; none, once all are converted."""
 UNIT = (
