@@ -42,7 +42,7 @@ HIDDEN = (
 """Parameters that `--hidden-seed` draws: all rows of Table I but the control step, which is the host's, and K_t, R and
 the servo's latency."""
 WORLDS = ("mujoco", "bullet")
-CURVE = "torque_over_voltage"
+CURVE = "saturation_curve"
 """Name of the rows of strength, R and saturation together, whose error is relative."""
 ORDER = ("motor", "mass", "contact", "latency")
 """The motor experiment first: the battery's voltage is that of a robot just switched on."""
@@ -130,7 +130,7 @@ def estimates(draws: list[dict[str, Any]]) -> list[dict[str, Any]]:
         for value in draw.get("values", ()):
             error = abs(value["estimate"] - value["true"])
             relative = error / max(abs(value["true"]), 1e-12) if value["name"] != CURVE else error
-            inside = value["low"] is not None and value["low"] <= value["true"] <= value["high"]
+            inside = None if value["low"] is None else value["low"] <= value["true"] <= value["high"]
             errors = {"error": error, "relative": relative, "inside": inside} if value["identifiable"] else {}
             empty = dict.fromkeys(("error", "relative", "inside"))
             rows.append({"world": draw["world"], "seed": draw["seed"], **value, **empty, **errors})
@@ -147,7 +147,7 @@ def accuracy(rows: list[dict[str, Any]], draws: list[dict[str, Any]]) -> list[di
     groups |= {"hidden": hidden, **{f"hidden/{w}": [r for r in hidden if r["world"] == w] for w in WORLDS}}
     for name, group in groups.items():
         known = [row for row in group if row["identifiable"]]
-        counts = {"values": len(group), "identifiable": len(known), "inside": sum(row["inside"] for row in known)}
+        counts = {"values": len(group), "identifiable": len(known), "inside": sum(bool(row["inside"]) for row in known)}
         table.append({"parameter": name, **counts, **errors(known, name)})
     for k, name in enumerate(("robot_seconds", "fit_seconds")):
         spent = [sum(times[k] for times in draw["times"].values()) for draw in draws if "times" in draw]

@@ -27,12 +27,10 @@ RESULTS = [
 ]
 """Pages with results."""
 PENDING = {
-    "docs/handcrafted.md",
     "docs/identification.md",
     "docs/paper.md",
     "docs/reality-gap.md",
     "docs/robustness.md",
-    "docs/speed.md",
 }
 """Pages whose numbers have no sources yet; none, once all are converted."""
 UNIT = (
