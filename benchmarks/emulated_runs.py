@@ -4,7 +4,7 @@
     python benchmarks/emulated_runs.py gallop/bullet      # one; rows of the others stay
 
 Every robot has noisy sensors, a battery that sags and motors that heat. `runs.csv` has a row a run, `cases.csv` a row
-a case: distances [m] with the standard deviation over runs, falls, how long the shortest run lasted, why it ended.
+a case: distances [m], falls, how long the shortest run lasted, why it ended.
 """
 
 from __future__ import annotations
@@ -77,8 +77,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     shortest = min(rows, key=lambda row: float(row["seconds"]))
     return {
         **{"case": rows[0]["case"], "runs": len(rows), "falls": sum(int(row["fell"]) for row in rows)},
-        **{"distance": distance.mean(), "distance_std": distance.std(ddof=1) if len(rows) > 1 else None},
-        **{"distance_low": distance.min(), "distance_high": distance.max()},
+        **{"distance": distance.mean(), "distance_low": distance.min(), "distance_high": distance.max()},
         **{"speed": np.mean([float(row["speed"]) for row in rows])},
         **{"seconds": float(shortest["seconds"]), "ended": shortest["ended"], "why": shortest["why"]},
     }

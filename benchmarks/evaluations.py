@@ -83,11 +83,10 @@ def measure(path: Path, options: str, threads: int) -> dict[str, Any]:
     with redirect_stdout(io.StringIO()) as output:
         evaluate.main([str(path), *shlex.split(options), "--threads", str(threads), "--json"])
     summary = json.loads(output.getvalue())
-    share = share_interval([summary["falls"] / summary["episodes"]], summary["episodes"])
-    ends = {"falls_percent_low": 100 * share.low, "falls_percent_high": 100 * share.high}
+    share = share_interval([summary["falls"] / summary["episodes"]], summary["episodes"]).scale(100)
     errors = {f"{kind}_{k}": x for kind in ("rmse", "rmse_stride") for k, x in summary.get(kind, {}).items()}
     worst = max((value for value in summary["saturation"].values() if value is not None), default=None)
-    row = {**summary, **errors, **ends, "saturation": worst}
+    row = {**summary, **errors, **share.columns("falls_percent"), "saturation": worst}
     return {name: f"{row[name]:.9g}" if isinstance(row.get(name), float) else row.get(name) for name in FIGURES}
 
 

@@ -49,7 +49,6 @@ PAGES = ("README.md", "policies/README.md", "docs/*.md")
 MARKER = re.compile(r"<!--=\s*(.+?)\s*-->", re.DOTALL)
 TABLE = re.compile(r"(<!-- table of: *([^\n]+)\n(.+?)-->\n)(.*?)<!-- end of table -->", re.DOTALL)
 CLAIMS = re.compile(r"(<!-- claims: *([^\n]+?) *-->\n)(.*?)(?=<!-- end of claims -->)", re.DOTALL)
-CODE = re.compile(r"^```.*?^```|^    .*?$|`[^`\n]+`", re.DOTALL | re.MULTILINE)
 TOKEN = r"(?:[+-]?(?:\d+(?:\.\d+)?|\.\d+)(?:\s+of\s+\d+)?|[A-Za-z][\w-]*)"
 
 

@@ -67,5 +67,4 @@ if __name__ == "__main__":
         subprocess.run([*SUREFOOT, "paper", "--out", written], check=True)
         page = browser.new_page(viewport={"width": 985, "height": 1100})
         page.goto(written.as_uri())
-        page.get_by_role("heading", name="galloping from scratch").evaluate("heading => heading.scrollIntoView()")
         page.screenshot(path=FOLDER / "paper.png")

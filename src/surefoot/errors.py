@@ -32,7 +32,7 @@ def prefix_errors(where: object) -> Iterator[None]:
     try:
         yield
     except SurefootError as error:
-        raise SurefootError(f"{where}: {error}") from error.__cause__
+        raise type(error)(f"{where}: {error}") from error.__cause__
 
 
 def check_name(what: str, name: str) -> None:

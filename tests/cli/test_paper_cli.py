@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from pathlib import Path
@@ -15,13 +16,14 @@ pytest.importorskip("mujoco")
 
 from surefoot.cli.evaluate import EvaluateCommand
 from surefoot.cli.helpers import paper_runs
-from surefoot.cli.helpers.paper_runs import PaperRuns, Stage, command, evaluate
+from surefoot.cli.helpers.paper_runs import PaperRuns, Stage, command, evaluations
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.search import SearchCommand
 from surefoot.cli.sensitivity import SensitivityCommand
 from surefoot.cli.study import StudyCommand
 from surefoot.cli.tune import TuneCommand
 from surefoot.errors import SurefootError
+from surefoot.studies.paper import evaluations_on_page
 
 
 def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
@@ -29,7 +31,7 @@ def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
     wrote, *missing = done.stdout.splitlines()
     assert (done.returncode, wrote) == (0, f"wrote {tmp_path / 'page.html'}")
     for line in missing:
-        assert not (repository / line.removeprefix("not there: ")).parent.is_dir(), line
+        assert line.startswith("not there: results/evaluations "), line
     assert (tmp_path / "page.html").read_text(encoding="utf-8").endswith("</html>\n")
 
 
@@ -73,24 +75,25 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
             raise KeyboardInterrupt
         (runs.folder / "stopped").touch()
 
-    stages = (Stage("once", once), evaluate("results/policies/trot.json", "trot"), Stage("stopped", stopped))
+    stages = (Stage("once", once), Stage("results/evaluations.csv", evaluations), Stage("stopped", stopped))
     monkeypatch.setattr(paper_runs, "STAGES", stages)
+    monkeypatch.setattr(paper_runs, "evaluations_on_page", lambda: ["trot"])
     words = ("paper", "--root", repository, "--quick", "--out", shipped)
     done = surefoot(*words)
     assert done.returncode == 130
     assert f"surefoot paper --root {repository} --quick" in done.stderr
-    summary = json.loads((shipped / "results/policies/trot.json").read_text())
-    assert (summary["policy"], summary["episodes"]) == ("trot", 20)
+    (row,) = csv.DictReader((shipped / "results/evaluations.csv").open())
+    assert (row["name"], row["episodes"]) == ("trot", "5")
     assert not (shipped / "paper.html").exists()
 
     done = surefoot(*words)
     assert done.returncode == 0, done.stderr
     assert runs_made == ["once", "stopped", "stopped"]
-    assert "results/policies/trot.json: is there" in done.stderr
+    assert "results/evaluations.csv: is there" in done.stderr
     page = (shipped / "paper.html").read_text()
     assert paper_runs.QUICK_NOTE.split(":")[0] in page
-    assert f"{summary['speed_mean']:.2f} ± {summary['speed_std']:.2f} m/s".replace("0.", ".") in page
-    assert "not there: results/policies/gallop" in done.stdout
+    assert f"{float(row['speed_mean']):.2f} ± {float(row['speed_std']):.2f} m/s".replace("0.", ".") in page
+    assert "not there: results/evaluations gallop" in done.stdout
 
 
 def test_a_training_keeps_its_policy_and_pictures(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -115,14 +118,15 @@ def test_a_command_that_fails_ends_the_runs_in_one_line(
 def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repository: Path):
     from surefoot.studies.paper import load_content
 
-    folders = {Path(stage.makes).parts[:2] for stage in paper_runs.STAGES}
+    folders = {Path(stage.makes).with_suffix("").parts[:2] for stage in paper_runs.STAGES}
     sections = load_content().sections
     lines = [line for part in sections for item in part.items for line in item.lines()]
     texts = [one.surefoot for one in (*sections, *lines)]
     files = {f"results/{match[1]}" for text in texts for match in re.finditer(r"\{([^ :{}]+)", text)}
     pictures = {one.file for part in sections for one in part.pictures}
     files |= {file for file in pictures if file.startswith("results/")}
-    assert {file for file in pictures if file.startswith("docs/")} <= {stage.makes for stage in paper_runs.STAGES}
+    made = {stage.makes for stage in paper_runs.STAGES} | {"docs/motor.png"}
+    assert {file for file in pictures if file.startswith("docs/")} <= made
     assert {("results", "search"), ("results", "from-scratch")} <= {Path(file).parts[:2] for file in files}
     for file in files:
         assert Path(file).parts[:2] in folders, file
@@ -151,7 +155,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
             # Ranges and bounds that --randomize and --push-force take are words like others here.
             parse(PARSERS[name], rest, name)
         if name == "evaluate":
-            print(f"what {rest[0]} did")
+            print(json.dumps({"policy": str(rest[0]), "stance": {}}))
         if name == "sensitivity":
             folder = Path(rest[rest.index("--out") + 1])
             folder.mkdir(parents=True, exist_ok=True)
@@ -176,9 +180,11 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     assert ("train", "trot", "--out", "runs", "--steps", "300000") in commands
     assert (tmp_path / "policies/trot.onnx").exists()
     assert (tmp_path / "policies/trot/footfalls.png").exists()
-    assert (tmp_path / "results/policies/trot.json").read_text() == "what policies/trot.onnx did\n"
+    assert "trot,policies/trot.onnx" in (tmp_path / "results/evaluations.csv").read_text()
     assert (tmp_path / "results/handcrafted/trot-60.yaml").exists()
-    assert len({words for words in commands if "--push-force" in words and words[0] == "evaluate"}) == 12
+    evaluated = {words for words in commands if words[0] == "evaluate"}
+    assert len(evaluated) == len(evaluations_on_page())
+    assert any("--push-force" in words for words in evaluated)
     assert (tmp_path / "docs/pushes.png").exists()
     assert run.call_args.args[0][1:3] == [str(repository / "benchmarks/handcrafted.py"), "results/handcrafted"]
     assert run.call_args.args[0][-4:] == ["--episodes", "5", "--conditions", "mujoco"]
@@ -196,7 +202,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     assert ["train", "--resume", str(tmp_path / "runs/trot/first")] in calls
     assert " ".join(calls[-1]) == "search gallop --out results/search --workers 0 --ray head:6379 --resume"
     assert not {"--steps", "--episodes", "--only", "--generations"} & {
-        word for words in calls for word in words if "--push-force" not in words
+        word for words in calls for word in words if words[0] != "evaluate" and "--push-force" not in words
     }
     run.return_value.returncode = 1
     with pytest.raises(SurefootError, match=r"handcrafted\.py: ended with exit code 1"):

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Literal
 
 from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, prefix_errors
+from surefoot.errors import prefix_errors
 from surefoot.files import atomic_write
 from surefoot.report.pages.html import page, picture, row
-from surefoot.studies.result_numbers import BRACES, cell, find_file, substitute
+from surefoot.studies.result_numbers import BRACES, NotMeasured, cell, substitute
 
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"
-VERDICTS = {"untried": "not tried", "no": "no", "partly": "in part", "yes": "yes"}
+VERDICTS = {"untried": "Not tried.", "no": "Not reproduced.", "partly": "In part.", "yes": "Reproduced."}
 _MAX_NUMBER = 30
 """Characters of a cell beside numbers; a longer one is folded as text."""
 
@@ -127,8 +127,8 @@ def claims(root: Path, verdicts: Sequence[str], missing: list[str]) -> list[tupl
 def claims_markdown(root: Path, verdicts: Sequence[str]) -> str:
     """Return the claims with one of these verdicts as a Markdown table for a page in `docs`."""
     rows = claims(root, verdicts, [])
-    lines = [f"| {claim} | {verdict} | {text} [More]({page}) |" for claim, verdict, text, page in rows]
-    return "\n".join(["| the paper | reproduced | surefoot |", "|---|---|---|", *lines]) + "\n"
+    lines = [f"| {claim} | **{verdict}** {text} [More]({page}) |" for claim, verdict, text, page in rows]
+    return "\n".join(["| the paper | surefoot |", "|---|---|", *lines]) + "\n"
 
 
 def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None) -> list[str]:
@@ -149,9 +149,11 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
     if note:
         parts.append(f"<p><b>{escape(note)}</b></p>")
     for title, *verdicts in (("Not reproduced, or in part", "untried", "no", "partly"), ("Reproduced", "yes")):
-        rows: list[tuple[str, ...]] = [("the paper", "reproduced", "surefoot")]
-        rows += [(*one, f"{text} ({where})") for *one, text, where in claims(clone or root, verdicts, missing)]
-        parts += [f"<h2>{title}</h2>", _table(rows, ["ttt"] * len(rows))]
+        rows = [
+            (escape(claim), f"<b>{verdict}</b> {escape(text)} <span class=quiet>{_shown(where)}</span>")
+            for claim, verdict, text, where in claims(clone or root, verdicts, missing)
+        ]
+        parts += [f"<h2>{title}</h2>", _table([("the paper", "surefoot"), *rows], ["hh"] * (len(rows) + 1))]
     parts.append(_contents([section.title for section in content.sections]))
     parts += [
         "<h2>Main differences</h2>",
@@ -166,7 +168,10 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
             parts.append(f"<p><b>surefoot:</b> {escape(_fill(root, section.surefoot, missing))}</p>")
         if section.items:
             lines: list[tuple[str, ...]] = [("", "paper", "surefoot", "difference", "how measured")]
-            lines += [_line(root, one, missing) for item in section.items for one in item.lines()]
+            for item in section.items:
+                lines += [_line(root, one, missing) for one in item.lines()]
+            for k in range(len(lines) - 1, 1, -1):
+                lines[k] = (*lines[k][:-1], "likewise") if lines[k][-1] == lines[k - 1][-1] != "" else lines[k]
             columns = [k for k in range(len(lines[0])) if any(line[k] for line in lines[1:])]
             kinds = [
                 "".join("n" if k in (1, 2) and len(line[k]) < _MAX_NUMBER else "t" for k in columns) for line in lines
@@ -185,6 +190,12 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
     return list(dict.fromkeys(missing))
 
 
+def _shown(where: str) -> str:
+    """Return the path of a page from the root of the repository."""
+    name = where.partition("#")[0] or "results.md"
+    return name.removeprefix("../").removesuffix("/README.md") if name.startswith("../") else f"docs/{name}"
+
+
 def _table(rows: Sequence[Sequence[str]], kinds: Sequence[str]) -> str:
     """Return a table that scrolls where it is too wide; the first row is its head."""
     lines = (row(*both, "td" if i else "th") for i, both in enumerate(zip(rows, kinds, strict=True)))
@@ -198,16 +209,14 @@ def _contents(titles: Sequence[str]) -> str:
 
 
 def _fill(root: Path, text: str, missing: list[str]) -> str:
-    """Return a text with numbers of results; a file that is not there is added to `missing`."""
+    """Return a text with numbers of results; what is not there is added to `missing`."""
 
     def number(match: re.Match[str]) -> str:
-        name = match[1].partition(" ")[0].rstrip(":")
         try:
-            find_file(root, name)
-        except SurefootError:
-            missing.append(f"results/{name}")
+            return cell(root, match[1])
+        except NotMeasured:
+            missing.append(f"results/{match[1].rpartition(': ')[0]}")
             return NOT_MEASURED
-        return cell(root, match[1])
 
     return BRACES.sub(number, text)
 

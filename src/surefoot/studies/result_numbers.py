@@ -36,6 +36,10 @@ _COMBINED: dict[str, Callable[[Iterable[float]], float]] = {
 _SPREAD = re.compile(r"(.+?)(?: (?:\[(\S+), (\S+)\]|± (\S+)))?")
 
 
+class NotMeasured(SurefootError):
+    """There is no such file of results, no such row, or nothing in it."""
+
+
 def fill(root: Path, text: str) -> str:
     """Return a text with what its braces name, such as `{evaluations trot: speed_mean .2} m/s`.
 
@@ -64,9 +68,10 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
     if not colon:
         raise SurefootError(f"'{source}' is no source; it is FILE ROW: COLUMN")
     name, _, selectors = place.partition(" ")
-    path = find_file(root, name)
+    counts = re.match(r"count\b", column)
+    path = find_file(root, name, ("csv", "json") if selectors or counts else ("json", "csv"))
     with prefix_errors(path.relative_to(root)):
-        if re.match(r"count\b", column):
+        if counts:
             return [count(read_rows(path, where(path, selectors)), column[6:])]
         column, _, factor = column.partition(" x")
         word, _, rest = column.partition(" ")
@@ -87,7 +92,7 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
         assert match is not None
         parts = [texts(key) for key in match[1].split(" of ")]
         if any("" in part for part in parts):
-            raise SurefootError(f"has no {match[1]} in {selectors or 'its keys'}")
+            raise NotMeasured(f"has no {match[1]} in {selectors or 'its keys'}")
         means = [" of ".join(one) for one in zip(*parts, strict=True)]
         if not (ends := [texts(key) for key in match.groups()[1:] if key]):
             return means
@@ -121,12 +126,12 @@ def printed(value: Any, form: str, factor: float) -> str:
     return text if match[2] else re.sub(r"^([+-]?)0\.", r"\1.", text)
 
 
-def find_file(root: Path, name: str) -> Path:
-    """Return the file of results of a name."""
-    for path in (root / folder / f"{name}.{kind}" for folder in ("results", ".") for kind in ("csv", "json")):
+def find_file(root: Path, name: str, kinds: Iterable[str] = ("csv", "json")) -> Path:
+    """Return the file of results of a name, of the first of these kinds that is there."""
+    for path in (root / folder / f"{name}.{kind}" for folder in ("results", ".") for kind in kinds):
         if path.is_file():
             return path
-    raise SurefootError(f"results has no file {name}.csv or {name}.json")
+    raise NotMeasured(f"results has no file {name}.csv or {name}.json")
 
 
 def where(path: Path, selector: str) -> dict[str, str]:
@@ -151,7 +156,8 @@ def find_row(path: Path, columns: dict[str, str]) -> Any:
         rows = read_rows(path, columns)
         if len(rows) != 1:
             described = ", ".join(f"{key} {value}" for key, value in columns.items()) or "any kind"
-            raise SurefootError(f"has {len(rows)} rows of {described}; there must be one")
+            error = SurefootError if rows else NotMeasured
+            raise error(f"has {len(rows)} rows of {described}; there must be one")
         return rows[0]
     try:
         return json.loads(_read(path))

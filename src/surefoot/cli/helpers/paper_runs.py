@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
+import re
 import shlex
 import shutil
 import subprocess
@@ -16,8 +18,11 @@ from rich.console import Console
 
 from surefoot.cli.helpers.options import Ray, Workers
 from surefoot.cli.helpers.output import make_console
+from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import atomic_write
+from surefoot.studies.paper import evaluations_on_page
+from surefoot.tables import write_csv
 
 QUICK_NOTE = (
     "A small version of everything, made in one go: short trainings of one seed, few trials. It shows that all "
@@ -102,16 +107,21 @@ def train(task: str, steps: int) -> Stage:
     return Stage(f"policies/{task}.onnx", make)
 
 
-def evaluate(makes: str, task: str, *words: object, quick: tuple[object, ...] = ()) -> Stage:
-    """Evaluate a policy; write the output of `--json` to the file `makes`."""
-
-    def make(runs: PaperRuns) -> None:
-        output = io.StringIO()
-        with contextlib.redirect_stdout(output):
-            command(runs, "evaluate", f"policies/{task}.onnx", *words, *runs.quick_options(*quick), "--json")
-        atomic_write(runs.make_folder(str(Path(makes).parent)) / Path(makes).name, output.getvalue())
-
-    return Stage(makes, make)
+def evaluations(runs: PaperRuns) -> None:
+    """Evaluate policies for the rows that the page has, with the options that the clone names for them."""
+    names, rows = read_yaml(runs.root / "results" / "evaluations.yaml"), []
+    for name in evaluations_on_page():
+        policy, _, kind = name.partition("/")
+        about = names["policies"].get(policy)
+        path = runs.root / about["file"] if about else f"policies/{policy}.onnx"
+        options = names["sets"][kind or "nominal"]["options"]
+        if runs.quick:
+            options = re.sub(r"--episodes \d+", "--episodes 5", options)
+        with contextlib.redirect_stdout(io.StringIO()) as output:
+            command(runs, "evaluate", path, *shlex.split(options), "--json")
+        summary = json.loads(output.getvalue())
+        rows.append({"name": name, **{key: one for key, one in summary.items() if not isinstance(one, dict)}})
+    write_csv(runs.folder / "results" / "evaluations.csv", rows)
 
 
 def motor_figure(runs: PaperRuns) -> None:
@@ -120,8 +130,10 @@ def motor_figure(runs: PaperRuns) -> None:
     runs.make_folder("results")
     runs.make_folder("docs")
     friction = ("--world", "bullet", "--set", "motor_friction=0.02")
-    command(runs, "identify", "motor-figure", *friction, "--out", "docs/motor.png", log)
-    command(runs, "identify", "motor-figure", "--log", log, "--out", "docs/motor.png")
+    command(runs, "identify", "motor-figure", *friction, "--out", log)
+    with contextlib.redirect_stdout(io.StringIO()) as output:
+        command(runs, "identify", "motor-figure", "--log", log, "--out", "docs/motor.png", "--json")
+    atomic_write(runs.folder / "results" / "motor.json", output.getvalue())
 
 
 def pushes_figure(runs: PaperRuns) -> None:
@@ -179,20 +191,9 @@ def search(runs: PaperRuns) -> None:
 
 
 STAGES = (
-    Stage("docs/motor.png", motor_figure),
+    Stage("results/motor.json", motor_figure),
     *(train(task, steps) for task, steps in zip(POLICIES, (800_000, 300_000, 400_000, 800_000), strict=True)),
-    *(evaluate(f"results/policies/{task}.json", task) for task in POLICIES),
-    *(evaluate(f"results/policies/{task}-ensemble.json", task, "--world", "ensemble") for task in POLICIES),
-    *(
-        evaluate(
-            f"results/pushes/{task}-{world}-{low}-{high}.json",
-            *(task, "--world", world, "--episodes", 100, "--push-force", low, high),
-            quick=("--episodes", 10),
-        )
-        for task in ("trot-robust", "gallop-robust")
-        for world in ("mujoco", "bullet")
-        for low, high in ((20, 40), (60, 60), (130, 220))
-    ),
+    Stage("results/evaluations.csv", evaluations),
     Stage("docs/pushes.png", pushes_figure),
     study(
         "reality-gap", 60_000, "baseline", "baseline_pushes", "improved_pushes", "small_randomized", "large_randomized"

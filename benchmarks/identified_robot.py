@@ -1,0 +1,75 @@
+"""Identify a robot with hidden parameters, and compare simulations of it with a policy's runs on it.
+
+    python benchmarks/identified_robot.py
+
+The robot is emulated in Bullet (`surefoot emulate --hidden-seed`) and identified by the four experiments, which write
+--params; a file that is there is taken as it is. The policy is deployed on that robot, and runs in simulations of the
+data sheet's robot and of the identified one, in both engines. --out has a row for each simulation: returns [m], and
+the gap, the return in simulation less the mean on the robot.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import tempfile
+from pathlib import Path
+
+from emulated import SUREFOOT, deploy, emulated_robot
+
+from surefoot.evaluation.runs import measure_runs
+from surefoot.tables import write_csv
+
+EXPERIMENTS = {"motor": True, "latency": True, "mass": False, "contact": False}
+"""Whether the robot is on its rack, in the order in which they are made."""
+
+
+def surefoot(*words: object) -> str:
+    """Run a command; return its output."""
+    done = subprocess.run([*SUREFOOT, *map(str, words)], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    return done.stdout
+
+
+def identify(robot: tuple[object, ...], path: Path) -> None:
+    """Write what the experiments find of an emulated robot."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for name, rack in EXPERIMENTS.items():
+        with tempfile.TemporaryDirectory() as folder, emulated_robot(*robot, *(["--rack"] if rack else [])) as port:
+            words = ("--port", port, "--lockstep", "--yes", "--params", path, "--out", f"{folder}/{name}")
+            surefoot("identify", name, *words)
+
+
+def main() -> None:
+    """Write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--policy", default="trot-robust")
+    parser.add_argument("--hidden-seed", type=int, default=48)
+    parser.add_argument("--runs", type=int, default=3, help="on the robot")
+    parser.add_argument("--params", type=Path, default=Path("results/identification/hidden-48.toml"))
+    parser.add_argument("--out", type=Path, default=Path("results/identification/end_to_end.csv"))
+    options = parser.parse_args()
+    robot = ("--world", "bullet", "--hidden-seed", options.hidden_seed, "--seed", options.hidden_seed)
+    if not options.params.exists():
+        identify(robot, options.params)
+    traces = deploy(options.policy, "--episodes", options.runs, robot=robot)
+    runs = measure_runs(traces)
+    on_robot = {
+        **{"runs": len(runs), "falls": int(runs.fell.sum()), "on_robot": runs["return"].mean()},
+        "shortest": min(trace.duration for trace in traces),
+    }
+    table = []
+    for world in ("mujoco", "bullet"):
+        for kind, params in (("sheet", ()), ("identified", ("--params", options.params))):
+            words = ("--world", world, "--episodes", 20, "--threads", 1, "--json", *params)
+            simulated = json.loads(surefoot("evaluate", options.policy, *words))["return_mean"]
+            row = {"simulation": f"{world}/{kind}", "return": simulated, "gap": simulated - on_robot["on_robot"]}
+            table.append(row | on_robot)
+            print(table[-1], flush=True)
+    write_csv(options.out, table)
+
+
+if __name__ == "__main__":
+    main()
