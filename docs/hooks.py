@@ -102,12 +102,13 @@ def fields_of(kind: type) -> list[str]:
         for pattern, words in TYPES.items():
             about = [re.sub(pattern, words, about[0])]
         if (within := bounds[item.name]).greatest < 1e12:
-            about.append(f"{'over ' if within.above else ''}{within.least:,.6g} to {within.greatest:,.6g}")
+            least, greatest = (f"{round(bound, 5):,.9g}" for bound in (within.least, within.greatest))
+            about.append(f"{'over ' if within.above else ''}{least} to {greatest}")
         if dataclasses.is_dataclass(hint):
             about = ["table"]
         elif item.default is not dataclasses.MISSING:
-            default = list(item.default) if isinstance(item.default, tuple) else item.default
-            about.append(f"default {'none' if default is None else default}")
+            default = item.default if isinstance(item.default, tuple) else (item.default,)
+            about.append(f"default {', '.join('none' if one is None else str(one) for one in default) or 'none'}")
         lines.append(f"- `{item.name}` ({'; '.join(about)}): {texts.get(item.name, '')}")
     return lines
 

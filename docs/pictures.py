@@ -64,7 +64,6 @@ def motion(name: str, label: str, size: tuple[int, int], force: float | None = N
     mesh, stack = Mesh(one.robot.appearance(), list(placed)), np.stack(list(placed.values()), axis=1)
     base = placed[one.robot.base][:, :3, 3]
     camera = Camera.for_robot(1.25 * extent(one.robot))
-    label = label.format(speed=base[-1, 0] / one.trace.time[-1])
     for now in np.arange(*BETWEEN, 1 / FPS):
         step = int(np.searchsorted(one.trace.time, now))
         around = np.abs(one.trace.time - now) < 0.4
@@ -134,8 +133,8 @@ def portrait(robot: RobotDescription, size: tuple[int, int]) -> Image.Image:
 
 def moving(path: Path, size: tuple[int, int]) -> None:
     """Write an animation: a gallop beside a trot that is pushed."""
-    gallop = motion("gallop", "gallop, {speed:.1f} m/s", size)
-    trot = motion("trot-robust", f"trot-robust, pushed with {PUSH:.0f} N", size, PUSH)
+    gallop = motion("gallop", "gallop", size)
+    trot = motion("trot-robust", f"robust trot, pushed with {PUSH:.0f} N", size, PUSH)
     first, *others = (sheet(list(pair), 2) for pair in zip(gallop, trot, strict=True))
     first.save(path, save_all=True, append_images=others, duration=1000 // FPS, loop=0, quality=55, method=6)
 

@@ -53,3 +53,14 @@ def test_no_page_and_no_message_installs_from_an_index():
     files = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*.ipynb")]
     wrong = [path.name for path in files if re.search(r"pip install '?\"?surefoot", path.read_text(encoding="utf-8"))]
     assert wrong == []
+
+
+def test_messages_in_troubleshooting_are_those_of_the_code():
+    symptoms = re.findall(r"^- \*\*(.*)\*\*", (ROOT / "docs" / "troubleshooting.md").read_text("utf-8"), re.MULTILINE)
+    messages = [message for line in symptoms for message in re.findall(r"`([^`]+)`", line) if " " in message]
+    files = [*ROOT.glob("src/**/*.py"), ROOT / "Makefile"]
+    source = re.sub(r'"\s*\n\s*f?"', "", "\n".join(path.read_text(encoding="utf-8") for path in files))
+    values = re.compile(r"\.\.\.|\b[NX]\b|MODULE|policy\.onnx")
+    parts = {part.strip(" ':") for message in messages for part in values.split(message)}
+    assert len(messages) > 10
+    assert [part for part in parts if part not in source] == []
