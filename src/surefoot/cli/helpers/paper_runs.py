@@ -126,7 +126,7 @@ def evaluations(runs: PaperRuns) -> None:
 
 def motor_figure(runs: PaperRuns) -> None:
     """Fit both models of the motor to a motor with friction in Bullet."""
-    log = "results/motor.csv"
+    log = "results/motor_log.csv"
     runs.make_folder("results")
     runs.make_folder("docs")
     friction = ("--world", "bullet", "--set", "motor_friction=0.02")
