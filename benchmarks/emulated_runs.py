@@ -65,7 +65,7 @@ def run(name: str, case: Case) -> list[dict[str, Any]]:
                     {
                         **{"case": name, "hidden_seed": seed, "run": row["run"], "seconds": trace.duration},
                         **{key: row[key] for key in ("distance", "speed", "power")},
-                        **{"fell": row["fell"], "ended": trace.meta["ended"], "why": trace.meta["what"]},
+                        **{"fell": int(row["fell"]), "ended": trace.meta["ended"], "why": trace.meta["what"]},
                     }
                 )
     return rows

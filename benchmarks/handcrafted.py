@@ -2,9 +2,10 @@
 
     python benchmarks/handcrafted.py results/handcrafted
 
-Handcrafted gaits are the YAML files of the folder, from `surefoot tune`; learned ones the policies that ship, and its
-ONNX files. Each runs in MuJoCo, in MuJoCo with table I drawn for every episode, and in Bullet. Runs are kept in
-runs.csv; a second call makes only those that are missing, or whose gait has changed.
+Handcrafted gaits are the YAML files of the folder, from `surefoot tune`, with the curves of their tuning (.csv).
+Learned ones are its ONNX files, NAME-seed_N.onnx for each of several trainings of a gait, and policies that ship. Each
+runs in MuJoCo, in MuJoCo with table I drawn for every episode, and in Bullet. Runs are kept in runs.csv; a second call
+makes only those that are missing, or whose gait has changed.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,34 +27,39 @@ from surefoot.cli.helpers.simulator import RunOptions
 from surefoot.evaluation.footfalls import analyze_footfalls
 from surefoot.evaluation.rollout import Policy, run_episodes
 from surefoot.evaluation.runs import measure_runs
-from surefoot.evaluation.statistics import t_interval
+from surefoot.evaluation.statistics import Interval, t_interval
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import COLORS, MARKERS, new_figure
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies.handcrafted import HandcraftedGait
+from surefoot.studies.tune import has_converged, read_curve
 from surefoot.tables import markdown, print_table, write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.world.registry import find_world
 
-SHIPPED = ("trot", "trot-robust", "gallop", "gallop-robust")
+SHIPPED = ("trot-robust", "gallop-robust")
 CONDITIONS = {"mujoco": ("mujoco", "none"), "table1": ("mujoco", "table1"), "bullet": ("bullet", "none")}
 """World and ranges of each condition."""
 _TITLES = {"mujoco": "MuJoCo", "table1": "MuJoCo, table I drawn", "bullet": "Bullet"}
-FAMILIES = ("foot trajectories", "foot trajectories, Raibert", "learned")
+FAMILIES = ("foot trajectories", "foot trajectories, Raibert", "learned", "learned on tuned trajectories")
 DURATION = 6.0
 """Of an episode [s]."""
+WINDOW = 40
+"""Generations at the end of a tuning that are compared with as many before."""
 
 _TOLD = """# Handcrafted gaits beside learned ones
 
-`python benchmarks/handcrafted.py`: {episodes} episodes of 6 s each, seed {seed}; a row an episode in `runs.csv`, means
-with intervals of 95 % over episodes in `table.csv`. The last two columns compare a learned gait with the cheapest
-handcrafted ones without a fall in the same condition, on the straight line between a slower and a faster one."""
+`python benchmarks/handcrafted.py`: {episodes} episodes of 6 s for each training of a gait, seed {seed}. A row an
+episode is in `runs.csv`, all columns are in `table.csv`, tunings in `tuning.csv`. Brackets: intervals of 95 % over
+trainings where there are several, else over episodes. Tuned: the power of handcrafted gaits at the same speed in the
+same condition, on the straight line between the two that are named, a slower and a faster one, neither of which fell;
+of all such pairs the one with the least power."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """Run what is missing, print the table, draw the figure."""
+    """Run what is missing, print the table, draw the figures."""
 
     folder: Annotated[Path, tyro.conf.Positional] = Path("results/handcrafted")
     """Gaits, and results."""
@@ -74,11 +81,14 @@ class Command:
 
 @dataclass(frozen=True)
 class Entry:
-    """A gait of the table."""
+    """A handcrafted gait, or one training of a learned one."""
 
-    name: str
-    family: str
     path: Path
+
+    @property
+    def gait(self) -> str:
+        """Its name, that of all trainings of a gait."""
+        return re.sub(r"-seed_\d+$", "", self.path.stem)
 
     @property
     def digest(self) -> str:
@@ -89,12 +99,15 @@ class Entry:
         policy, _, task, _ = load_gait(self.path, None)
         return policy, task
 
+    def family(self, task: TaskConfig) -> str:
+        if self.path.suffix == ".yaml":
+            return FAMILIES[HandcraftedGait.load(self.path).raibert is not None]
+        return FAMILIES[3 if task.reference.kind == "foot" else 2]
+
 
 def entries(folder: Path, policies: tuple[str, ...]) -> Iterable[Entry]:
-    for path in sorted(folder.glob("*.yaml")):
-        yield Entry(path.stem, FAMILIES[HandcraftedGait.load(path).raibert is not None], path)
-    for path in [*map(find_policy, policies), *sorted(folder.glob("*.onnx"))]:
-        yield Entry(path.stem, FAMILIES[2], path)
+    paths = [*sorted(folder.glob("*.yaml")), *map(find_policy, policies), *sorted(folder.glob("*.onnx"))]
+    return map(Entry, paths)
 
 
 def run(entry: Entry, condition: str, command: Command) -> list[dict[str, Any]]:
@@ -103,61 +116,134 @@ def run(entry: Entry, condition: str, command: Command) -> list[dict[str, Any]]:
     policy, task = entry.load()
     robot = RobotDescription.load(task.robot)
     steps = round(DURATION / float(task.nominal(robot).control_step[0]))
+    key = {"file": entry.path.stem, "gait": entry.gait, "condition": condition, "family": entry.family(task)}
     task = RunOptions().apply(replace(task, max_steps=steps), robot, load_ranges(ranges))
     traces = run_episodes(policy, task, command.episodes, find_world(world), command.seed, command.threads)
     if command.draw and condition == "mujoco":
-        footfall_diagram(traces[0], command.folder / f"{entry.name}-footfalls.png")
-    key = {"gait": entry.name, "family": entry.family, "condition": condition, "digest": entry.digest}
-    rows = measure_runs(traces).drop(columns="world").to_dict("records")
+        footfall_diagram(traces[0], command.folder / f"{entry.path.stem}-footfalls.png")
+    runs = measure_runs(traces).drop(columns="world")
+    rows = runs.astype(dict.fromkeys(runs.select_dtypes(bool), int)).to_dict("records")
     feet = [analyze_footfalls(trace) for trace in traces]
     return [
-        {**key, **row, "pattern": foot.pattern, "duty_factor": np.mean(list(foot.duty_factor.values()))}
-        for row, foot in zip(rows, feet, strict=True)
+        {**key, "digest": entry.digest, **row, "pattern": foot.pattern} for row, foot in zip(rows, feet, strict=True)
     ]
 
 
+def estimate(rows: list[dict[str, Any]], column: str) -> Interval:
+    """Return the mean with an interval of 95 %: over trainings where there are several, else over episodes."""
+    files: dict[str, list[float]] = {}
+    for row in rows:
+        files.setdefault(row["file"], []).append(float(row[column]))
+    means = [float(np.mean(values)) for values in files.values()]
+    return t_interval(means if len(means) > 1 else next(iter(files.values())))
+
+
 def summary(rows: list[dict[str, Any]], weight: float) -> dict[str, Any]:
-    """Return the row of a gait in a condition: means with intervals of 95 % over episodes."""
-    speed, power = (t_interval([float(row[name]) for row in rows]) for name in ("speed", "power"))
+    """Return the row of a gait in a condition."""
+    speed, power = estimate(rows, "speed"), estimate(rows, "power")
     patterns = [row["pattern"] for row in rows]
+    gait, condition = rows[0]["gait"], rows[0]["condition"]
     return {
-        **{key: rows[0][key] for key in ("gait", "family", "condition")},
+        "name": gait if condition == "mujoco" else f"{gait}/{condition}",
+        **{"gait": gait, "condition": condition, "family": rows[0]["family"]},
+        "trainings": len({row["file"] for row in rows}) if rows[0]["family"] in FAMILIES[2:] else 0,
         "episodes": len(rows),
-        **{"speed": speed.mean, "speed_low": speed.low, "speed_high": speed.high},
-        **{"power": power.mean, "power_low": power.low, "power_high": power.high},
+        **speed.columns("speed"),
+        **power.columns("power"),
         "cost_of_transport": power.mean / (weight * speed.mean) if speed.mean > 0 else math.nan,
-        "falls": sum(float(row["fell"]) for row in rows),
+        "falls": round(sum(float(row["fell"]) for row in rows)),
         "pattern": max(set(patterns), key=patterns.count),
     }
 
 
-def at_equal_speed(one: dict[str, Any], others: list[dict[str, Any]]) -> float:
-    """Return the power [W] of the cheapest gaits of others at the speed of one, on straight lines between two of them.
+def at_equal_speed(speed: float, others: list[dict[str, Any]]) -> tuple[float, str]:
+    """Return the power [W] of handcrafted gaits at a speed, and their names.
 
-    Only gaits without a fall count; NaN where none is as slow, or as fast.
+    It is the least on straight lines between two of them, a slower and a faster one. Only gaits without a fall count;
+    NaN where none is as slow, or as fast.
     """
-    points = sorted((row["speed"], row["power"]) for row in others if row["falls"] == 0)
+    points = sorted((row["speed"], row["power"], row["gait"]) for row in others if row["falls"] == 0)
     selected = [
-        a[1] + (b[1] - a[1]) * (one["speed"] - a[0]) / (b[0] - a[0])
+        (a[1] + (b[1] - a[1]) * (speed - a[0]) / (b[0] - a[0]), f"{a[2]}, {b[2]}")
         for a in points
         for b in points
-        if a[0] <= one["speed"] <= b[0] and a[0] < b[0]
+        if a[0] <= speed <= b[0] and a[0] < b[0]
     ]
-    return min(selected, default=math.nan)
+    return min(selected, default=(math.nan, ""))
+
+
+def comparison(rows: list[dict[str, Any]], others: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return how much less power [%] a learned gait needs than handcrafted ones at the speed of each training.
+
+    NaN where one of the trainings is slower, or faster, than all of them. Intervals are those of `estimate`.
+    """
+    relative, names = [], []
+    for file in dict.fromkeys(row["file"] for row in rows):
+        own = [row for row in rows if row["file"] == file]
+        tuned, name = at_equal_speed(float(np.mean([float(row["speed"]) for row in own])), others)
+        relative += [
+            {"file": file, "tuned": tuned, "less_power": 100 * (1 - float(row["power"]) / tuned)} for row in own
+        ]
+        names += [name] if name else []
+    return {
+        "tuned_power": estimate(relative, "tuned").mean,
+        **estimate(relative, "less_power").columns("less_power"),
+        "baseline": "; ".join(dict.fromkeys(names)),
+    }
+
+
+def tuning(curve: list[dict[str, str]]) -> dict[str, Any]:
+    """Return the row of a gait's tuning: its own generations, and of those the ones with the commonest episodes."""
+    own = [row for row in curve if row["gait"] == curve[-1]["gait"]]
+    searches: dict[tuple[str, str], list[float]] = {}
+    for row in own:
+        searches.setdefault((row["starts"], row["duration"]), []).append(float(row["cost"]))
+    (starts, duration), costs = max(searches.items(), key=lambda item: len(item[1]))
+    last, before = min(costs[-WINDOW:]), min(costs[-2 * WINDOW : -WINDOW], default=math.nan)
+    return {
+        "gait": own[-1]["gait"],
+        "started_from": curve[0]["gait"] if len(own) < len(curve) else "",
+        "generations": len(own),
+        "control_steps": sum(float(row["control_steps"]) for row in own),
+        **{"starts": starts, "duration": duration, "searched": len(costs)},
+        **{"first_cost": costs[0], "cost_before": before, "last_cost": last, "last_gain": 100 * (1 - last / before)},
+        "converged": has_converged(costs, WINDOW),
+    }
+
+
+def tuning_figure(curves: dict[str, list[dict[str, str]]], path: Path) -> Path:
+    """Draw the least cost of each generation over what was simulated, a line for each tuning."""
+    with new_figure(path, (6.4, 3.6)) as (_, (ax,)):
+        for number, (name, curve) in enumerate(curves.items()):
+            steps = np.cumsum([float(row["control_steps"]) for row in curve]) / 1e6
+            costs = [float(row["cost"]) for row in curve]
+            ax.plot(steps, costs, color=COLORS[number % len(COLORS)], linewidth=0.9)
+            ax.annotate(name, (steps[-1], costs[-1]), (3, -2), textcoords="offset points", fontsize=7)
+        ax.set(
+            xlabel="Control steps (million)", ylabel="Least cost of the generation (W)", yscale="log", ylim=(None, 200)
+        )
+        ax.set_yticks([10, 20, 50, 100, 200], ["10", "20", "50", "100", "200"])
+        ax.minorticks_off()
+        ax.margins(x=0.12)
+    return path
 
 
 def figure(rows: list[dict[str, Any]], conditions: tuple[str, ...], path: Path) -> Path:
-    """Draw power over speed, a panel for each condition; gaits that fell are hollow."""
+    """Draw power over speed with intervals, a panel for each condition; gaits that fell are hollow."""
     with new_figure(path, (4.4 * len(conditions), 4.6), columns=len(conditions), sharey=True) as (_, axes):
         for ax, condition in zip(axes, conditions, strict=True):
-            for number, family in enumerate(FAMILIES):
-                for row in (row for row in rows if (row["family"], row["condition"]) == (family, condition)):
-                    face = COLORS[number] if row["falls"] == 0 else "white"
-                    marker = MARKERS[number]
-                    ax.plot(row["speed"], row["power"], marker, color=COLORS[number], markerfacecolor=face)
-                    ax.annotate(
-                        row["gait"], (row["speed"], row["power"]), (4, 3), textcoords="offset points", fontsize=6
-                    )
+            for row in (row for row in rows if row["condition"] == condition):
+                number = FAMILIES.index(row["family"])
+                ax.errorbar(
+                    *(row["speed"], row["power"]),
+                    xerr=[[row["speed"] - row["speed_low"]], [row["speed_high"] - row["speed"]]],
+                    yerr=[[row["power"] - row["power_low"]], [row["power_high"] - row["power"]]],
+                    fmt=MARKERS[number],
+                    color=COLORS[number],
+                    markerfacecolor=COLORS[number] if row["falls"] == 0 else "white",
+                    elinewidth=0.7,
+                )
+                ax.annotate(row["gait"], (row["speed"], row["power"]), (4, 3), textcoords="offset points", fontsize=6)
             ax.set_title(_TITLES[condition])
             ax.set_xlabel("Speed (m/s)")
             ax.set(xscale="log", yscale="log", xlim=(0.35, 4.0), ylim=(6.0, 90.0))
@@ -172,45 +258,63 @@ def figure(rows: list[dict[str, Any]], conditions: tuple[str, ...], path: Path) 
     return path
 
 
+def shown(row: dict[str, Any]) -> dict[str, str]:
+    """Return the cells of a row that people read."""
+
+    def text(name: str, digits: int) -> str:
+        columns = (name, f"{name}_low", f"{name}_high")
+        return "" if math.isnan(row[name]) else Interval(*(row[column] for column in columns)).text(digits)
+
+    return {
+        "gait": row["gait"] + (f", {row['trainings']} trainings" if row["trainings"] > 1 else ""),
+        "footfalls": row["pattern"],
+        "speed (m/s)": text("speed", 2),
+        "power (W)": text("power", 1),
+        "falls": f"{row['falls']} of {row['episodes']}",
+        "tuned (W)": "" if math.isnan(row["tuned_power"]) else f"{row['tuned_power']:.1f}, {row['baseline']}",
+        "less power (%)": text("less_power", 0),
+    }
+
+
 def main(command: Command) -> None:
     kept, path = [], command.folder / "runs.csv"
     if path.exists():
         with path.open(newline="") as file:
             kept = list(csv.DictReader(file))
     selected = list(entries(command.folder, command.policies))
-    current = {(entry.name, entry.digest) for entry in selected}
-    kept = [row for row in kept if (row["gait"], row["digest"]) in current]
+    current = {(entry.path.stem, entry.digest) for entry in selected}
+    kept = [row for row in kept if (row.get("file"), row["digest"]) in current]
     for condition in command.conditions:
         for entry in selected:
-            have = [row for row in kept if (row["gait"], row["condition"]) == (entry.name, condition)]
+            have = [row for row in kept if (row["file"], row["condition"]) == (entry.path.stem, condition)]
             if command.missing and len(have) < command.episodes:
                 kept = [row for row in kept if row not in have] + run(entry, condition, command)
                 write_csv(path, kept)
-                print(f"ran {entry.name}: {condition}", flush=True)
+                print(f"ran {entry.path.stem}: {condition}", flush=True)
     weight = RobotDescription.load("minitaur").urdf.total_mass * GRAVITY
-    rows = []
+    rows: list[dict[str, Any]] = []
+    text = _TOLD.format(**vars(command))
     for condition in command.conditions:
-        for entry in selected:
-            own = [row for row in kept if (row["gait"], row["condition"]) == (entry.name, condition)]
-            rows += [summary(own, weight)] if own else []
+        runs = {
+            entry.gait: [row for row in kept if (row["gait"], row["condition"]) == (entry.gait, condition)]
+            for entry in selected
+        }
+        own = {gait: summary(episodes, weight) for gait, episodes in runs.items() if episodes}
+        others = [row for row in own.values() if row["family"] in FAMILIES[:2]]
+        for gait, row in own.items():
+            learned = row["family"] in FAMILIES[2:]
+            row |= comparison(runs[gait], others if learned else [])
+        rows += own.values()
+        table = [shown(row) for row in own.values()]
+        print(_TITLES[condition])
+        print_table(table, text_columns=2)
+        text += f"\n\n## {_TITLES[condition]}\n\n{markdown(table)}"
     write_csv(command.folder / "table.csv", rows)
-    shown = []
-    for row in rows:
-        like = [one for one in rows if one["condition"] == row["condition"] and one["family"] != FAMILIES[2]]
-        other = at_equal_speed(row, like) if row["family"] == FAMILIES[2] else math.nan
-        shown.append(
-            {
-                **{key: row[key] for key in ("gait", "family", "condition", "pattern")},
-                "speed (m/s)": f"{row['speed']:.2f}",
-                "power (W)": f"{row['power']:.1f}",
-                "cost of transport": f"{row['cost_of_transport']:.2f}",
-                "falls": f"{row['falls']:.0f} of {row['episodes']}",
-                "handcrafted at this speed (W)": "" if math.isnan(other) else f"{other:.1f}",
-                "less power (%)": "" if math.isnan(other) else f"{100 * (1 - row['power'] / other):.0f}",
-            }
-        )
-    print_table(shown, text_columns=4)
-    text = f"{_TOLD.format(**vars(command))}\n\n{markdown(shown)}\n\n![Power over speed](power.png)\n"
+    curves = {entry.gait: curve for entry in selected if (curve := read_curve(entry.path))}
+    if curves:
+        write_csv(command.folder / "tuning.csv", [tuning(curve) for curve in curves.values()])
+        tuning_figure(curves, command.folder / "tuning.png")
+    text += "\n\n![Power over speed](power.png)\n"
     (command.folder / "README.md").write_text(text, encoding="utf-8")
     print(f"wrote {figure(rows, command.conditions, command.folder / 'power.png')}")
 

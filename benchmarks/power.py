@@ -67,7 +67,7 @@ class Command:
 
     gaits: Annotated[tuple[str, ...], tyro.conf.Positional] = (
         *("trot", "trot-robust", "gallop", "gallop-robust"),
-        *(f"results/handcrafted/{name}" for name in ("gallop-120.yaml", "gallop-hybrid.onnx")),
+        *(f"results/handcrafted/{name}" for name in ("gallop-120.yaml", "gallop-hybrid-seed_0.onnx")),
         *PUBLISHED,
     )
     """Names of policies that ship, policy files, handcrafted gaits (.yaml), published-trot and published-gallop. The

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -27,6 +28,8 @@ def test_tune_writes_and_measures_a_gait_and_resumes_from_it(tmp_path: Path):
     again = surefoot(*words, cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert yaml.safe_load((tmp_path / "again.yaml").read_text())["handcrafted"]["raibert"]["lag"] == 0.045
+    curve = list(csv.DictReader((tmp_path / "again-tuning.csv").read_text().splitlines()))
+    assert [(row["gait"], row["control_steps"]) for row in curve] == [("trot-40", "332"), ("again", "332")]
 
 
 @pytest.mark.parametrize(

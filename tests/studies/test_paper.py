@@ -52,6 +52,7 @@ def test_a_text_is_filled_with_numbers_of_results(results: Path, text: str, fill
         ("groups b: mode .2", "has no mode in b"),
         ("groups c: mean [low, high] .2", "has no mean in c"),
         ("groups b: mean [least, most] .2", "has no least in b"),
+        ("groups b; c: mean mean .2", "has no mean in a row of b; c"),
         ("groups group=b: count pattern", "has no column pattern in such rows"),
         ("run: calm.power .2", "results/run.json: has no calm.power in its keys"),
         ("run: gait .2", "is no number: trot"),

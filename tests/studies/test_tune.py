@@ -12,7 +12,7 @@ pytest.importorskip("cma")
 
 from surefoot.studies.handcrafted import OpenLoop
 from surefoot.studies.raibert import RaibertController
-from surefoot.studies.tune import GAINS, PATH, PHASES, TuneConfig, Tuner, foot_config
+from surefoot.studies.tune import GAINS, PATH, PHASES, TuneConfig, Tuner, foot_config, has_converged
 from surefoot.world.sim_world import SimWorld
 
 USUAL = {name: usual for name, (_, _, usual) in PATH.items()}
@@ -89,3 +89,9 @@ def test_a_start_out_of_reach_moves_towards_the_default_gait():
     tuner = Tuner(replace(SMALL, speed=2.0), SimWorld, {"front_height": 0.94, "back_height": 0.7})
     assert 0.72 < tuner.best["front_height"] < 0.94
     assert 0.7 < tuner.best["back_height"] < 0.72
+
+
+def test_a_search_has_converged_when_it_gained_less_than_two_percent():
+    assert has_converged([90.0, 50.0, 49.5, 60.0], 2)
+    assert not has_converged([90.0, 50.0, 48.9, 60.0], 2)
+    assert not has_converged([50.0, 50.0, 50.0], 2)

@@ -12,7 +12,8 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
 from surefoot.progress import ProgressBar
 from surefoot.studies.handcrafted import HandcraftedGait
-from surefoot.studies.tune import TuneConfig, Tuner
+from surefoot.studies.tune import TuneConfig, Tuner, curve_path, has_converged, read_curve
+from surefoot.tables import write_csv
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ class TuneCommand(TuneConfig):
     """Handcrafted gait (.yaml) to begin with, such as one of another speed, or one without Raibert's controller."""
     out: Path | None = None
     """File (.yaml) that the gait is written to, the best so far after every generation; GAIT-SPEED.yaml here, if not
-    given."""
+    given. GAIT-SPEED-tuning.csv beside it has the least cost of each generation, those of the gait to begin with
+    first."""
     episodes: Count = 20
     """Episodes of 6 s in which the gait is measured at the end."""
 
@@ -44,11 +46,17 @@ def main(argv: list[str]) -> int:
 
     tuner = Tuner(config, SimWorld, start)
     path = command.out or Path(f"{tuner.gait().task.name}.yaml")
+    earlier = [] if command.start_from is None else read_curve(command.start_from)
+    settings = {"gait": path.stem, "starts": config.starts, "duration": config.duration, "control_steps": tuner.steps}
     with ProgressBar(f"{config.generations} generations") as bar:
         for generation in range(config.generations):
             tuner.step()
             tuner.gait().save(path)
+            curve = [{**settings, "cost": cost} for cost in tuner.curve]
+            write_csv(curve_path(path), [*earlier, *curve])
             bar.advance((generation + 1) / config.generations)
+            if config.patience and has_converged(tuner.curve, config.patience):
+                break
     tuner.finish()
     gait = tuner.gait()
     gait.save(path)

@@ -84,7 +84,10 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
             values = [find_value(row, key) for row in rows]
             if None in values:
                 raise SurefootError(f"has no {key} in {selectors or 'its keys'}")
-            values = [combine(map(float, values))] if combine else values
+            if combine:
+                if "" in values:
+                    raise NotMeasured(f"has no {key} in a row of {selectors}")
+                values = [combine(map(float, values))]
             empty = "" if form else "-"
             return [empty if value == "" else printed(value, form, float(factor or 1)) for value in values]
 

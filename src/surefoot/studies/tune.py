@@ -8,9 +8,11 @@ sqrt(g / reach) / (2 pi), so that the ranges hold for robots of other sizes too.
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -77,6 +79,10 @@ _SPEED_PENALTY = 300.0
 _FALL_PENALTY = 1000.0
 """Cost [W] of a fall, and once more in proportion to the missing time."""
 _TRIES = 200
+_FINAL_EPISODES = 20
+"""Episodes of each candidate of the last selection, at least."""
+_LEAST_GAIN = 0.02
+"""Part of the cost that a search must gain within its patience."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,10 @@ class TuneConfig:
     robot: str = DEFAULT_ROBOT
     """Name of the robot, or the folder of its description."""
     generations: Annotated[int, Within(1, 10_000)] = 40
-    """Generations of the search."""
+    """Generations of the search, at most."""
+    patience: Annotated[int, Within(0, 10_000)] = 0
+    """Stop when the least cost of the last PATIENCE generations is less than 2 % below that of as many before; 0 never
+    stops early."""
     population: Annotated[int, Within(4, 1000)] = 16
     """Candidates of a generation."""
     starts: Annotated[int, Within(1, 100)] = 3
@@ -146,6 +155,28 @@ def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: fl
     )
 
 
+def curve_path(gait: Path) -> Path:
+    """Return the file of the curve of a gait's tuning."""
+    return gait.with_name(f"{gait.stem}-tuning.csv")
+
+
+def read_curve(gait: Path) -> list[dict[str, str]]:
+    """Return the rows of a gait's tuning, one a generation; none without a file."""
+    path = curve_path(gait)
+    return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines())) if path.exists() else []
+
+
+def has_converged(curve: Sequence[float], patience: int) -> bool:
+    """Return whether the least cost of the last generations is less than 2 % below that of as many before.
+
+    Args:
+        curve: least cost of each generation (G,) [W].
+        patience: how many are compared, above 0.
+    """
+    before = curve[-2 * patience : -patience]
+    return len(before) == patience and min(curve[-patience:]) > (1.0 - _LEAST_GAIN) * min(before)
+
+
 class Tuner:
     """A tuning; `step` runs a generation, `gait` is the best gait so far.
 
@@ -187,6 +218,8 @@ class Tuner:
             if not self._refusal(self.best):
                 break
         self.cost = math.inf
+        self.curve: list[float] = []
+        """Least cost of each generation [W]."""
         self._firsts: list[dict[str, float]] = []
         self._low, high, _ = np.array(list(self.ranges.values())).T
         self._width = high - self._low
@@ -200,6 +233,8 @@ class Tuner:
         task, count = self.gait().task, config.population * config.starts
         steps = round(config.duration / float(task.nominal(self.robot).control_step[0]))
         task = replace(task, max_steps=max(steps, 1))
+        self.steps = count * task.max_steps
+        """Control steps of a generation, if no robot falls."""
         self._env = LocomotionEnv(task, count, make_world, config.seed, autoreset=False, threads=config.threads)
 
     def gait(self) -> HandcraftedGait:
@@ -228,17 +263,19 @@ class Tuner:
         self._search.tell(points, costs.tolist())
         first = int(np.argmin(costs))
         self._firsts.append(candidates[first])
+        self.curve.append(float(costs[first]))
         if costs[first] < self.cost:
             self.cost, self.best = float(costs[first]), candidates[first]
 
     def finish(self) -> None:
-        """Select among the best candidates of the last generations, from other starts, by their worst episode.
+        """Select among the best candidates of the last generations by their mean cost in episodes from other starts.
 
-        This removes the selection bias of the least of many noisy costs.
+        This removes the selection bias of the least of many noisy costs, and shows rare falls.
         """
         finalists = [*self._firsts[-self.config.population :], self.best]
         finalists = (finalists * self.config.population)[-self.config.population :]
-        costs = self.costs(finalists).max(axis=1)
+        rounds = math.ceil(_FINAL_EPISODES / self.config.starts)
+        costs = np.mean([self.costs(finalists).mean(axis=1) for _ in range(rounds)], axis=0)
         self.cost, self.best = float(costs.min()), finalists[int(np.argmin(costs))]
 
     def costs(self, candidates: Sequence[Mapping[str, float]]) -> Array:
