@@ -30,8 +30,6 @@ PENDING = {
     "README.md",
     "docs/identification.md",
     "docs/paper.md",
-    "docs/reality-gap.md",
-    "docs/robustness.md",
     "docs/speed.md",
 }
 """Pages whose numbers have no sources yet; none, once all are converted."""
