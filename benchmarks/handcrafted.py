@@ -177,7 +177,7 @@ def comparison(rows: list[dict[str, Any]], others: list[dict[str, Any]]) -> dict
 
     NaN where one of the trainings is slower, or faster, than all of them. Intervals are those of `estimate`.
     """
-    relative, names = [], []
+    relative, names, each = [], [], []
     for file in dict.fromkeys(row["file"] for row in rows):
         own = [row for row in rows if row["file"] == file]
         tuned, name = at_equal_speed(float(np.mean([float(row["speed"]) for row in own])), others)
@@ -185,9 +185,11 @@ def comparison(rows: list[dict[str, Any]], others: list[dict[str, Any]]) -> dict
             {"file": file, "tuned": tuned, "less_power": 100 * (1 - float(row["power"]) / tuned)} for row in own
         ]
         names += [name] if name else []
+        each.append(f"{estimate(relative[-len(own) :], 'less_power').mean:.0f}")
     return {
         "tuned_power": estimate(relative, "tuned").mean,
         **estimate(relative, "less_power").columns("less_power"),
+        "less_power_of_each": ", ".join(each),
         "baseline": "; ".join(dict.fromkeys(names)),
     }
 
