@@ -29,9 +29,6 @@ RESULTS = [
 PENDING = {
     "README.md",
     "docs/identification.md",
-    "docs/paper.md",
-    "docs/reality-gap.md",
-    "docs/robustness.md",
 }
 """Pages whose numbers have no sources yet; none, once all are converted."""
 UNIT = (
