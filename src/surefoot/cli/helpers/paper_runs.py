@@ -181,7 +181,8 @@ def script(runs: PaperRuns, name: str, *words: object) -> None:
 
 def open_loop(runs: PaperRuns) -> None:
     """Run the reference trot without feedback in every world."""
-    script(runs, "examples/open_loop.py", "trot", "--out", "results/open_loop.csv", *runs.quick_options("--episodes", 2))
+    small = runs.quick_options("--episodes", 2)
+    script(runs, "examples/open_loop.py", "trot", "--out", "results/open_loop.csv", *small)
 
 
 def handcrafted(runs: PaperRuns) -> None:
