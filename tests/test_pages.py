@@ -28,7 +28,6 @@ RESULTS = [
 """Pages with results."""
 PENDING = {
     "README.md",
-    "docs/identification.md",
     "docs/paper.md",
     "docs/reality-gap.md",
     "docs/robustness.md",
