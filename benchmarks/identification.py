@@ -4,9 +4,9 @@
 
 Each draw is a process of its own (`surefoot emulate --hidden-seed`), on its rack and then on the ground; experiments
 and fits see what comes over the link and nothing else. The hidden values are read after all fits. Draws are kept in
---draws and made once; tables are of all that it has. --out has estimates.csv, a row a value, and accuracy.csv, a row a parameter: how many values lie
-within their 95 % intervals, errors, and how many values were not identifiable, which count as neither. Its last rows
-are sums over the parameters that are hidden, and the time that robot and fits took.
+--draws and made once; tables are of all that it has. --out has estimates.csv, a row a value, and accuracy.csv, a row a
+parameter: how many values lie within their 95 % intervals, errors, and how many values were not identifiable, which
+count as neither. Its last rows are sums over the parameters that are hidden, and the time that robot and fits took.
 """
 
 from __future__ import annotations
