@@ -67,7 +67,8 @@ class Command:
 
     gaits: Annotated[tuple[str, ...], tyro.conf.Positional] = (
         *("trot", "trot-robust", "gallop", "gallop-robust"),
-        *(f"results/handcrafted/{name}" for name in ("gallop-120.yaml", "gallop-hybrid-seed_0.onnx")),
+        "results/handcrafted/gallop-120.yaml",
+        *(f"results/handcrafted/{name}.onnx" for name in ("gallop-hybrid-seed_0", "gallop-120-learned")),
         *PUBLISHED,
     )
     """Names of policies that ship, policy files, handcrafted gaits (.yaml), published-trot and published-gallop. The

@@ -26,12 +26,7 @@ RESULTS = [
     ),
 ]
 """Pages with results."""
-PENDING = {
-    "README.md",
-    "docs/identification.md",
-    "docs/paper.md",
-    "docs/speed.md",
-}
+PENDING = {"README.md"}
 """Pages whose numbers have no sources yet; none, once all are converted."""
 UNIT = (
     r"(?:%|(?:km|kN|kg|kHz|ms|mm|cm|mJ|dB|degC|deg|rad|million|minutes?|seconds?|hours?|MB|kB|[NWmsJVAMhHg]|Hz)"
