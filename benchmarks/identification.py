@@ -4,9 +4,9 @@
 
 Each draw is a process of its own (`surefoot emulate --hidden-seed`), on its rack and then on the ground; experiments
 and fits see what comes over the link and nothing else. The hidden values are read after all fits. Draws are kept in
---draws and made once. --out has estimates.csv, a row a value, and accuracy.csv, a row a parameter: how many values lie
-within their 95 % intervals, errors, and how many values were not identifiable, which count as neither. Its last rows
-are sums over the parameters that are hidden, and the time that robot and fits took.
+--draws and made once; tables are of all that it has. --out has estimates.csv, a row a value, and accuracy.csv, a row a
+parameter: how many values lie within their 95 % intervals, errors, and how many values were not identifiable, which
+count as neither. Its last rows are sums over the parameters that are hidden, and the time that robot and fits took.
 """
 
 from __future__ import annotations
@@ -181,20 +181,18 @@ def main() -> None:
     robot = RobotDescription.load("minitaur")
     args.draws.parent.mkdir(parents=True, exist_ok=True)
     done = [json.loads(line) for line in args.draws.read_text().splitlines()] if args.draws.exists() else []
-    draws = []
     for seed in range(first, last + 1):
         for world in args.worlds:
-            draw = next((d for d in done if (d["world"], d["seed"]) == (world, seed)), None)
-            if draw is None:
+            if not any((draw["world"], draw["seed"]) == (world, seed) for draw in done):
                 start = time.perf_counter()
                 draw = one_draw(robot, world, seed)
                 with args.draws.open("a") as file:
                     file.write(json.dumps(draw) + "\n")
                 print(f"{world} {seed}: {draw.get('failed', 'done')} ({time.perf_counter() - start:.0f} s)", flush=True)
-            draws.append(draw)
-    rows = estimates(draws)
+                done.append(draw)
+    rows = estimates(done)
     write_csv(args.out / "estimates.csv", rows)
-    table = accuracy(rows, draws)
+    table = accuracy(rows, done)
     write_csv(args.out / "accuracy.csv", table)
     shown = ("parameter", "identifiable", "inside", "median", "median_percent", "worst")
     print_table([{name: _short(row.get(name)) for name in shown} for row in table])

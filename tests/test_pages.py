@@ -26,13 +26,6 @@ RESULTS = [
     ),
 ]
 """Pages with results."""
-PENDING = {
-    "docs/identification.md",
-    "docs/paper.md",
-    "docs/reality-gap.md",
-    "docs/robustness.md",
-}
-"""Pages whose numbers have no sources yet; none, once all are converted."""
 UNIT = (
     r"(?:%|(?:km|kN|kg|kHz|ms|mm|cm|mJ|dB|degC|deg|rad|million|minutes?|seconds?|hours?|MB|kB|[NWmsJVAMhHg]|Hz)"
     r"(?:/\w+)?\b)"
@@ -188,7 +181,7 @@ def pages() -> list[Path]:
 def test_a_page_is_as_the_results_are(numbers: ModuleType, page: str):
     text = (ROOT / page).read_text(encoding="utf-8")
     assert numbers.changes(text, numbers.write_page(ROOT, text)) == [], "run docs/page_numbers.py"
-    if page in RESULTS and page not in PENDING:
+    if page in RESULTS:
         assert stray_numbers(text, numbers) == []
 
 

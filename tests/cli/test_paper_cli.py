@@ -31,7 +31,7 @@ def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
     wrote, *missing = done.stdout.splitlines()
     assert (done.returncode, wrote) == (0, f"wrote {tmp_path / 'page.html'}")
     for line in missing:
-        assert line.startswith("not there: results/evaluations "), line
+        assert line.startswith(("not there: results/evaluations ", "not there: results/open_loop ")), line
     assert (tmp_path / "page.html").read_text(encoding="utf-8").endswith("</html>\n")
 
 
@@ -186,6 +186,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     assert len(evaluated) == len(evaluations_on_page())
     assert any("--push-force" in words for words in evaluated)
     assert (tmp_path / "docs/pushes.png").exists()
+    assert [Path(call.args[0][1]).name for call in run.call_args_list] == ["open_loop.py", "handcrafted.py"]
     assert run.call_args.args[0][1:3] == [str(repository / "benchmarks/handcrafted.py"), "results/handcrafted"]
     assert run.call_args.args[0][-4:] == ["--episodes", "5", "--conditions", "mujoco"]
     studies = [words for words in calls if words[0] == "study"]

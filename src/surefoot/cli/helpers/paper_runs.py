@@ -126,7 +126,7 @@ def evaluations(runs: PaperRuns) -> None:
 
 def motor_figure(runs: PaperRuns) -> None:
     """Fit both models of the motor to a motor with friction in Bullet."""
-    log = "results/motor.csv"
+    log = "results/motor_log.csv"
     runs.make_folder("results")
     runs.make_folder("docs")
     friction = ("--world", "bullet", "--set", "motor_friction=0.02")
@@ -170,16 +170,26 @@ def tune(gait: str, speed: float) -> Stage:
     return Stage(makes, make)
 
 
+def script(runs: PaperRuns, name: str, *words: object) -> None:
+    """Run a script of the clone in the folder of the runs."""
+    path = runs.root / name
+    argv = [sys.executable, str(path), *map(str, words)]
+    runs.console.print(shlex.join(["python", *argv[1:]]), style="bold")
+    if code := subprocess.run(argv, cwd=runs.folder).returncode:
+        raise SurefootError(f"{path}: ended with exit code {code}")
+
+
+def open_loop(runs: PaperRuns) -> None:
+    """Run the reference trot without feedback in every world."""
+    small = runs.quick_options("--episodes", 2)
+    script(runs, "examples/open_loop.py", "trot", "--out", "results/open_loop.csv", *small)
+
+
 def handcrafted(runs: PaperRuns) -> None:
     """Compare handcrafted gaits with learned ones."""
-    script = runs.root / "benchmarks" / "handcrafted.py"
     policies = [f"policies/{task}.onnx" for task in (*POLICIES, *HYBRIDS)]
     small = runs.quick_options("--episodes", 5, "--conditions", "mujoco")
-    words = [sys.executable, str(script), "results/handcrafted", "--policies", *policies, *small]
-    runs.console.print(shlex.join(["python", *words[1:]]), style="bold")
-    code = subprocess.run(words, cwd=runs.folder).returncode
-    if code != 0:
-        raise SurefootError(f"{script}: ended with exit code {code}")
+    script(runs, "benchmarks/handcrafted.py", "results/handcrafted", "--policies", *policies, *small)
 
 
 def search(runs: PaperRuns) -> None:
@@ -194,6 +204,7 @@ STAGES = (
     Stage("results/motor.json", motor_figure),
     *(train(task, steps) for task, steps in zip(POLICIES, (800_000, 300_000, 400_000, 800_000), strict=True)),
     Stage("results/evaluations.csv", evaluations),
+    Stage("results/open_loop.csv", open_loop),
     Stage("docs/pushes.png", pushes_figure),
     study(
         "reality-gap", 60_000, "baseline", "baseline_pushes", "improved_pushes", "small_randomized", "large_randomized"
