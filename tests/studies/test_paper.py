@@ -101,7 +101,8 @@ def page(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of the results that ship."""
     path = tmp_path_factory.mktemp("page") / "paper.html"
     missing = write_page(repository, path)
-    assert all(one.startswith(("results/evaluations ", "results/open_loop ")) for one in missing), missing
+    # Rows that long runs still have to fill.
+    assert all(re.fullmatch(r"results/evaluations trot-robust/push-[\d-]+-bullet", one) for one in missing), missing
     return path
 
 
