@@ -382,7 +382,7 @@ SCENARIOS = {
     "exception": Scenario(raises=True, duration=LONG),
     "leaning": Scenario(policy="leaning", duration=LONG, quick=False),
     **{name: Scenario((name,)) for name in ("other-robot", "other-order", "other-gains", "other-schema")},
-    "battery-low": Scenario((f"battery-low=13.6@{QUICK_UP - 0.5}",), duration=LONG),
+    "battery-low": Scenario((f"battery-low=13.8@{QUICK_UP - 0.5}",), duration=LONG),
     "motor-hot": Scenario((f"motor-hot=84@{QUICK_UP - 0.5}",), duration=LONG),
     "second": Scenario(duration=LONG, second=True),
     "stranger": Scenario(stranger=True),

@@ -316,7 +316,7 @@ def test_joystick_goes_sideways_with_its_box_checked(running: Running, page: Pag
     [
         ("base_mass_ratio", 1.8, False, "torque", 1.2, 1.6),
         ("motor_strength", 0.4, False, "height", 0.5, 0.95),
-        ("control_latency", 0.08, True, "heat", 1.3, 4.0),
+        ("control_latency", 0.08, True, "heat", 1.1, 4.0),
         ("contact_friction", 0.05, False, "shift", 1.5, 1000.0),
     ],
 )

@@ -130,7 +130,7 @@ def check_results(out: Path) -> None:
     assert all((row["low"] is None) == (row["unit"] != "%") for row in summary["groups"])
     report = (out / "README.md").read_text()
     assert "surefoot study tiny.yaml --workers 2" in report
-    assert "| 4-D, randomized, against 4-D |" in report
+    assert "| 4-D, randomized | 4-D |" in report
     for name in (
         "learning_curves.png",
         "groups.png",
