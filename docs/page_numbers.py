@@ -66,12 +66,12 @@ def write_markers(root: Path, text: str) -> str:
     for match in MARKER.finditer(text):
         with prefix_errors(f"line {text.count(chr(10), 0, match.start()) + 1}"):
             out += text[end : match.start()]
-            found = re.search(rf"{TOKEN}$", out)
-            if found is None:
+            last = re.search(rf"{TOKEN}$", out)
+            if last is None:
                 raise SurefootError(f"no number stands before {match[0]}")
-            of = " of episodes" if re.search(r"\sof\s", found[0]) and " of " not in match[1] else ""
-            values = look_up(root, match[1] + of, form_of(found[0]))
-            old = re.search(rf"{TOKEN}(?:,\s+{TOKEN}){{{len(values) - 1}}}$", out) or found
+            of = " of episodes" if re.search(r"\sof\s", last[0]) and " of " not in match[1] else ""
+            values = look_up(root, match[1] + of, form_of(last[0]))
+            old = re.search(rf"{TOKEN}(?:,\s+{TOKEN}){{{len(values) - 1}}}$", out) or last
             if old[0].split() != (new := ", ".join(values)).split():
                 out = out[: old.start()] + new
         out, end = out + match[0], match.end()

@@ -316,7 +316,7 @@ def test_joystick_goes_sideways_with_its_box_checked(running: Running, page: Pag
     [
         ("base_mass_ratio", 1.8, False, "torque", 1.2, 1.6),
         ("motor_strength", 0.4, False, "height", 0.5, 0.95),
-        ("control_latency", 0.08, True, "heat", 1.1, 4.0),
+        ("control_latency", 0.08, True, "heat", 1.3, 4.0),
         ("contact_friction", 0.05, False, "shift", 1.5, 1000.0),
     ],
 )
@@ -330,7 +330,7 @@ def test_slider_changes_the_motion_of_the_same_robot(
     def measure() -> float:
         if figure == "shift":
             page.locator("#push-front").click()
-        return float(FIGURES[figure](running.measure(0.6)))
+        return float(FIGURES[figure](running.measure(2.0 if walks else 0.6)))
 
     def set_value(value: float) -> None:
         slider.fill(str(value))

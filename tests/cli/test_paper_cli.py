@@ -28,10 +28,7 @@ from surefoot.studies.paper import evaluations_on_page
 
 def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
     done = surefoot("paper", "--root", repository, "--out", tmp_path / "page.html")
-    wrote, *missing = done.stdout.splitlines()
-    assert (done.returncode, wrote) == (0, f"wrote {tmp_path / 'page.html'}")
-    for line in missing:
-        assert line.startswith("not there: results/evaluations "), line
+    assert (done.returncode, done.stdout) == (0, f"wrote {tmp_path / 'page.html'}\n")
     assert (tmp_path / "page.html").read_text(encoding="utf-8").endswith("</html>\n")
 
 

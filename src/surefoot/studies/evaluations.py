@@ -261,10 +261,10 @@ def evaluation_names(names: Iterable[str]) -> tuple[str, ...]:
 
 def find_gap(kinds: Iterable[str]) -> str:
     """Return which of the evaluations measures the reality gap; empty if none does."""
-    found = [kind for kind in kinds if EVALUATIONS[kind].run is _run_gap]
-    if len(found) > 1:
-        raise SurefootError(f"evaluate: a study measures one reality gap; it has {choices(found)}")
-    return found[0] if found else ""
+    gaps = [kind for kind in kinds if EVALUATIONS[kind].run is _run_gap]
+    if len(gaps) > 1:
+        raise SurefootError(f"evaluate: a study measures one reality gap; it has {choices(gaps)}")
+    return gaps[0] if gaps else ""
 
 
 def stored_result(policy: Path, name: str) -> Result | None:

@@ -101,8 +101,8 @@ def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
         ),
     ]
     findings = [(row, comparison.finding((row.against, row.group))) for row in rows.itertuples()]
-    told = [f"- {label(row.group)}, against {label(row.against)}: {text}" for row, text in findings if text]
-    return [*lines, *(["In the paper:", "\n".join(told)] if told else [])]
+    claims = [f"- {label(row.group)}, against {label(row.against)}: {text}" for row, text in findings if text]
+    return [*lines, *(["In the paper:", "\n".join(claims)] if claims else [])]
 
 
 def _change(row: Any, figure: ResultFigure) -> str:
@@ -120,11 +120,11 @@ def _differences(comparison: Comparison, table: pd.DataFrame, figures: Sequence[
     """Return tables of differences, a row a pair."""
     if not len(table):
         return ["There are no two groups to compare."]
-    label, known = comparison.study.label, {figure.name: figure for figure in figures}
+    label, by_name = comparison.study.label, {figure.name: figure for figure in figures}
     pairs = table[["group", "against"]].drop_duplicates()
     heads = [{"group": label(row.group), "against": label(row.against)} for row in pairs.itertuples()]
     cells = [
-        {row.figure: _change(row, known[row.figure]) for row in part.itertuples()}
+        {row.figure: _change(row, by_name[row.figure]) for row in part.itertuples()}
         for _, part in table.groupby(["group", "against"], sort=False)
     ]
     return _by_figure(figures, heads, cells)
