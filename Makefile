@@ -37,6 +37,11 @@ $(READY): pyproject.toml constraints.txt
 	@# PyBullet has no wheels for some Pythons, and is long to compile: without it the tests of its world are skipped.
 	@$(BIN)/python -m pip install -c constraints.txt --only-binary pybullet -e ".[bullet]" || \
 	  echo "surefoot: no PyBullet for this Python; the Bullet world and its tests are left out"
+	@# The link to a Go2, and the vendor's SDKs that test it. Their own requirements name versions that do not go together.
+	@for package in tensor-ipc-cyclonedds rich-click unitree-sdk2py-dimos far-unitree-sdk; do \
+	  $(BIN)/python -m pip install -q -c constraints.txt --no-deps --only-binary :all: $$package || \
+	  echo "surefoot: no $$package for this Python; tests that need it are left out"; \
+	done
 	@echo "$(CURDIR)" > $(READY)
 	@echo "surefoot: $(VENV) is ready"
 
