@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -51,13 +52,13 @@ def test_two_processes_exchange_states_and_commands() -> None:
         other.kill()
         other.wait()
     assert len(ticks) >= 20
-    assert all(b > a for a, b in zip(ticks, ticks[1:], strict=False))
+    assert all(b > a for a, b in itertools.pairwise(ticks))
     assert ticks[-1] <= state["tick"]
 
 
 @pytest.mark.parametrize("name", ["eth9", "", "lo; rm", "x" * 300])
 def test_an_interface_that_does_not_exist(name: str) -> None:
-    with pytest.raises(SurefootError, match="must be one of .*lo"):
+    with pytest.raises(SurefootError, match=r"must be one of .*lo"):
         bus.check_interface(name)
 
 
