@@ -40,7 +40,7 @@ def recorded(name: str) -> np.ndarray:
 
 
 def noise(kind: np.dtype, seed: int) -> np.ndarray:
-    """Return a message of random numbers, the integers in the lower half: the vendor's checksum takes some as signed."""
+    """Return a message of random numbers; integers in the lower half, as the vendor's checksum takes some as signed."""
     rng, record = np.random.default_rng(seed), low_level.new_record(kind)
 
     def draw(part: Any) -> None:
