@@ -140,5 +140,10 @@ class RawReader(Generic[_T]):
         return [] if isinstance(taken, int) else [data for data, info in taken if info.valid_data]
 
     def take_messages(self, count: int = 16) -> list[_T]:
-        """Return messages of `types`, which takes some tenths of a millisecond each."""
-        return [self._kind.deserialize(data) for data in self.take(count)]  # type: ignore[attr-defined]
+        """Return messages of `types`, which takes some tenths of a millisecond each; damaged ones are left out."""
+        messages = []
+        for data in self.take(count):
+            # What a damaged message raises depends on where its bytes end: errors of struct, of text, of lengths.
+            with contextlib.suppress(Exception):
+                messages.append(self._kind.deserialize(data))  # type: ignore[attr-defined]
+        return messages
