@@ -130,7 +130,7 @@ class Body:
         return rotation.T @ (self.data.qacc[:3] - self.model.opt.gravity)
 
 
-class Service(Server):  # type: ignore[misc]
+class Service(Server):
     """A service of the vendor's whose calls are methods of the robot."""
 
     def __init__(self, name: str, calls: dict[int, Any]) -> None:
@@ -146,7 +146,7 @@ class Robot:
 
     def __init__(self, variant: str, controller: bool) -> None:
         self.body, self.crc = Body(variant), CRC()
-        participant = channel.ChannelFactory._ChannelFactory__participant  # type: ignore[attr-defined]
+        participant = channel.ChannelFactory._ChannelFactory__participant
         qos = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(1))
         self._states, self._sport, self._commands = (
             DataWriter(participant, Topic(participant, name, kind), qos)
