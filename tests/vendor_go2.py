@@ -58,7 +58,10 @@ hot; cells are empty; the IMU reads a roll of 1.2 rad; L2 + B; a stick; the own 
 REMOTE = struct.Struct("<2BH5f16x")
 _OWN, _OTHER = 1, 2
 """What commands of the own controller and of another writer have in `reserve`: they are in no record."""
-_RECORD = (("time", "u8"), ("written", "u8"), ("kp", "f4"), ("kd", "f4"), ("x", "f4"), ("y", "f4"), ("z", "f4"))
+_RECORD = [(name, "u8") for name in ("time", "written")]
+_RECORD += [(name, "f4") for name in ("kp", "kd", "x", "y", "z", "forward")]
+"""Columns of the record of commands: when taken and when written [ns], on the computer's monotonic and its real-time
+clock; greatest kp and least kd; the base's place [m] and forward speed [m/s] then."""
 
 
 def make_model(variant: str) -> mujoco.MjModel:
@@ -123,6 +126,10 @@ class Body:
             self.torque += self._share * (on * np.clip(wanted, -self._limit, self._limit) - self.torque)
             data.ctrl[self._motors] = self.torque
             mujoco.mj_step(self.model, data)
+
+    def forward_speed(self) -> float:
+        """Return the base's speed along its own x axis [m/s]."""
+        return float(self.data.body("base").xmat.reshape(3, 3)[:, 0] @ self.data.qvel[:3])
 
     def specific_force(self) -> np.ndarray:
         """Return what an accelerometer reads [m/s2]."""
@@ -255,7 +262,7 @@ class Robot:
         if isinstance(taken, int):
             return
         now = time.monotonic_ns()
-        x, y, z = self.body.data.qpos[:3]
+        place = (*self.body.data.qpos[:3], self.body.forward_speed())
         for data, info in taken:
             if not info.valid_data:
                 continue
@@ -268,7 +275,7 @@ class Robot:
                 self.body.command(command.motor_cmd)
                 self._last_gains = float(self.body.kp.max()), float(self.body.kd.min())
             if self._last_sender not in (_OWN, _OTHER):
-                self.rows.append((now, info.source_timestamp, *self._last_gains, x, y, z))
+                self.rows.append((now, info.source_timestamp, *self._last_gains, *place))
 
     def cycle(self) -> None:
         """One period: obey, move, write the state."""
@@ -377,7 +384,7 @@ def main() -> None:
     print(json.dumps(figures), flush=True)
     if options.record is not None:
         faults = np.array(robot.faults, [("time", "u8"), ("name", "U16")])
-        np.savez(options.record, commands=np.array(robot.rows, list(_RECORD)), faults=faults)
+        np.savez(options.record, commands=np.array(robot.rows, _RECORD), faults=faults)
     os._exit(0)  # the vendor's threads never end
 
 
