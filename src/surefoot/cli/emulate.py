@@ -143,10 +143,10 @@ def make_loop(
 ) -> RealTime | Lockstep:
     """Return the loop that runs the robot, warmed up."""
     from surefoot import __version__
+    from surefoot.deploy.board.limits import Limits, make_handshake
     from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.board import Board
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
-    from surefoot.emulator.limits import Limits, make_handshake
     from surefoot.emulator.plant import Plant
     from surefoot.emulator.real_time import RealTime
     from surefoot.emulator.serial.lockstep import PATIENCE, Lockstep

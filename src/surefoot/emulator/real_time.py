@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+from surefoot.deploy.board.signals import microseconds
 from surefoot.emulator.board import Board
-from surefoot.emulator.signals import microseconds
 
 BEHIND = 10_000
 """Lag of the physics [us] from which on it is reported."""
