@@ -3,10 +3,12 @@
     python tests/vendor_go2.py [--variant fitted] [--domain 3] [--record FILE.npz] [--controller]
 
 It serves tests and benchmarks of `--link dds` and imports nothing of surefoot. It runs until its standard input ends;
-each line there is a fault that begins at once (`FAULTS`; `none` ends it). `--record` gets every command that came, and
-when faults began. The model is that of MuJoCo Menagerie, which is the vendor's (`vendor_go2.xml`, with its licence).
-`fitted` has the numbers of dim-go2-sim 0.5.1 (Apache-2.0), which were fitted to runs of a real Go2. Temperatures,
-battery and counts are those of a message that was recorded on a real Go2.
+each line there is a fault that begins at once (`FAULTS`; `none` ends it), or `report`: what came since the last fault
+began, as JSON. `--record` gets every command that came, and when faults began.
+
+The model is that of MuJoCo Menagerie, which is the vendor's (`vendor_go2.xml`, with its licence). `fitted` has the
+numbers of dim-go2-sim 0.5.1 (Apache-2.0), which were fitted to runs of a real Go2. Temperatures, battery and counts are
+those of a message that was recorded on a real Go2.
 """
 
 from __future__ import annotations
@@ -256,6 +258,17 @@ class Robot:
             self.controller, self._pose = True, self.body.data.qpos[self.body.angles].copy()
             self._goal = self._pose
 
+    def report(self) -> dict[str, Any]:
+        """Return how long after the last fault's begin [ms] a command with a gain came, and what came after it."""
+        begun, name = self.faults[-1]
+        rows = np.array(self.rows, _RECORD)
+        rows = rows[rows["time"] >= begun]
+        active = np.flatnonzero(rows["kp"] > 0)
+        rest = rows[active[-1] + 1 :] if len(active) else rows
+        last = (int(rows["time"][active[-1]]) - begun) / 1e6 if len(active) else 0.0
+        damping = int(((rest["kp"] == 0) & (rest["kd"] > 0)).sum())
+        return {"fault": name, "last_gain_ms": last, "damping": damping, "others": len(rest) - damping}
+
     def take_commands(self) -> None:
         """Obey the newest command with a right checksum; record those of others than the robot's own."""
         taken = ddspy_take(self._reader._ref, 64)
@@ -351,7 +364,10 @@ def run(robot: Robot) -> dict[str, Any]:
                 break
             *lines, text = (text + data).split("\n")
             for line in lines:
-                robot.begin(line.strip())
+                if line == "report":
+                    print(json.dumps(robot.report()), flush=True)
+                else:
+                    robot.begin(line)
     seconds = time.monotonic() - begun
     return {
         "rate": cycles / seconds,
