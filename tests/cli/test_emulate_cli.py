@@ -43,7 +43,7 @@ def test_emulate_reports_invalid_options_in_one_line(tmp_path, words, message):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("option", "name"), [("--out", "a.csv"), ("--out", "a.toml"), ("--link", "a")])
+@pytest.mark.parametrize(("option", "name"), [("--out", "a.csv"), ("--out", "a.toml"), ("--symlink", "a")])
 def test_emulate_refuses_to_overwrite_files(tmp_path, option, name):
     file = tmp_path / name
     file.write_text("mine")
