@@ -13,10 +13,10 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
+from surefoot.deploy.board.signals import MotorOrder
 from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
-from surefoot.emulator.signals import MotorOrder
 from surefoot.world.actuation import set_actuation_params
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld

@@ -184,9 +184,9 @@ def make_loop(
 ) -> RealTime | Lockstep:
     """Return the loop that runs the robot behind a pseudo-terminal, warmed up."""
     from surefoot import __version__
+    from surefoot.deploy.board.limits import Limits, make_handshake
     from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.board import Board
-    from surefoot.emulator.limits import Limits, make_handshake
     from surefoot.emulator.real_time import RealTime
     from surefoot.emulator.serial.lockstep import PATIENCE, Lockstep
     from surefoot.emulator.serial.serial_host_link import SerialHostLink

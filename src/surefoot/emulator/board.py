@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 
+from surefoot.deploy.board.firmware import Firmware
+from surefoot.deploy.board.limits import Limits
+from surefoot.deploy.board.signals import MotorOrder, Sensors, microseconds
 from surefoot.deploy.messages import Handshake, Mode
 from surefoot.emulator.capture_writer import PERIOD
 from surefoot.emulator.faults import FaultInjector, InjectedFault
-from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.host_link import HostLink
-from surefoot.emulator.limits import Limits
 from surefoot.emulator.plant import Plant
-from surefoot.emulator.signals import MotorOrder, Sensors, microseconds
 
 _BOOT_TIME = 200_000
 """Time [us] that a microcontroller takes to start."""

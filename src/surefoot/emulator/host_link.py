@@ -9,7 +9,7 @@ from surefoot.deploy.messages import Packet
 from surefoot.deploy.robot_link import LinkStatistics
 
 if TYPE_CHECKING:
-    from surefoot.emulator.firmware import Firmware
+    from surefoot.deploy.board.firmware import Firmware
 
 
 class Transport(Protocol):

@@ -8,9 +8,9 @@ import numpy as np
 
 from surefoot.actuator.motor import joint_torque, servo_duty
 from surefoot.arrays import Array
+from surefoot.deploy.board.signals import MotorOrder, Sensors, Vitals
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
-from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator

@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from surefoot.deploy.board.signals import microseconds
 from surefoot.emulator.host_link import Transport
 from surefoot.emulator.plant import Plant
-from surefoot.emulator.signals import microseconds
 
 BEHIND = 10_000
 """Lag of the physics [us] from which on it is reported."""

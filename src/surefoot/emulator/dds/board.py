@@ -10,7 +10,7 @@ from surefoot.deploy.dds.low_level import POS_STOP, SERVO, VEL_STOP, Record, enc
 from surefoot.emulator.dds.link import LowLevelLink
 from surefoot.emulator.dds.low_state import StateMessage
 from surefoot.emulator.plant import JointOrder, Plant
-from surefoot.emulator.signals import microseconds
+from surefoot.deploy.board.signals import microseconds
 
 STATE_PERIOD = 2_000
 """Time between two states [us]."""
