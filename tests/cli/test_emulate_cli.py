@@ -15,7 +15,6 @@ from surefoot.cli import emulate
 from surefoot.emulator.faults import FAULTS
 from surefoot.robot.params_file import read_params
 
-
 DDS = ["--link", "dds", "--interface", "lo"]
 
 

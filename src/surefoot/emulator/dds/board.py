@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from surefoot.deploy.board.signals import microseconds
 from surefoot.deploy.dds.low_level import POS_STOP, SERVO, VEL_STOP, Record, encode
 from surefoot.emulator.dds.link import LowLevelLink
 from surefoot.emulator.dds.low_state import StateMessage
 from surefoot.emulator.plant import JointOrder, Plant
-from surefoot.deploy.board.signals import microseconds
 
 STATE_PERIOD = 2_000
 """Time between two states [us]."""

@@ -7,10 +7,10 @@ from collections import deque
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.deploy.board.signals import Sensors
 from surefoot.deploy.dds.low_level import HEAD, LOW_STATE, SERVO, Record, new_record
 from surefoot.emulator.hardware import PowerConfig
 from surefoot.emulator.plant import Plant
-from surefoot.deploy.board.signals import Sensors
 from surefoot.rotations import quat_matrix, rpy_matrix, rpy_quat
 from surefoot.seeding import generator
 
