@@ -10,7 +10,8 @@ A run: stand up, walk forward from .5 s on, sit. `speed` is the mean from 3 s on
 they were written, from the first to the last that was not damping; loads are those of one core while the policy runs.
 
 A fault begins while the robot stands up, while the policy runs, or while it sits. `damped_ms` is how long after it the
-robot took its last command with a gain. `loop`, `keeper` and `watcher` are killed.
+robot took a damping command and none with a gain any more. `loop`, `keeper` and `watcher` are killed; with `-hangs` they stand still for
+a second.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ import os
 import signal
 import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +50,10 @@ FAULT_RUN = 1.5
 """Duration [s] of the policy in a run that a fault ends."""
 PHASES = {"stand up": UP - 1.2, "run": UP + 0.8, "sit": UP + FAULT_RUN + 0.12}
 """When a fault begins [s after arming]."""
-KILLS = ("loop", "keeper", "watcher")
+PROCESSES = ("loop", "keeper", "watcher")
+KILLS = (*PROCESSES, "loop-hangs", "keeper-hangs")
+HANG = 1.0
+"""Time [s] for which a process that hangs stands still."""
 FAULTS = (
     *("late=0.3", "frozen", "damaged", "nan", "restart", "motor-off", "lost", "hot", "battery", "tilt"),
     *("stop", "stick", "controller", "writer"),
@@ -135,12 +141,16 @@ def inject(fault: str, phase: str, domain: int) -> dict[str, Any]:
             if fault not in KILLS:
                 began.append(robot.inject(fault))
                 return
-            pid = {"loop": deploy.process.pid, **deploy.helpers()}[fault]
+            name, _, hangs = fault.partition("-")
+            pid = {"loop": deploy.process.pid, **deploy.helpers()}[name]
             began.append(time.monotonic_ns())
-            os.kill(pid, signal.SIGKILL)
+            os.kill(pid, signal.SIGSTOP if hangs else signal.SIGKILL)
+            if hangs:
+                actions.append((PHASES[phase] + HANG, partial(os.kill, pid, signal.SIGCONT)))
 
+        actions: list[tuple[float, Callable[[], object]]] = [(PHASES[phase], begin)]
         try:
-            watch(deploy, witness, [(PHASES[phase], begin)], PATIENCE)
+            watch(deploy, witness, actions, PATIENCE)
             code, report, errors = deploy.result()
             _, commands, _ = robot.end()
         finally:
@@ -149,12 +159,13 @@ def inject(fault: str, phase: str, domain: int) -> dict[str, Any]:
     row: dict[str, Any] = {"fault": fault.partition("=")[0], "phase": phase, "exit_code": code}
     run = (report.get("runs") or [{}])[0]
     row |= {"ended": run.get("ended", ""), "what": run.get("what", errors.strip().splitlines()[-1:])}
-    active = commands["time"][commands["kp"] > 0]
+    active = np.flatnonzero(commands["kp"] > 0)
     row["armed"] = bool(len(active))
     if began and len(active):
-        row["damped_ms"] = max(1e-6 * (int(active[-1]) - began[0]), 0.0)
-        after = commands[commands["time"] > max(int(active[-1]), began[0])]
-        row["damping_frames"] = int(((after["kp"] == 0) & (after["kd"] > 0)).sum())
+        rest = commands[active[-1] + 1 :]
+        damping = rest["time"][(rest["kp"] == 0) & (rest["kd"] > 0) & (rest["time"] > began[0])]
+        row["damped_ms"] = 1e-6 * (int(damping[0]) - began[0]) if len(damping) else float("nan")
+        row["damping_frames"] = len(damping)
     return row
 
 
@@ -181,19 +192,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="what")
     runs = commands.add_parser("runs")
-    runs.add_argument("robots", nargs="*", default=ROBOTS, choices=ROBOTS)
+    runs.add_argument("robots", nargs="*", metavar="ROBOT", help=", ".join(ROBOTS))
     runs.add_argument("--count", type=int, default=1)
     runs.add_argument("--busy", type=int, default=0, help="programs beside it that need a processor each")
     runs.add_argument("--speed", type=float, default=0.5)
     runs.add_argument("--duration", type=float, default=10.0)
     faults = commands.add_parser("faults")
-    faults.add_argument("names", nargs="*", default=(*FAULTS, *KILLS))
-    faults.add_argument("--phase", nargs="*", default=tuple(PHASES), choices=tuple(PHASES))
+    faults.add_argument("names", nargs="*", metavar="FAULT")
+    faults.add_argument("--phase", nargs="*", metavar="PHASE", default=[*PHASES])
     for command in (runs, faults):
         command.add_argument("--domain", type=int, default=90)
     options = parser.parse_args()
     if options.what == "faults":
-        for fault in options.names:
+        for fault in options.names or (*FAULTS, *KILLS):
             for phase in options.phase:
                 row = inject(fault, phase, options.domain)
                 print(row, flush=True)
@@ -201,7 +212,7 @@ def main() -> None:
         return
     if options.what is None:
         options = parser.parse_args(["runs"])
-    for kind in options.robots:
+    for kind in options.robots or ROBOTS:
         for number in range(options.count):
             row = walk(kind, options.speed, options.busy, number, options.duration, options.domain)
             print(row, flush=True)

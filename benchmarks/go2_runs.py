@@ -99,6 +99,8 @@ class Witness:
         """Take what has come."""
         taken = self._take(self._reader._reader._ref, 2048)
         for data, info in [] if isinstance(taken, int) else taken:
+            if not info.valid_data:
+                continue  # a writer has gone
             if data != self._last[0]:
                 motors = low_level.decode(low_level.LOW_COMMAND, data)["motor_cmd"][:12]
                 self._last = data, float(motors["kp"].max()), float(motors["kd"].min())

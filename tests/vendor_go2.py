@@ -259,15 +259,15 @@ class Robot:
             self._goal = self._pose
 
     def report(self) -> dict[str, Any]:
-        """Return how long after the last fault's begin [ms] a command with a gain came, and what came after it."""
+        """Return how long after the last fault's begin [ms] damping began for good, and what came since."""
         begun, name = self.faults[-1]
         rows = np.array(self.rows, _RECORD)
         rows = rows[rows["time"] >= begun]
         active = np.flatnonzero(rows["kp"] > 0)
         rest = rows[active[-1] + 1 :] if len(active) else rows
-        last = (int(rows["time"][active[-1]]) - begun) / 1e6 if len(active) else 0.0
-        damping = int(((rest["kp"] == 0) & (rest["kd"] > 0)).sum())
-        return {"fault": name, "last_gain_ms": last, "damping": damping, "others": len(rest) - damping}
+        damping = rest["time"][(rest["kp"] == 0) & (rest["kd"] > 0)]
+        damped = (int(damping[0]) - begun) / 1e6 if len(damping) else None
+        return {"fault": name, "damped_ms": damped, "damping": len(damping), "others": len(rest) - len(damping)}
 
     def take_commands(self) -> None:
         """Obey the newest command with a right checksum; record those of others than the robot's own."""
