@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +44,9 @@ class Limits:
     temperature: float = 90.0
     """Motor temperature [degC] beyond which the robot damps itself."""
     duty: float = 1.0
-    """Largest duty that a PWM command may request."""
+    """Largest duty that a PWM command may request; 0: the robot does not arm for duties."""
+    first_torque: float = math.inf
+    """Largest torque [N m] that the first command of a joint actuator may request, by its gain and present angle."""
     refusals: int = 10
     """Greatest number of refusals per second for each reason."""
 

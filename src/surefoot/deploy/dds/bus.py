@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar
 from xml.sax.saxutils import quoteattr
 
 from surefoot.errors import SurefootError, choices
+from surefoot.native_output import quiet
 
 _T = TypeVar("_T")
 LOW_STATE_TOPIC, LOW_COMMAND_TOPIC = "rt/lowstate", "rt/lowcmd"
@@ -69,8 +70,9 @@ class Bus:
                 'a link over DDS needs cyclonedds 0.10: pip install -c constraints.txt -e ".[dds]"'
             ) from error
         try:
-            self._domain = Domain(domain, _CONFIG.format(quoteattr(interface)))
-            self.participant = DomainParticipant(domain)
+            with quiet():  # a loopback without multicast is worth a line to cyclonedds, whatever its verbosity
+                self._domain = Domain(domain, _CONFIG.format(quoteattr(interface)))
+                self.participant = DomainParticipant(domain)
         except DDSException as error:
             raise SurefootError(
                 f"DDS does not start in domain {domain} on {interface}: {error}; on a loopback without multicast "
@@ -90,9 +92,8 @@ class Bus:
         from cyclonedds.util import duration
 
         reliable = Policy.Reliability.Reliable(max_blocking_time=duration(milliseconds=1))
-        return RawWriter(
-            DataWriter(self.participant, self.topic(name, kind), Qos(reliable, Policy.History.KeepLast(1)))
-        )
+        qos = Qos(reliable, Policy.History.KeepLast(1))
+        return RawWriter(self, DataWriter(self.participant, self.topic(name, kind), qos))
 
     def reader(self, name: str, kind: type[_T], depth: int = 1, others: bool = False) -> RawReader[_T]:
         """Return a reader of a topic, best effort, that keeps the last `depth` messages.
@@ -105,16 +106,22 @@ class Bus:
         policies = [Policy.Reliability.BestEffort, Policy.History.KeepLast(depth)]
         if others:
             policies.append(Policy.IgnoreLocal.Participant)
-        return RawReader(DataReader(self.participant, self.topic(name, kind), Qos(*policies)), kind)
+        return RawReader(self, DataReader(self.participant, self.topic(name, kind), Qos(*policies)), kind)
 
 
 class RawWriter:
     """Writes messages that are packed already."""
 
-    def __init__(self, writer: Any) -> None:
+    def __init__(self, bus: Bus, writer: Any) -> None:
         from cyclonedds._clayer import ddspy_write
 
+        self._bus = bus  # with its participant, DDS deletes all that is in it
         self._writer, self._write = writer, ddspy_write
+
+    @property
+    def readers(self) -> int:
+        """Number of readers of the topic that DDS has found."""
+        return max(int(self._writer._dll_handle.dds_get_matched_subscriptions(self._writer._ref, None, 0)), 0)
 
     def write(self, data: bytes) -> bool:
         """Write a message with its CDR header, its length a multiple of 4; return whether DDS has taken it."""
@@ -129,9 +136,10 @@ class RawWriter:
 class RawReader(Generic[_T]):
     """Reads messages as bytes; never waits."""
 
-    def __init__(self, reader: Any, kind: type[_T]) -> None:
+    def __init__(self, bus: Bus, reader: Any, kind: type[_T]) -> None:
         from cyclonedds._clayer import ddspy_take
 
+        self._bus = bus
         self._reader, self._take, self._kind = reader, ddspy_take, kind
 
     def take(self, count: int = 16) -> list[bytes]:
