@@ -1,4 +1,4 @@
-"""A Go2 for tests of the link over DDS, as a process: legs that follow commands at once, and readings that tests change.
+"""A Go2 for tests of the link over DDS, as a process: legs that follow commands, and readings that tests change.
 
 It has no physics, so that it costs little beside the processes that are tested.
 """
@@ -94,7 +94,18 @@ class _Body:
         self._q, self._dq = self.settings.angle.copy(), np.zeros(MOTORS)
         self._kp = self._kd = self._target = np.zeros(MOTORS)
         self._tick = 1000
+        imu = types.IMUState([1.0, 0, 0, 0], [0.0] * 3, [0.0] * 3, [0.0] * 3, 40)
+        path = [types.PathPoint()] * 10
+        self._sport_state = types.SportModeState(
+            *(types.TimeSpec(), 0, imu, 0, 0.0, 0, 0.0, [0.0] * 3, 0.0, [0.0] * 3, 0.0),
+            *([0.0] * 4, [0] * 4, [0.0] * 12, [0.0] * 12, path),
+        )
         self._lost = 7
+
+    def reset(self) -> None:
+        self.settings = Settings()
+        self._q = self.settings.angle.copy()
+        self._kp = self._kd = np.zeros(MOTORS)
 
     def _check_mode(self, _: str) -> services.Answer:
         return services.OK, f'{{"form":"0","name":"{self.settings.controller}"}}'
@@ -127,6 +138,8 @@ class _Body:
         self._switcher.serve()
         self._sports.serve()
         self._publish()
+        if self.settings.sport:
+            self._sport.write_message(self._sport_state)
 
     def _publish(self) -> None:
         now = self.settings
@@ -180,6 +193,8 @@ def _run(domain: int, pipe: Connection) -> None:
                         body.frames = []
                     case "settings":
                         pipe.send(body.settings)
+                    case "reset":
+                        body.reset()
                     case _:
                         return
 
@@ -203,6 +218,12 @@ class Go2:
             self._pipe.send(item)
         return time.monotonic()
 
+    def reset(self) -> None:
+        """Make the robot whole again, and forget the commands so far."""
+        self._pipe.send("reset")
+        self.read()
+        self.frames = []
+
     @property
     def settings(self) -> Settings:
         self._pipe.send("settings")
@@ -214,12 +235,12 @@ class Go2:
         self.frames += self._pipe.recv()
         return self.frames
 
-    def wait_for(self, condition: Callable[[Frame], bool], timeout: float = 20.0) -> Frame:
-        """Return the first command for which a condition holds, once it has come."""
+    def wait_for(self, condition: Callable[[Frame], bool], after: float = 0.0, timeout: float = 20.0) -> Frame:
+        """Return the first command after a time [s] for which a condition holds, once it has come."""
         end = time.monotonic() + timeout
         while time.monotonic() < end:
             for frame in self.read():
-                if condition(frame):
+                if frame.time >= after and condition(frame):
                     return frame
             time.sleep(0.005)
         raise AssertionError(f"no such command among {len(self.frames)}; the last: {self.frames[-1:]}")

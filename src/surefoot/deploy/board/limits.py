@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from surefoot.deploy.messages import Handshake
-from surefoot.robot import RobotDescription
+
+if TYPE_CHECKING:
+    from surefoot.robot import RobotDescription  # and with it URDF and sheets, which a board does not need
 
 ANGLE_ROOM = 1.0
 """Range [rad] beyond the angles of leg space that a command may request. Legs of a damped robot on its belly fold

@@ -59,14 +59,14 @@ class DdsLink(SerialLink):
 
     def __init__(self, config: LinkConfig, session: int | None = None) -> None:
         (here, host), (keeper, watcher) = socket.socketpair(), socket.socketpair()
-        self._children = [Child(_WATCHER, config, [watcher]), Child(_KEEPER, config, [host, keeper])]
+        self.children = [Child(_WATCHER, config, [watcher]), Child(_KEEPER, config, [host, keeper])]
         for end in (host, keeper, watcher):
             end.close()
         super().__init__(
             SocketPort(here, "the keeper process"), Codec(len(MOTOR_NAMES)), MonotonicClock(), session, LEAD
         )
         try:
-            for child in self._children:
+            for child in self.children:
                 child.await_ready()
         except BaseException:
             self.close()
@@ -76,5 +76,5 @@ class DdsLink(SerialLink):
         """End the session; return when the keeper has damped the motors and has ended."""
         with contextlib.suppress(LinkLostError):
             super().close()
-        for child in self._children:
+        for child in self.children:
             child.finish(_ENDING)

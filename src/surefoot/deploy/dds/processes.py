@@ -49,7 +49,7 @@ class Child:
 
     def __init__(self, module: str, config: LinkConfig, ends: Sequence[socket.socket]) -> None:
         self.name = module.rpartition(".")[2]
-        self._errors = tempfile.TemporaryFile()
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115
         descriptors = [end.fileno() for end in ends]
         self._process = subprocess.Popen(
             [sys.executable, "-m", module, *map(str, descriptors)],
@@ -63,6 +63,11 @@ class Child:
         with contextlib.suppress(BrokenPipeError):
             pickle.dump(config, self._process.stdin)
             self._process.stdin.close()
+
+    @property
+    def pid(self) -> int:
+        """Its number among the computer's processes."""
+        return self._process.pid
 
     def await_ready(self) -> None:
         """Wait until the process has started.

@@ -71,7 +71,7 @@ class StateMonitor:
         """States with the same tick, and damaged ones, since the last new one."""
         self._shown: Hazard | None = None
         self._shown_until = 0
-        self._lost, self._lost_since = np.zeros(MOTORS, np.int64), 0
+        self._lost, self._lost_since = np.zeros(MOTORS, np.int64), -math.inf
         self._found: Hazard | None = None
         self._remote = _NONE
         self._stop = self._stick = False
