@@ -39,9 +39,9 @@ class SerialHostLink:
     ) -> None:
         faults = faults or {}
         self.port, self.lead, self._patience = port, lead, patience
-        self._frames = HostFrames(motors)
+        self.frames = HostFrames(motors)
         if "other-schema" in faults:
-            self._frames.codec.schema ^= 0xFFFF
+            self.frames.codec.schema ^= 0xFFFF
         batch = faults["batching"].value if "batching" in faults else 0.0
         self.inbound = Line(generator(seed, "line to robot"), baud)
         self.outbound = Line(generator(seed, "line to host"), baud, batch)
@@ -49,8 +49,8 @@ class SerialHostLink:
     @property
     def statistics(self) -> LinkStatistics:
         """What the firmware has received since it started, and what hosts did not read."""
-        self._frames.statistics.unsent = self.port.unread
-        return self._frames.statistics
+        self.frames.statistics.unsent = self.port.unread
+        return self.frames.statistics
 
     @property
     def chances(self) -> Mapping[str, float]:
@@ -94,15 +94,15 @@ class SerialHostLink:
 
     def receive(self, now: int, firmware: Firmware) -> None:
         """Hand the firmware the packets of the bytes that arrive next, and report damage to it."""
-        self._frames.receive(now, self.inbound.take(), firmware)
+        self.frames.receive(now, self.inbound.take(), firmware)
 
     def send(self, now: int, packet: Packet) -> None:
         """Put a packet's frame on the line to the host."""
-        self.outbound.send(now, self._frames.encode(packet))
+        self.outbound.send(now, self.frames.encode(packet))
 
     def restart(self) -> None:
         """Forget frames that are not complete: the firmware starts anew."""
-        self._frames.restart()
+        self.frames.restart()
 
     def cut_off(self) -> None:
         """Pull the cable: what is on its way is lost, and all that follows."""
