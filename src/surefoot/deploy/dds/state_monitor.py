@@ -52,7 +52,8 @@ def _offsets(part: str, names: Sequence[str], count: int = 1) -> list[int]:
 
 _ANGLES = _offsets("motor_state", ["q", "dq", "tau_est"])
 _IMU = [*_offsets("imu_state", ["quaternion"], 4), *_offsets("imu_state", ["gyroscope"], 3)]
-_FLOATS = np.array([*_ANGLES, *_IMU, LOW_STATE.fields["power_v"][1]]) // 4  # type: ignore[index]
+_POWER = int((LOW_STATE.fields or {})["power_v"][1])
+_FLOATS = np.array([*_ANGLES, *_IMU, _POWER]) // 4
 _LOST = np.array(_offsets("motor_state", ["lost"])) // 4
 _BYTES = np.array(_offsets("motor_state", ["mode", "temperature"]))
 """Where angles, speeds, torques, quaternion, rates and power_v are among a state's 32-bit words, lost messages
