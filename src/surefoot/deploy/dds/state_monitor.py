@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,11 +37,12 @@ _BATTERY_EVERY = 25
 """States between two looks at the battery: every .05 s."""
 
 
+_FIELDS: Mapping[str, Any] = LOW_STATE.fields or {}
+
+
 def _offsets(part: str, names: Sequence[str], count: int = 1) -> list[int]:
     """Return where numbers stand in a state [bytes]: `count` of each field of its IMU, or one of each motor."""
-    fields = LOW_STATE.fields
-    assert fields is not None
-    kind, start = fields[part][0], int(fields[part][1])
+    kind, start = _FIELDS[part][:2]
     entry = kind.base
     return [
         start + m * entry.itemsize + entry.fields[name][1] + 4 * k
@@ -52,7 +54,7 @@ def _offsets(part: str, names: Sequence[str], count: int = 1) -> list[int]:
 
 _ANGLES = _offsets("motor_state", ["q", "dq", "tau_est"])
 _IMU = [*_offsets("imu_state", ["quaternion"], 4), *_offsets("imu_state", ["gyroscope"], 3)]
-_POWER = int((LOW_STATE.fields or {})["power_v"][1])
+_POWER = int(_FIELDS["power_v"][1])
 _FLOATS = np.array([*_ANGLES, *_IMU, _POWER]) // 4
 _LOST = np.array(_offsets("motor_state", ["lost"])) // 4
 _BYTES = np.array(_offsets("motor_state", ["mode", "temperature"]))
