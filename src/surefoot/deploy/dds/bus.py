@@ -88,6 +88,18 @@ class Bus:
                 "a domain has room for nine programs"
             ) from error
 
+    def types_of(self, name: str) -> list[str]:
+        """Return the types with which others write a topic, as far as DDS has found them."""
+        from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+
+        found = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication).take(1000)
+        return sorted({entry.type_name for entry in found if entry.topic_name == name})
+
+    def close(self) -> None:
+        """Leave the domain, with all readers and writers of this bus."""
+        for entity in (self.participant, self._domain):
+            entity.__del__()
+
     def topic(self, name: str, kind: type[_T]) -> Any:
         """Return a topic with the type `kind` of `types`."""
         from cyclonedds.topic import Topic
