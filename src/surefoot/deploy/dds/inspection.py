@@ -41,7 +41,6 @@ _LYING_KNEE, _LYING_SPEED, _LYING_TIME = -2.2, 0.1, 0.5
 """A Go2 lies whose knees are folded below this angle [rad] and whose joints have been slower than this [rad/s] for so
 long [s]."""
 _POLL = 0.001
-NAMES = ("states", "own controller", "other programs", "motors", "cells", "drive gains", "pose", "gravity")
 
 
 @dataclass
@@ -79,15 +78,16 @@ class Inspection:
         end = time.monotonic() + PATIENCE
         while not self._states.take(1):
             if time.monotonic() > end:
-                others = [name for name in self._bus.types_of(LOW_STATE_TOPIC) if name != types.GO_LOW_STATE]
+                nominal = types.GO_LOW_STATE
+                others = [name for name in self._bus.types_of(LOW_STATE_TOPIC) if name != nominal]
                 if others:
-                    raise SurefootError(
-                        f"{self._place}: {LOW_STATE_TOPIC} is of type {choices(others)}; a Go2's is {types.GO_LOW_STATE}"
+                    error = f"{LOW_STATE_TOPIC} is of type {choices(others)}; a Go2's is {nominal}"
+                else:
+                    error = (
+                        f"no state of a robot within {PATIENCE:g} s; check that it is on, that this interface leads to "
+                        "it (ping 192.168.123.161), its DDS domain (a Go2's is 0), and that no firewall drops UDP"
                     )
-                raise SurefootError(
-                    f"{self._place}: no state of a robot within {PATIENCE:g} s; check that it is on, that this interface "
-                    "leads to it (ping 192.168.123.161), its DDS domain (a Go2's is 0), and that no firewall drops UDP"
-                )
+                raise SurefootError(f"{self._place}: {error}")
             time.sleep(_POLL)
 
     def observe(self, duration: float) -> Observation:
@@ -139,17 +139,17 @@ class Inspection:
         if not seen.records:
             reason = seen.damaged[-1] if seen.damaged else "they have stopped"
             raise SurefootError(f"{self._place}: no state of a Go2 comes on {LOW_STATE_TOPIC}: {reason}")
+        address = check_interface(self._interface)
+        angles = np.mean([record["motor_state"]["q"][:MOTORS] for record in seen.records], axis=0, dtype=float)
         return [
-            CheckResult(
-                "interface", True, f"{self._interface}, {check_interface(self._interface)}", value=self._interface
-            ),
+            CheckResult("interface", True, f"{self._interface}, {address}", value=self._interface),
             check_states(seen),
             _check_controller(name, seen.sport),
             _check_strangers(seen),
             check_motors(seen.records),
             check_cells(seen.records[-1]),
             check_gains(kp, kd),
-            check_pose(np.mean([r["motor_state"]["q"][:MOTORS] for r in seen.records], axis=0, dtype=float), robot),
+            check_pose(angles, robot),
             check_gravity(seen.records),
         ]
 
@@ -214,12 +214,11 @@ def check_motors(records: list[Record]) -> CheckResult:
         error = f"{names}: mode {int(motors['mode'][off[0]])}; it must be {SERVO}"
     elif rise.max() >= LOST_RISE:
         error = f"{MOTOR_NAMES[int(rise.argmax())]} has lost {int(rise.max())} messages in {OBSERVED:g} s"
-    lost = motors["lost"]
+    lost, hottest = motors["lost"], int(motors["temperature"].max())
     return fail_if(
-        "motors",
+        "drives",
         error,
-        f"{MOTORS} on, lost messages {int(lost.min())} to {int(lost.max())} and steady, {int(motors['temperature'].max())} degC "
-        "at most",
+        f"{MOTORS} on, lost messages {int(lost.min())} to {int(lost.max())} and steady, at most {hottest} degC",
         "switch the robot off and on; a motor that stays off needs its cable or drive checked",
     )
 
@@ -261,14 +260,11 @@ def check_pose(angles: Array, robot: RobotDescription) -> CheckResult:
     low, high = np.array(limits).T
     beyond = np.maximum(low - angles, angles - high)
     worst = int(np.argmax(beyond))
-    message = (
-        f"{robot.motor_names[worst]} is at {angles[worst]:.2f} rad; it turns from {low[worst]:.2f} to {high[worst]:.2f}"
-    )
-    return judge(
+    name, span = robot.motor_names[worst], f"{low[worst]:.2f} to {high[worst]:.2f}"
+    return fail_if(
         "pose",
-        bool(beyond[worst] <= LIMIT_MARGIN),
-        "all joints are within their limits" if beyond[worst] <= LIMIT_MARGIN else message,
-        "",
+        None if beyond[worst] <= LIMIT_MARGIN else f"{name} is at {angles[worst]:.2f} rad; it turns from {span}",
+        "all joints are within their limits",
         "check that this robot is a Go2 as described, with its joints calibrated",
         float(beyond[worst]),
     )

@@ -76,20 +76,21 @@ class Keeper:
         self._watcher, self._watched = watcher, 0
         self._watcher_text = ""
         self._state_reader = bus.reader(LOW_STATE_TOPIC, types.LowState, 4)
+        # The robot's own controller also commands the motors: it is named first.
         self._strangers = (
-            (
-                bus.reader(LOW_COMMAND_TOPIC, types.LowCmd, others=True),
-                (Reason.OTHER_PROGRAM, "another program commands the motors, on rt/lowcmd"),
-            ),
             (
                 bus.reader(SPORT_STATE_TOPIC, types.SportModeState),
                 (Reason.OWN_CONTROLLER, "the robot's own controller is active: messages on rt/sportmodestate"),
+            ),
+            (
+                bus.reader(LOW_COMMAND_TOPIC, types.LowCmd, others=True),
+                (Reason.OTHER_PROGRAM, "another program commands the motors, on rt/lowcmd"),
             ),
         )
         self.writer = bus.writer(LOW_COMMAND_TOPIC, types.LowCmd)
         self._damping = self._frame = damping_frame()
         self._order: MotorOrder | None = None
-        self._seen: dict[Reason, tuple[int, Hazard]] = {}
+        self._seen = [-math.inf] * len(self._strangers)
         self._controller = ""
         self._cycles = 0
         self._ends: float = math.inf
@@ -149,13 +150,12 @@ class Keeper:
         if self._controller:
             return Reason.OWN_CONTROLLER, f"the robot's own controller '{self._controller}' is active"
         if self._cycles % _EVERY == 0:
-            for reader, hazard in self._strangers:
+            for k, (reader, _) in enumerate(self._strangers):
                 if reader.take():
-                    self._seen[hazard[0]] = now, hazard
-        if not self._seen:
-            return None
-        self._seen = {reason: (at, hazard) for reason, (at, hazard) in self._seen.items() if now - at < SHOWN}
-        return next((hazard for _, hazard in self._seen.values()), None)
+                    self._seen[k] = now
+        return next(
+            (hazard for at, (_, hazard) in zip(self._seen, self._strangers, strict=True) if now - at < SHOWN), None
+        )
 
     def _cycle(self, now: int) -> None:
         """Take the robot's newest state, and write the motors' order."""
