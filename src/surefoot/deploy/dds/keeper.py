@@ -12,13 +12,14 @@ import math
 import select
 import sys
 import time
+from typing import Any
 
 from surefoot.arrays import Array
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.host_frames import HostFrames
 from surefoot.deploy.board.signals import Hazard, MotorOrder
 from surefoot.deploy.dds import types
-from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus
+from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus, RawReader
 from surefoot.deploy.dds.low_level import STATE_PERIOD, encode, new_command
 from surefoot.deploy.dds.processes import LinkConfig, await_readers, serve
 from surefoot.deploy.dds.socket_port import SocketPort
@@ -77,7 +78,7 @@ class Keeper:
         self._watcher_text = ""
         self._state_reader = bus.reader(LOW_STATE_TOPIC, types.LowState, 4)
         # The robot's own controller also commands the motors: it is named first.
-        self._strangers = (
+        self._strangers: tuple[tuple[RawReader[Any], Hazard], ...] = (
             (
                 bus.reader(SPORT_STATE_TOPIC, types.SportModeState),
                 (Reason.OWN_CONTROLLER, "the robot's own controller is active: messages on rt/sportmodestate"),
