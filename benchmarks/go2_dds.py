@@ -10,8 +10,8 @@ A run: stand up, walk forward from .5 s on, sit. `speed` is the mean from 3 s on
 they were written, from the first to the last that was not damping; loads are those of one core while the policy runs.
 
 A fault begins while the robot stands up, while the policy runs, or while it sits. `damped_ms` is how long after it the
-robot took a damping command and none with a gain any more. `loop`, `keeper` and `watcher` are killed; with `-hangs` they stand still for
-a second.
+robot took a damping command and none with a gain any more. `loop`, `keeper` and `watcher` are killed; with `-hangs`
+they stand still for a second.
 """
 
 from __future__ import annotations

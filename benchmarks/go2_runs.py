@@ -193,7 +193,9 @@ def watch(deploy: Deploy, witness: Witness, actions: list[tuple[float, Callable[
 @contextlib.contextmanager
 def busy_programs(count: int) -> Iterator[None]:
     """Run programs that do nothing but need a processor."""
-    programs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    # If this script is killed, they end by themselves.
+    busy = "import time; end = time.monotonic() + 120\nwhile time.monotonic() < end: pass"
+    programs = [subprocess.Popen([sys.executable, "-c", busy]) for _ in range(count)]
     try:
         yield
     finally:
