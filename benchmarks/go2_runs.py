@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -114,15 +114,22 @@ class Witness:
 
 
 class Deploy:
-    """A running `surefoot deploy --link dds`."""
+    """A running `surefoot deploy --link dds`; `program` is the command before its words."""
 
-    def __init__(self, domain: int, folder: Path, *options: object, policy: str = "go2-steer") -> None:
+    def __init__(
+        self,
+        domain: int,
+        folder: Path,
+        *options: object,
+        policy: str = "go2-steer",
+        program: Sequence[str] = SUREFOOT,
+    ) -> None:
         self.folder = folder / f"deploy_{time.monotonic_ns()}"
         words = ["deploy", policy, "--link", "dds", "--interface", "lo", "--domain", str(domain), "--json"]
         words += ["--out", str(self.folder), *map(str, options)]
         self._output, self._errors = self.folder.with_suffix(".out"), self.folder.with_suffix(".err")
         with self._output.open("w") as out, self._errors.open("w") as err:
-            self.process = subprocess.Popen([*SUREFOOT, *words], stdin=subprocess.DEVNULL, stdout=out, stderr=err)
+            self.process = subprocess.Popen([*program, *words], stdin=subprocess.DEVNULL, stdout=out, stderr=err)
 
     @property
     def ended(self) -> bool:
