@@ -32,6 +32,9 @@ class Wire:
         self.inbound: list[Record] = []
         self.states: list[Record] = []
 
+    def publish_command(self, command: Record) -> None:
+        pass
+
     def send(self, at: float, data: bytes) -> None:
         self.states.append(low_level.decode(LOW_STATE, data))
 
