@@ -30,7 +30,10 @@ DDS = ["--link", "dds", "--interface", "lo"]
         (["--fault", "slow-servo=0.0025"], "fault slow-servo is 0.0025; it must be whole servo steps of 0.001 s"),
         (["--link", "dds"], "link dds needs the network interface of the topics; give --interface, such as lo"),
         (["--link", "tcp"], "dds"),
-        (["--interface", "lo"], "interface, domain and motion_service are those of a link over DDS; give --link dds too"),
+        (
+            ["--interface", "lo"],
+            "motion_service are those of a link over DDS; give --link dds too",
+        ),
         ([*DDS, "--domain", "233"], "domain is 233; it must be 232 or less"),
         ([*DDS, "--lockstep"], "lockstep is about the serial link; it does not go with --link dds"),
         ([*DDS, "--fault", "garbage"], "fault garbage is one of --link serial; it does not go with --link dds"),

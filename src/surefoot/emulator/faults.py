@@ -85,7 +85,9 @@ FAULTS: dict[str, FaultKind] = {
     ),
     "other-robot": FaultKind("the handshake names another robot", **_SERIAL),
     "other-order": FaultKind("the handshake names the motors in another order", **_SERIAL),
-    "other-gains": FaultKind("the handshake states other servo gains", 1.5, 0.0, 100.0, "times the nominal ones", **_SERIAL),
+    "other-gains": FaultKind(
+        "the handshake states other servo gains", 1.5, 0.0, 100.0, "times the nominal ones", **_SERIAL
+    ),
     "other-schema": FaultKind("the robot has another schema of the protocol", **_SERIAL),
     "slow-servo": FaultKind(
         "the servo runs slower, and the handshake states it", 0.002, 0.001, 0.1, "s between two steps", **_SERIAL
@@ -239,7 +241,7 @@ class FaultInjector:
             return
         plant = self._plant
         if fault := self.active("battery-low"):
-            fall = max(float(plant.params.voltage[0]) - fault.value, 0.0)
+            fall = max(plant.start_voltage - fault.value, 0.0)
             plant.voltage_drop = min(FALL_OF_VOLTAGE * max(self._since(fault), 0.0), fall)
         if (fault := self.active("motor-hot")) and plant.temperature[0] < fault.value:
             plant.temperature[0] += RISE_OF_TEMPERATURE * plant.robot.timing.servo_step

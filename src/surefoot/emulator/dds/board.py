@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -12,14 +12,12 @@ from surefoot.deploy.dds.low_level import POS_STOP, SERVO, VEL_STOP, Record, enc
 from surefoot.emulator.board import BOOT_TIME
 from surefoot.emulator.dds.faults import MessageFaults
 from surefoot.emulator.dds.low_state import StateMessage
+from surefoot.emulator.dds.motion_service import MotionService
 from surefoot.emulator.dds.own_controller import OwnController
 from surefoot.emulator.faults import FaultInjector, InjectedFault
 from surefoot.emulator.host_link import Transport
 from surefoot.emulator.plant import JointOrder, Plant
 from surefoot.seeding import generator
-
-if TYPE_CHECKING:
-    from surefoot.emulator.dds.motion_service import MotionService  # and with it cyclonedds
 
 
 class StateLink(Transport, Protocol):
