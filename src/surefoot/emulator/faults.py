@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,6 +28,10 @@ FALL_OF_VOLTAGE, RISE_OF_TEMPERATURE = 2.0, 40.0
 _IMU_SIGNS = {1: (-1, 1), 2: (1, -1), 3: (-1, -1)}
 
 
+_SERIAL, _DDS = ("serial",), ("dds",)
+_ANY = (*_SERIAL, *_DDS)
+
+
 @dataclass(frozen=True)
 class FaultKind:
     """A fault that can be requested."""
@@ -42,24 +46,20 @@ class FaultKind:
     """Default of its start, in s after the robot was first armed; NaN: it is always active."""
     real_time: bool = False
     """It concerns real time, and has no meaning in lockstep."""
-    links: tuple[str, ...] = ("serial", "dds")
+    links: tuple[str, ...] = _ANY
     """Links that have it."""
 
 
-_SERIAL = {"links": ("serial",)}
-_DDS = {"links": ("dds",)}
+def _rate(meaning: str, links: tuple[str, ...] = _ANY) -> FaultKind:
+    return FaultKind(meaning, 0.05, high=1.0, unit="chance a frame", links=links)
 
 
-def _rate(meaning: str, **more: Any) -> FaultKind:
-    return FaultKind(meaning, 0.05, high=1.0, unit="chance a frame", **more)
+def _at_time(meaning: str, links: tuple[str, ...] = _ANY) -> FaultKind:
+    return FaultKind(meaning, 1.0, unit=_AFTER_ARMING, links=links)
 
 
-def _at_time(meaning: str, **more: Any) -> FaultKind:
-    return FaultKind(meaning, 1.0, unit=_AFTER_ARMING, **more)
-
-
-def _motor(meaning: str, **more: Any) -> FaultKind:
-    return FaultKind(meaning, 0.0, unit=_MOTOR, **more)
+def _motor(meaning: str, links: tuple[str, ...] = _ANY) -> FaultKind:
+    return FaultKind(meaning, 0.0, unit=_MOTOR, links=links)
 
 
 FAULTS: dict[str, FaultKind] = {
@@ -67,13 +67,13 @@ FAULTS: dict[str, FaultKind] = {
     "drop": _rate("frames are lost"),
     "duplicate": _rate("frames come twice"),
     "reorder": _rate("frames come after the next one"),
-    "garbage": _rate("bytes that nobody sent come between frames", **_SERIAL),
-    "cut-frames": _rate("only the beginning or the end of a frame comes", **_SERIAL),
+    "garbage": _rate("bytes that nobody sent come between frames", links=_SERIAL),
+    "cut-frames": _rate("only the beginning or the end of a frame comes", links=_SERIAL),
     "batching": FaultKind(
         "bytes to the host arrive in batches, as with some USB adapters",
         *(0.016, 0.0, 1.0, "s between batches"),
         real_time=True,
-        **_SERIAL,
+        links=_SERIAL,
     ),
     "unplug": _at_time("the cable is pulled"),
     "swap-motors": _motor("commands of a motor and of the one after it are exchanged"),
@@ -83,14 +83,14 @@ FAULTS: dict[str, FaultKind] = {
         "the IMU is mounted wrongly: 0 exchanges roll and pitch, 1 negates roll, 2 pitch, 3 both",
         *(0.0, 0.0, 3.0, "way"),
     ),
-    "other-robot": FaultKind("the handshake names another robot", **_SERIAL),
-    "other-order": FaultKind("the handshake names the motors in another order", **_SERIAL),
+    "other-robot": FaultKind("the handshake names another robot", links=_SERIAL),
+    "other-order": FaultKind("the handshake names the motors in another order", links=_SERIAL),
     "other-gains": FaultKind(
-        "the handshake states other servo gains", 1.5, 0.0, 100.0, "times the nominal ones", **_SERIAL
+        "the handshake states other servo gains", 1.5, 0.0, 100.0, "times the nominal ones", links=_SERIAL
     ),
-    "other-schema": FaultKind("the robot has another schema of the protocol", **_SERIAL),
+    "other-schema": FaultKind("the robot has another schema of the protocol", links=_SERIAL),
     "slow-servo": FaultKind(
-        "the servo runs slower, and the handshake states it", 0.002, 0.001, 0.1, "s between two steps", **_SERIAL
+        "the servo runs slower, and the handshake states it", 0.002, 0.001, 0.1, "s between two steps", links=_SERIAL
     ),
     "stale-state": _at_time("states repeat the readings of one"),
     "repeat-sequence": _at_time("all states have the same number"),
@@ -102,17 +102,17 @@ FAULTS: dict[str, FaultKind] = {
     "reboot": _at_time("the microcontroller restarts and forgets its operator"),
     "hang": FaultKind("the microcontroller's program stands still", 0.2, 0.0, 60.0, "s", start=1.0),
     "overload": FaultKind("physics needs more than real time", 1.5, 0.0, 1000.0, "times real time", real_time=True),
-    "not-finite": _at_time("the angle of the first motor is not a number", **_DDS),
-    "tick-restart": _at_time("ticks of states begin at 0 again", **_DDS),
-    "slow-states": FaultKind("states come less often", 50.0, 1.0, 500.0, "Hz", **_DDS),
-    "other-layout": FaultKind("states have another layout", **_DDS),
-    "motor-off": FaultKind("a motor switches itself off", 0.0, unit=_MOTOR, start=1.0, **_DDS),
-    "motor-lost": FaultKind("the messages of a motor are lost", 0.0, unit=_MOTOR, start=1.0, **_DDS),
-    "second-writer": _at_time("another program commands the motors", **_DDS),
-    "service-back": _at_time("the robot's own controller becomes active again", **_DDS),
-    "no-service": FaultKind("neither the motion switcher nor the sport service answers", **_DDS),
-    "remote-stop": _at_time("L2 and B of the remote control are pressed", **_DDS),
-    "remote-stick": _at_time("a stick of the remote control is pushed forwards", **_DDS),
+    "not-finite": _at_time("the angle of the first motor is not a number", links=_DDS),
+    "tick-restart": _at_time("ticks of states begin at 0 again", links=_DDS),
+    "slow-states": FaultKind("states come less often", 50.0, 1.0, 500.0, "Hz", links=_DDS),
+    "other-layout": FaultKind("states have another layout", links=_DDS),
+    "motor-off": FaultKind("a motor switches itself off", 0.0, unit=_MOTOR, start=1.0, links=_DDS),
+    "motor-lost": FaultKind("the messages of a motor are lost", 0.0, unit=_MOTOR, start=1.0, links=_DDS),
+    "second-writer": _at_time("another program commands the motors", links=_DDS),
+    "service-back": _at_time("the robot's own controller becomes active again", links=_DDS),
+    "no-service": FaultKind("neither the motion switcher nor the sport service answers", links=_DDS),
+    "remote-stop": _at_time("L2 and B of the remote control are pressed", links=_DDS),
+    "remote-stick": _at_time("a stick of the remote control is pushed forwards", links=_DDS),
 }
 """Every fault, by name."""
 
