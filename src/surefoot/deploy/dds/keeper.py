@@ -102,7 +102,7 @@ class Keeper:
         start = time.monotonic_ns()
         due, now = 0, 0
         while now < self._ends:
-            pause = min(due, self.firmware.next_state) - now
+            pause = min(due, self.firmware.next_state if self._ends == math.inf else due) - now
             ports = [port for port in (self._host, self._watcher) if port.is_open]
             select.select(ports, [], [], max(pause, 0) / 1e6)
             now = (time.monotonic_ns() - start) // 1000
