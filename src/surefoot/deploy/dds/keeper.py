@@ -17,7 +17,7 @@ from typing import Any
 from surefoot.arrays import Array
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.host_frames import HostFrames
-from surefoot.deploy.board.signals import Hazard, MotorOrder
+from surefoot.deploy.board.signals import Hazard, MotorOrder, Sensors
 from surefoot.deploy.dds import types
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus, RawReader
 from surefoot.deploy.dds.low_level import STATE_PERIOD, encode, new_command
@@ -181,7 +181,12 @@ class Keeper:
     def _answer(self, now: int) -> None:
         if self._ends < math.inf:
             return
-        self.firmware.report(now, self.states.sensors)
+
+        def read() -> Sensors:
+            self.states.take(now, self._state_reader.take())
+            return self.states.sensors()
+
+        self.firmware.report(now, read)
         try:
             for packet in self.firmware.take():
                 self._host.write(self._frames.encode(packet))
