@@ -100,6 +100,8 @@ def again(shared: Operator, body: Go2) -> Operator:
 def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, body: Go2) -> None:
     time.sleep(0.1)
     assert body.read() == []  # nothing before the motors are armed
+    operator.link.update()
+    assert operator.link.state_sent == pytest.approx(body.time, abs=0.1)  # what records the robot has the same time
     operator.arm()
     assert operator.hold(lambda: False, 0.5) is False
     frames = body.read()
