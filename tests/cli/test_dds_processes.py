@@ -127,5 +127,5 @@ def test_messages_of_another_length_are_refused(body: Go2) -> None:
 def test_a_policy_of_another_rate_is_refused(body: Go2, tmp_path: Path) -> None:
     body.reset()
     policy = edited_policy(tmp_path / "p.onnx", lambda contract: contract.update(control_step=0.011), "go2-steer")
-    refused(run_surefoot("deploy", policy, *link(DOMAIN), cwd=tmp_path), "control step")
+    refused(run_surefoot("deploy", policy, *link(DOMAIN), cwd=tmp_path), "x", "control step")
     assert body.read() == []

@@ -52,7 +52,7 @@ def test_states_of_a_recorded_robot_pass() -> None:
     results = [
         inspection.check_states(observed()),
         inspection.check_motors(records),
-        inspection.check_cells(records[0]),
+        inspection.check_cells(records[0], 25.6),
         inspection.check_gravity(records),
         inspection.check_pose(angles, go2),
         inspection.check_gains(go2.actuator.kp, go2.actuator.kd),
@@ -88,9 +88,9 @@ def test_a_motor_that_is_off_or_loses_messages() -> None:
 def test_cells() -> None:
     record = recorded()
     record["bms_state"]["cell_vol"][3] = 3100
-    assert inspection.check_cells(record).message == "8 cells, 3.10 to 3.84 V, 63 %; the least must be 3.2 V"
+    assert inspection.check_cells(record, 25.6).message == "8 cells, 3.10 to 3.84 V, 63 %; the least must have 3.20 V"
     record["bms_state"]["cell_vol"] = 0
-    assert inspection.check_cells(record).passed is None
+    assert inspection.check_cells(record, 25.6).passed is None
 
 
 BAD_GAINS = [(0.0, 1.0), (150.0, 1.0), (40.0, 11.0), (np.nan, 1.0), (np.full(12, 40.0), -1.0)]

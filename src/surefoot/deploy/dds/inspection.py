@@ -35,8 +35,6 @@ LIMIT_MARGIN = 0.1
 """How far [rad] a joint may be beyond the limits of the description, such as at its stop."""
 GRAVITY_ANGLE, GRAVITY_SHARE = 0.15, 0.1
 """Greatest angle [rad] between the accelerometer's gravity and the orientation's, and relative difference from g."""
-MIN_CELL = 3.2
-"""Least voltage [V] of a cell at rest; lithium cells are empty at 3.0 to 3.2 V."""
 _LYING_KNEE, _LYING_SPEED, _LYING_TIME = -2.2, 0.1, 0.5
 """A Go2 lies whose knees are folded below this angle [rad] and whose joints have been slower than this [rad/s] for so
 long [s]."""
@@ -147,7 +145,7 @@ class Inspection:
             _check_controller(name, seen.sport),
             _check_strangers(seen),
             check_motors(seen.records),
-            check_cells(seen.records[-1]),
+            check_cells(seen.records[-1], robot.battery.low),
             check_gains(kp, kd),
             check_pose(angles, robot),
             check_gravity(seen.records),
@@ -223,19 +221,19 @@ def check_motors(records: list[Record]) -> CheckResult:
     )
 
 
-def check_cells(record: Record) -> CheckResult:
-    """Judge the battery's cells."""
+def check_cells(record: Record, low: float) -> CheckResult:
+    """Judge the battery's cells: none may have less than its share of the voltage `low` [V] of a battery to charge."""
     cells = 1e-3 * record["bms_state"]["cell_vol"]
     cells = cells[cells > 0]
     if not len(cells):
         message = f"the state names no cells; {float(record['power_v']):.1f} V"
         return CheckResult("cells", None, message, "look at the battery's own display")
-    least, soc = float(cells.min()), int(record["bms_state"]["soc"])
+    least, soc, limit = float(cells.min()), int(record["bms_state"]["soc"]), low / len(cells)
     return judge(
         "cells",
-        least >= MIN_CELL,
+        least >= limit,
         f"{len(cells)} cells, {least:.2f} to {float(cells.max()):.2f} V, {soc} %",
-        f"; the least must be {MIN_CELL:g} V",
+        f"; the least must have {limit:.2f} V",
         "charge the battery",
         least,
     )

@@ -17,10 +17,10 @@ from typing import Any
 from surefoot.arrays import Array
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.host_frames import HostFrames
-from surefoot.deploy.board.signals import Hazard, MotorOrder
+from surefoot.deploy.board.signals import Hazard, MotorOrder, Sensors
 from surefoot.deploy.dds import types
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus, RawReader
-from surefoot.deploy.dds.low_level import STATE_PERIOD, encode, new_command
+from surefoot.deploy.dds.low_level import LOW_STATE, STATE_PERIOD, BadMessageError, decode, encode, new_command
 from surefoot.deploy.dds.processes import LinkConfig, await_readers, serve
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.dds.state_monitor import MOTORS, SHOWN, StateMonitor
@@ -37,6 +37,8 @@ WATCHER_SILENCE = 2_000_000
 """Silence of the watcher [us] after which it counts as gone; it reports twice a second."""
 IDLE, ACTIVE, DONE = b"\0", b"\1", b"\2"
 """What the keeper tells the watcher in every cycle: no command was written yet; commands are written; the end."""
+_FIRST_STATE = 100
+"""Time [ms] within which a state must come, so that time is the robot's."""
 _EVERY = 5
 """Cycles between two looks for messages that should never come."""
 
@@ -98,11 +100,15 @@ class Keeper:
         self._active = False
 
     def run(self) -> None:
-        """Run until the loop is gone and the motors have been damped."""
-        start = time.monotonic_ns()
-        due, now = 0, 0
+        """Run until the loop is gone and the motors have been damped.
+
+        Time is that of the robot's tick when this begins, and then passes by this computer's clock: a recording of the
+        robot by others, such as motion capture, has its ticks.
+        """
+        start = time.monotonic_ns() - 1000 * self._robot_time()
+        due = now = self._watched = (time.monotonic_ns() - start) // 1000
         while now < self._ends:
-            pause = min(due, self.firmware.next_state) - now
+            pause = min(due, self.firmware.next_state if self._ends == math.inf else due) - now
             ports = [port for port in (self._host, self._watcher) if port.is_open]
             select.select(ports, [], [], max(pause, 0) / 1e6)
             now = (time.monotonic_ns() - start) // 1000
@@ -115,6 +121,16 @@ class Keeper:
             self._answer(now)
         with contextlib.suppress(LinkLostError):
             self._watcher.write(DONE)
+
+    def _robot_time(self) -> int:
+        """Return the robot's time [us], by the next state that comes; 0, if none does within a moment."""
+        self._state_reader.take()
+        for _ in range(_FIRST_STATE):
+            time.sleep(0.001)
+            for data in self._state_reader.take():
+                with contextlib.suppress(BadMessageError):
+                    return 1000 * int(decode(LOW_STATE, data)["tick"])
+        return 0
 
     def _hear_host(self, now: int) -> None:
         if self._ends < math.inf:
@@ -181,7 +197,12 @@ class Keeper:
     def _answer(self, now: int) -> None:
         if self._ends < math.inf:
             return
-        self.firmware.report(now, self.states.sensors)
+
+        def read() -> Sensors:
+            self.states.take(now, self._state_reader.take())
+            return self.states.sensors()
+
+        self.firmware.report(now, read)
         try:
             for packet in self.firmware.take():
                 self._host.write(self._frames.encode(packet))
