@@ -127,5 +127,9 @@ def test_messages_of_another_length_are_refused(body: Go2) -> None:
 def test_a_policy_of_another_rate_is_refused(body: Go2, tmp_path: Path) -> None:
     body.reset()
     policy = edited_policy(tmp_path / "p.onnx", lambda contract: contract.update(control_step=0.011), "go2-steer")
-    refused(run_surefoot("deploy", policy, *link(DOMAIN), cwd=tmp_path), "x", "control step")
+    done = run_surefoot("deploy", policy, *link(DOMAIN), cwd=tmp_path)
+    assert done.returncode == 2
+    phase, error = done.stderr.splitlines()
+    assert phase == "surefoot: connect"
+    assert "must not run on this robot: control step: 11 ms is 5.50 servo periods of 2 ms" in error
     assert body.read() == []
