@@ -20,16 +20,17 @@ LOW_STATE_TOPIC, LOW_COMMAND_TOPIC = "rt/lowstate", "rt/lowcmd"
 SPORT_STATE_TOPIC = "rt/sportmodestate"
 _SIOCGIFADDR = 0x8915
 _IFF_UP, _IFF_MULTICAST = 0x1, 0x1000
-_MULTICAST = "</General>"
-_NO_MULTICAST = (
-    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
-    "<Peers><Peer address='localhost'/></Peers></Discovery>"
-)
-"""What cyclonedds does by itself on a loopback without multicast; said outright, it prints no warning."""
 _CONFIG = (
     "<CycloneDDS><Domain Id='any'><General><Interfaces><NetworkInterface name={} priority='default'"
-    " multicast='default'/></Interfaces></General><Tracing><Verbosity>none</Verbosity></Tracing></Domain></CycloneDDS>"
+    " multicast='{}'/></Interfaces>{}<Tracing><Verbosity>none</Verbosity></Tracing></Domain></CycloneDDS>"
 )
+_MULTICAST = "default", "</General>"
+_NO_MULTICAST = (
+    "false",
+    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    "<Peers><Peer address='localhost'/></Peers></Discovery>",
+)
+"""What cyclonedds does by itself on a loopback without multicast; said outright, it prints no warning."""
 
 
 def _flags(interface: str) -> int:
@@ -80,7 +81,7 @@ class Bus:
             ) from error
         try:
             discovery = _MULTICAST if _flags(interface) & _IFF_MULTICAST else _NO_MULTICAST
-            self._domain = Domain(domain, _CONFIG.format(quoteattr(interface), discovery))
+            self._domain = Domain(domain, _CONFIG.format(quoteattr(interface), *discovery))
             self.participant = DomainParticipant(domain)
         except DDSException as error:
             raise SurefootError(
