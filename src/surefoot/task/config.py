@@ -122,7 +122,7 @@ class TaskConfig:
 
         Beside a `relative` reference, which serves any robot, bounds are narrowed to what the legs allow.
         """
-        reference = make_reference(self.reference, robot, self.commands.limits(robot))
+        reference = make_reference(self.reference, robot, self.commands.limits(robot), self.nominal(robot))
         names = ("joint",) if self.action == "joint" else robot.coordinates
         bounds = self.feedback.bounds(names)
         if self.reference.relative and self.action == "leg":
