@@ -89,7 +89,10 @@ class TrainingLoop:
         self.config, self.folder, self._make_world = config, folder, make_world
         self.learner = PpoLearner(config, make_world)
         if config.start_from is not None and not resume:
-            self.learner.load_networks(RunFolder.open(Path(config.start_from))[0].load()["learner"]["algorithm"])
+            other, before = RunFolder.open(Path(config.start_from))
+            # Forces of pushes and drawn parameters come last among what the value network observes.
+            appended = not before.task.randomize and before.task.pushes.enabled <= config.task.pushes.enabled
+            self.learner.load_networks(other.load()["learner"]["algorithm"], appended)
         self.best: Evaluation | None = None
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0
