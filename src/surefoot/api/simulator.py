@@ -92,7 +92,7 @@ def evaluation_task(
             raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
         followed = replace(followed, schedule=read_schedule(commands))
     pushed = task.pushes.for_evaluation(pushes, push_force)
-    task = replace(task, randomize=ranges, pushes=pushed, commands=followed)
+    task = replace(task, randomize=ranges, randomize_ramp=0, pushes=pushed, commands=followed)
     whole = with_duration(task, robot, schedule_duration(followed.schedule))
     return whole if whole.max_steps > task.max_steps else task
 

@@ -50,7 +50,7 @@ def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes
     """Run the deterministic policy for whole episodes, always from the same seed."""
     config, results, rmse = learner.config, [], None
     base = replace(config.task, reward=config.evaluation_reward or config.task.reward)
-    base = replace(base, commands=replace(base.commands, ramp=0))
+    base = replace(base, randomize_ramp=0, commands=replace(base.commands, ramp=0))
     for pushed in (False, True) if config.task.pushes.enabled else (False,):
         task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)

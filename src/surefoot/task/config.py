@@ -89,6 +89,9 @@ class TaskConfig:
     """Random pushes on the base."""
     randomize: NoOption[Ranges] = field(default_factory=dict)
     """Ranges from which every episode draws physical parameters, by name; in a file also the name of a table."""
+    randomize_ramp: Annotated[int, Within(0, 1_000_000)] = 0
+    """Curriculum: a robot's first `randomize_ramp` episodes draw from ranges that widen from the nominal value; 0: none
+    do."""
     params: NoOption[dict[str, ParamValue]] = field(default_factory=dict)
     """Physical parameters that differ from the robot's description, by name: a number, or one for each motor."""
     params_source: NoOption[dict[str, str]] = field(default_factory=dict)
