@@ -5,7 +5,7 @@
 Means over time and four robots from 1.5 s to 5 s, of every servo step, with the torque t and speed w of each motor [W]:
 
     mechanical   |sum of t w|, as in rewards and evaluations
-    net          sum of t w; what mechanical has more is given and taken back: by inertia, springs, and the body's weight
+    net          sum of t w; what mechanical has more is given and taken back: by inertia, springs, weight
     coulomb      friction in the joints, f |w|
     viscous      friction in the joints, b w^2
     rest         net less both: impacts, sliding feet, the ground

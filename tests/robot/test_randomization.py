@@ -212,7 +212,8 @@ def test_ranges_widen_from_the_nominal_value_over_a_robots_first_episodes(robot)
     nominal = PhysicalParams.nominal(robot, 3)
     whole, ramped = (Randomizer(FULL, robot, nominal, 3, ramp) for ramp in (0, 4))
     # Robot 1 begins its episodes later than the others.
-    for rows, shares in (([0, 2], (0.25, 0.25)), ([0, 1], (0.5, 0.25)), ([0], (0.75,)), ([0, 1], (1.0, 0.5)), ([0], (1.0,))):
+    episodes = (([0, 2], (0.25, 0.25)), ([0, 1], (0.5, 0.25)), ([0], (0.75,)), ([0, 1], (1.0, 0.5)), ([0], (1.0,)))
+    for rows, shares in episodes:
         index = np.array(rows)
         full, narrowed, middle = whole.draw(index), ramped.draw(index), nominal.rows(index)
         for name in FULL:

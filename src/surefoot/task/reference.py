@@ -98,11 +98,11 @@ class ReferenceConfig:
     velocity_feedforward: Annotated[float, Within(0, 10)] = 0.0
     """Time [s] by which commands lead along the velocity of the reference, for kinds foot and follow."""
     acceleration_feedforward: Annotated[float, Within(0, 10)] = 0.0
-    """Square of the time [s^2] by which commands lead along the acceleration of the reference, for kind follow: an inertia
-    over k_p makes up for it."""
+    """Square of the time [s^2] by which commands lead along the acceleration of the reference, for kind follow: an
+    inertia over k_p makes up for it."""
     weight_feedforward: Annotated[float, Within(0, 100)] = 0.0
-    """Angle by which commands of legs in stance lead, over the lever arm of the weight [rad/m], for kind follow: m g / k_p
-    makes up for what the weight bends actuators."""
+    """Angle by which commands of legs in stance lead, over the lever arm of the weight [rad/m], for kind follow:
+    m g / k_p makes up for what the weight bends actuators."""
     relative: bool = False
     """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi,
     `velocity_feedforward` the actuators' k_d / k_p, `acceleration_feedforward` rotors' inertia over k_p, and
@@ -282,9 +282,7 @@ def _mean_actuator(robot: RobotDescription, params: PhysicalParams | None) -> tu
     return kp, kd, inertia
 
 
-def _foot_reference(
-    config: ReferenceConfig, robot: RobotDescription, params: PhysicalParams | None
-) -> FootReference:
+def _foot_reference(config: ReferenceConfig, robot: RobotDescription, params: PhysicalParams | None) -> FootReference:
     values = _values_by_leg(config.foot, "reference.foot", robot.leg_names)
     frequency, ahead = np.array(values.pop("frequency")[0]), config.velocity_feedforward
     if config.relative:
