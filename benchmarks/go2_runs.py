@@ -178,17 +178,23 @@ def cpu_time(pid: int) -> float:
     return (int(words[11]) + int(words[12])) / _TICK
 
 
-def watch(deploy: Deploy, witness: Witness, actions: list[tuple[float, Callable[[], object]]], patience: float) -> None:
+def watch(
+    deploy: Deploy, witness: Witness, actions: Sequence[tuple[float, Callable[[], object]]], patience: float
+) -> None:
     """Wait until a deployment has ended; call actions at their times after arming [s].
 
     Raises:
         SystemExit: it has not ended after `patience` [s].
     """
     end = time.monotonic() + patience
+    done = 0
     while not deploy.ended:
         witness.take()
-        while actions and witness.armed is not None and time.monotonic() >= witness.armed + actions[0][0]:
-            actions.pop(0)[1]()
+        while (
+            done < len(actions) and witness.armed is not None and time.monotonic() >= witness.armed + actions[done][0]
+        ):
+            actions[done][1]()
+            done += 1
         if time.monotonic() > end:
             raise SystemExit(f"surefoot deploy has not ended after {patience:g} s")
         time.sleep(0.002)
