@@ -25,9 +25,6 @@ from surefoot.deploy.serial.serial_link import SerialLink
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
 
-LEAD = 0.002
-"""Time [s] between a state's sending and the control step that uses it: sockets take a tenth of a millisecond, the rest
-is for a keeper or a loop that wakes late."""
 FIRST_TORQUE = 5.0
 """Largest torque [N m] that the first command after arming may request."""
 FIRMWARE = "surefoot keeper"
@@ -93,9 +90,7 @@ class DdsLink(SerialLink):
         self.children = [Child(_WATCHER, config, [watcher]), Child(_KEEPER, config, [host, keeper])]
         for end in (host, keeper, watcher):
             end.close()
-        super().__init__(
-            SocketPort(here, "the keeper process"), Codec(len(MOTOR_NAMES)), MonotonicClock(), session, LEAD
-        )
+        super().__init__(SocketPort(here, "the keeper process"), Codec(len(MOTOR_NAMES)), MonotonicClock(), session)
         self.preliminary_checks = list(checks)
         self._config, self._hand_back = config, hand_back
         try:
