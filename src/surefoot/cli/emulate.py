@@ -208,8 +208,8 @@ def make_dds_loop(
     command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], bus: Bus, summary: Summary
 ) -> RealTime:
     """Return the loop that runs a Go2 behind its topics, warmed up."""
-    from surefoot.deploy.dds.dds_link import LEAD
     from surefoot.deploy.dds.low_level import STATE_PERIOD
+    from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.dds.board import Go2Board
     from surefoot.emulator.dds.link import LowLevelLink
     from surefoot.emulator.dds.low_state import POWER
