@@ -18,7 +18,7 @@ from surefoot.robot import RobotDescription
 pytest.importorskip("cyclonedds")
 from go2_robot import Go2, worker_domain
 
-from surefoot.deploy.dds.dds_link import FIRST_TORQUE, DdsLink, make_config
+from surefoot.deploy.dds.dds_link import FIRST_TORQUE, DdsLink, check_priority, make_config
 from surefoot.deploy.dds.keeper import WATCHER_SILENCE
 
 DOMAIN = worker_domain(60)
@@ -243,6 +243,13 @@ def test_a_stick_of_the_remote_control_asks_to_sit(again: Operator, body: Go2) -
     body.set(stick=0.8)
     assert again.hold(lambda: again.link.last_state().reason == Reason.REMOTE)
     assert again.link.last_state().mode == Mode.POSITION
+
+
+def test_the_priority_of_processes(shared: Operator) -> None:
+    pids = [shared.watcher, shared.keeper]
+    real_time = all(os.sched_getscheduler(pid) == os.SCHED_FIFO for pid in pids)
+    assert check_priority(pids).passed is (True if real_time else None)
+    assert check_priority([os.getpid()]).passed is None
 
 
 def test_another_robot_is_refused(robot: RobotDescription) -> None:

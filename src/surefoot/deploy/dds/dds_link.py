@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -64,6 +65,15 @@ def inspect(config: LinkConfig, robot: RobotDescription, release: Callable[[str]
         bus.close()
 
 
+def check_priority(processes: Sequence[int]) -> CheckResult:
+    """Return whether processes have a real-time priority; without one, nothing is wrong on a computer that is idle."""
+    name = "keeper's priority"
+    if all(os.sched_getscheduler(process) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO for process in processes):
+        return CheckResult(name, True, "real time, above the control loop's")
+    message = "ordinary: beside other programs it holds the robot late, and damps it"
+    return CheckResult(name, None, message, "allow real time: sudo setcap cap_sys_nice+ep on Python, or a limit rtprio")
+
+
 class DdsLink(SerialLink):
     """A link to the keeper, which it starts, and which ends with it.
 
@@ -96,6 +106,7 @@ class DdsLink(SerialLink):
         try:
             for child in self.children:
                 child.await_ready()
+            self.preliminary_checks.append(check_priority([child.pid for child in self.children]))
         except BaseException:
             self.close()
             raise
