@@ -90,7 +90,7 @@ def test_a_signal_ends_the_emulator_and_removes_its_link(emulate, tmp_path, numb
     # Whoever runs the tests without a terminal may ignore hangups, and children inherit that.
     before = signal.signal(number, signal.SIG_DFL)
     try:
-        process = emulate("--link", str(link), "--out", str(seen), *words)
+        process = emulate("--symlink", str(link), "--out", str(seen), *words)
     finally:
         signal.signal(number, before)
     assert os.path.realpath(link) == process.port

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from numpy.typing import ArrayLike
+
 from surefoot.deploy.clock import LockstepClock, MonotonicClock
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.port import BAUD, SerialPort
 from surefoot.deploy.serial.serial_link import SerialLink
+from surefoot.robot import RobotDescription
 
 
 def open_link(port: str, motors: int, lockstep: bool = False, baud: int = BAUD) -> RobotLink:
@@ -18,3 +21,22 @@ def open_link(port: str, motors: int, lockstep: bool = False, baud: int = BAUD) 
         SurefootError: a port that can't be opened, or that another program has.
     """
     return SerialLink(SerialPort(port, baud), Codec(motors), LockstepClock() if lockstep else MonotonicClock())
+
+
+def open_dds_link(
+    robot: RobotDescription, interface: str, domain: int = 0, gains: tuple[ArrayLike, ArrayLike] | None = None
+) -> RobotLink:
+    """Open a link to a Go2 over DDS.
+
+    Args:
+        robot: its description.
+        interface: name of the network interface that leads to it.
+        domain: number of the DDS domain.
+        gains: kp and kd of all motors, or of each [N m/rad, N m s/rad]; the data sheet's, if not given.
+
+    Raises:
+        SurefootError: another robot, no cyclonedds, no such interface, or no robot.
+    """
+    from surefoot.deploy.dds.dds_link import DdsLink, make_config
+
+    return DdsLink(make_config(robot, interface, domain, gains))

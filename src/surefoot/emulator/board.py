@@ -52,6 +52,15 @@ class Board:
         self._order: MotorOrder | None = None
         self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(plant.robot.num_motors))
 
+    def counts(self) -> list[str]:
+        """Return what happened on its link, for the line at the end."""
+        statistics, firmware = self.link.statistics, self.firmware
+        return [
+            f"frames received {statistics.received}, damaged {statistics.damaged}, foreign {statistics.foreign}",
+            f"repeated {firmware.watch.old_numbers}, stale {firmware.stale}, not read {statistics.unsent}",
+            f"mode {firmware.mode.name}, reason {firmware.reason.name}",
+        ]
+
     @property
     def next_step(self) -> int:
         """When the servo step in progress ends."""

@@ -19,11 +19,21 @@ _T = TypeVar("_T")
 LOW_STATE_TOPIC, LOW_COMMAND_TOPIC = "rt/lowstate", "rt/lowcmd"
 SPORT_STATE_TOPIC = "rt/sportmodestate"
 _SIOCGIFADDR = 0x8915
-_IFF_UP = 1
+_IFF_UP, _IFF_MULTICAST = 0x1, 0x1000
+_MULTICAST = "</General>"
+_NO_MULTICAST = (
+    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    "<Peers><Peer address='localhost'/></Peers></Discovery>"
+)
+"""What cyclonedds does by itself on a loopback without multicast; said outright, it prints no warning."""
 _CONFIG = (
     "<CycloneDDS><Domain Id='any'><General><Interfaces><NetworkInterface name={} priority='default'"
     " multicast='default'/></Interfaces></General><Tracing><Verbosity>none</Verbosity></Tracing></Domain></CycloneDDS>"
 )
+
+
+def _flags(interface: str) -> int:
+    return int((Path("/sys/class/net") / interface / "flags").read_text(), 16)
 
 
 def check_interface(name: str) -> str:
@@ -37,7 +47,7 @@ def check_interface(name: str) -> str:
         raise SurefootError(f"there is no network interface '{name}'; it must be one of {choices(sorted(names))}")
     folder = Path("/sys/class/net") / name
     with contextlib.suppress(OSError, ValueError):
-        if not int((folder / "flags").read_text(), 16) & _IFF_UP:
+        if not _flags(name) & _IFF_UP:
             raise SurefootError(f"network interface {name} is down; it must be up: sudo ip link set {name} up")
         if (folder / "operstate").read_text().strip() == "down":
             raise SurefootError(f"network interface {name} has no carrier; check the cable and the robot's switch")
@@ -69,7 +79,8 @@ class Bus:
                 'a link over DDS needs cyclonedds 0.10: pip install -c constraints.txt -e ".[dds]"'
             ) from error
         try:
-            self._domain = Domain(domain, _CONFIG.format(quoteattr(interface)))
+            discovery = _MULTICAST if _flags(interface) & _IFF_MULTICAST else _NO_MULTICAST
+            self._domain = Domain(domain, _CONFIG.format(quoteattr(interface), discovery))
             self.participant = DomainParticipant(domain)
         except DDSException as error:
             raise SurefootError(
@@ -90,9 +101,8 @@ class Bus:
         from cyclonedds.util import duration
 
         reliable = Policy.Reliability.Reliable(max_blocking_time=duration(milliseconds=1))
-        return RawWriter(
-            DataWriter(self.participant, self.topic(name, kind), Qos(reliable, Policy.History.KeepLast(1)))
-        )
+        qos = Qos(reliable, Policy.History.KeepLast(1))
+        return RawWriter(self, DataWriter(self.participant, self.topic(name, kind), qos))
 
     def reader(self, name: str, kind: type[_T], depth: int = 1, others: bool = False) -> RawReader[_T]:
         """Return a reader of a topic, best effort, that keeps the last `depth` messages.
@@ -105,16 +115,22 @@ class Bus:
         policies = [Policy.Reliability.BestEffort, Policy.History.KeepLast(depth)]
         if others:
             policies.append(Policy.IgnoreLocal.Participant)
-        return RawReader(DataReader(self.participant, self.topic(name, kind), Qos(*policies)), kind)
+        return RawReader(self, DataReader(self.participant, self.topic(name, kind), Qos(*policies)), kind)
 
 
 class RawWriter:
     """Writes messages that are packed already."""
 
-    def __init__(self, writer: Any) -> None:
+    def __init__(self, bus: Bus, writer: Any) -> None:
         from cyclonedds._clayer import ddspy_write
 
+        self._bus = bus  # with its participant, DDS deletes all that is in it
         self._writer, self._write = writer, ddspy_write
+
+    @property
+    def readers(self) -> int:
+        """Number of readers of the topic that DDS has found."""
+        return max(int(self._writer._dll_handle.dds_get_matched_subscriptions(self._writer._ref, None, 0)), 0)
 
     def write(self, data: bytes) -> bool:
         """Write a message with its CDR header, its length a multiple of 4; return whether DDS has taken it."""
@@ -129,9 +145,10 @@ class RawWriter:
 class RawReader(Generic[_T]):
     """Reads messages as bytes; never waits."""
 
-    def __init__(self, reader: Any, kind: type[_T]) -> None:
+    def __init__(self, bus: Bus, reader: Any, kind: type[_T]) -> None:
         from cyclonedds._clayer import ddspy_take
 
+        self._bus = bus
         self._reader, self._take, self._kind = reader, ddspy_take, kind
 
     def take(self, count: int = 16) -> list[bytes]:

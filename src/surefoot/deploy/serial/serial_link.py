@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import Protocol
 
 from surefoot.deploy.clock import Clock, LockstepClock
 from surefoot.deploy.messages import Bye, Handshake, Hello, Message, Packet, Ping, Pong, Position, Pwm
 from surefoot.deploy.robot_link import Arrival, RobotLink
 from surefoot.deploy.serial.codec import VERSION, Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
-from surefoot.deploy.serial.port import SerialPort
 from surefoot.errors import SurefootError
 
 LEAD = 0.005
@@ -23,8 +23,24 @@ _PATIENCE = (0.05, 0.15, 0.5, 1.3, 3.0)
 milliseconds, unless the line lost the ping or its pong."""
 
 
+class Port(Protocol):
+    """Bytes in and out, without ever blocking; see `port.SerialPort`."""
+
+    def read(self) -> bytes:
+        """Return the bytes that have arrived, maybe none."""
+
+    def write(self, data: bytes) -> int:
+        """Write bytes; return how many were taken."""
+
+    def wait(self, timeout: float) -> None:
+        """Wait until something can be read, at most `timeout` [s]."""
+
+    def close(self) -> None:
+        """Release the port."""
+
+
 class SerialLink(RobotLink):
-    """A link over a serial port. Frames whose numbers repeat or decrease are dropped and counted.
+    """A link over a port that carries bytes. Frames whose numbers repeat or decrease are dropped and counted.
 
     In lockstep, frames are received only where time passes: otherwise chance would decide whether the answer to a
     message is seen at once or a step later. Commands are sent in one piece with the ping that lets time pass: two
@@ -33,8 +49,8 @@ class SerialLink(RobotLink):
 
     advice = "check port, cable and baud rate, and that it is switched on"
 
-    def __init__(self, port: SerialPort, codec: Codec, clock: Clock, session: int | None = None) -> None:
-        super().__init__(clock, LEAD, session)
+    def __init__(self, port: Port, codec: Codec, clock: Clock, session: int | None = None, lead: float = LEAD) -> None:
+        super().__init__(clock, lead, session)
         self.port, self.codec = port, codec
         self.decoder = Decoder(codec, self.statistics)
         self.awaits_handshake = False
