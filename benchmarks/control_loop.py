@@ -9,16 +9,18 @@ deployed loop looks at the clock for the last part of a wait. `--busy` programs 
 rack does not get hot; with `--ground` it walks.
 
     python benchmarks/control_loop.py                                   # one run of a minute in each world
-    python benchmarks/control_loop.py trot-robust go2-steer --worlds bullet --busy 3 --runs 8 --seconds 10 --ground \\
-        --out results/control_loop.csv
+    python benchmarks/control_loop.py trot-robust go2-steer --worlds bullet --lines pty socket --busy 3 --runs 8 \\
+        --seconds 10 --ground --out results/control_loop.csv
 
-A row of the table is a policy in a world: of `runs`, how many came to their end, and the worst of all [ms].
+A row of the table is a policy in a world behind a line, a pseudo-terminal or a socket: of `runs`, how many came to
+their end, and the worst of all [ms].
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import json
 import re
 import signal
@@ -62,12 +64,13 @@ def bare_loop(seconds: float, step: float) -> dict[str, float]:
     return figures | {"missed": int((late > 1e3 * step).sum())}
 
 
-def run(policy: str, world: str, options: argparse.Namespace) -> dict[str, Any]:
+def run(policy: str, world: str, line: str, options: argparse.Namespace) -> dict[str, Any]:
     """Both loops beside an emulator in one world: the deployment's report of its run, and what the emulator says."""
     runtime, robot = open_policy(find_policy(policy))
     with tempfile.TemporaryDirectory() as folder:
+        words = ["--robot", robot.folder, "--world", world, *([] if options.ground else ["--rack"])]
         emulator = subprocess.Popen(
-            [*SUREFOOT, "emulate", "--robot", robot.folder, "--world", world, *([] if options.ground else ["--rack"])],
+            [*SUREFOOT, "emulate", *words, *(["--socket", f"{folder}/robot"] if line == "socket" else [])],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -103,12 +106,12 @@ def print_run(result: dict[str, Any]) -> None:
         print(f"  {title:10}{''.join(times)}   {figures['missed'] if name == 'lateness' else ''}", flush=True)
 
 
-def summary(policy: str, world: str, busy: int, results: list[dict[str, Any]]) -> dict[str, Any]:
+def summary(case: str, busy: int, results: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the row of a case."""
     timings = [result["timing"] for result in results if "timing" in result]
     steps = sum(timing["steps"] for timing in timings)
     return {
-        **{"case": f"{policy}/{world}", "busy_programs": busy, "runs": len(results)},
+        **{"case": case, "busy_programs": busy, "runs": len(results)},
         "ended_well": sum(result["ended"] == "time" for result in results),
         "steps": steps,
         "missed": sum(timing["missed"] for timing in timings),
@@ -126,6 +129,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policies", nargs="*", default=["trot-robust"])
     parser.add_argument("--worlds", nargs="+", default=["mujoco", "bullet"])
+    parser.add_argument("--lines", nargs="+", default=["pty"], choices=["pty", "socket"])
     parser.add_argument("--seconds", type=float, default=60.0, help="of each run")
     parser.add_argument("--runs", type=int, default=1)
     parser.add_argument("--busy", type=int, default=0, help="programs that compute meanwhile")
@@ -133,18 +137,17 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="table of the cases (.csv)")
     options = parser.parse_args()
     rows = []
-    for policy in options.policies:
-        for world in options.worlds:
-            results = []
-            for number in range(options.runs):
-                with busy_programs(options.busy):
-                    results.append(run(policy, world, options))
-                print(f"{policy}, {world}, run {number + 1} of {options.runs}")
-                print_run(results[-1])
-            rows.append(summary(policy, world, options.busy, results))
-            print(rows[-1], flush=True)
-            if options.out is not None:
-                write_csv(options.out, rows)
+    for policy, world, line in itertools.product(options.policies, options.worlds, options.lines):
+        results, case = [], f"{policy}/{world}/{line}"
+        for number in range(options.runs):
+            with busy_programs(options.busy):
+                results.append(run(policy, world, line, options))
+            print(f"{case}, run {number + 1} of {options.runs}")
+            print_run(results[-1])
+        rows.append(summary(case, options.busy, results))
+        print(rows[-1], flush=True)
+        if options.out is not None:
+            write_csv(options.out, rows)
 
 
 if __name__ == "__main__":

@@ -216,7 +216,7 @@ class FaultInjector:
             return
         plant = self._plant
         if fault := self._active("battery-low"):
-            fall = max(float(plant.params.voltage[0]) - fault.value, 0.0)
+            fall = max(plant.initial_voltage - fault.value, 0.0)
             plant.voltage_drop = min(FALL_OF_VOLTAGE * max(self._since(fault), 0.0), fall)
         if (fault := self._active("motor-hot")) and plant.temperature[0] < fault.value:
             plant.temperature[0] += RISE_OF_TEMPERATURE * plant.robot.timing.servo_step

@@ -13,7 +13,6 @@ pytest.importorskip("mujoco")
 from surefoot.deploy.dds import low_level
 from surefoot.deploy.dds.low_level import LOW_STATE, POS_STOP, VEL_STOP, Record
 from surefoot.emulator.dds.board import Go2Board, read_order
-from surefoot.emulator.dds.low_state import POWER
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
 from surefoot.robot import RobotDescription
@@ -45,7 +44,7 @@ class Robot:
 
     def __init__(self, rack: bool = False, engine: str = "mujoco") -> None:
         self.wire = Wire()
-        plant = Plant(GO2, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), rack=rack, engine=engine)
+        plant = Plant(GO2, sensors=SensorConfig.ideal(), power=PowerConfig().ideal(), rack=rack, engine=engine)
         self.board = Go2Board(plant, self.wire, 1.0)
 
     def run(self, seconds: float) -> Record:
@@ -160,9 +159,8 @@ def test_the_vendors_stand_up_raises_the_body_and_it_stays_when_commands_stop(en
 
 def test_the_battery_is_that_of_a_recorded_robot() -> None:
     # 8 cells of 3.83 V at 63 %.
-    assert POWER.battery_drop == pytest.approx(8.0)
-    plant = Plant(GO2, power=POWER)
-    plant._voltage, wire = 8 * 3.83, Wire()
+    plant = Plant(GO2)
+    plant.initial_voltage, wire = 8 * 3.83, Wire()
     Go2Board(plant, wire, 0.0).run_to(4_000)
     assert wire.state["bms_state"]["soc"] == 63
     assert wire.state["bms_state"]["cell_vol"][0] == pytest.approx(3830, abs=3)
