@@ -93,7 +93,7 @@ class _Body:
         self._sports = services.Server(here, services.SPORT, {services.STAND_DOWN: lambda _: (services.OK, "")})
         self._q, self._dq = self.settings.angle.copy(), np.zeros(MOTORS)
         self._kp = self._kd = self._target = np.zeros(MOTORS)
-        self._tick = 1000
+        self.tick = 1000
         imu = types.IMUState([1.0, 0, 0, 0], [0.0] * 3, [0.0] * 3, [0.0] * 3, 40)
         path = [types.PathPoint()] * 10
         self._sport_state = types.SportModeState(
@@ -119,7 +119,7 @@ class _Body:
         if name == "angle":
             self._q = np.array(value, float)
         if name == "restart":
-            self._tick = 0
+            self.tick = 0
 
     def step(self, dt: float) -> None:
         for data in self._commands.take(64):
@@ -146,10 +146,10 @@ class _Body:
         if now.silent:
             return
         if not now.frozen:
-            self._tick += 2
+            self.tick += 2
         state = low_level.new_record(low_level.LOW_STATE)
         state["head"] = low_level.HEAD
-        state["tick"] = self._tick
+        state["tick"] = self.tick
         motors = state["motor_state"][:MOTORS]
         motors["mode"], motors["temperature"] = low_level.SERVO, now.temperature
         motors["q"], motors["dq"], motors["tau_est"] = self._q, self._dq, 0.5
@@ -193,6 +193,8 @@ def _run(domain: int, pipe: Connection) -> None:
                         body.frames = []
                     case "settings":
                         pipe.send(body.settings)
+                    case "time":
+                        pipe.send(1e-3 * body.tick)
                     case "reset":
                         body.reset()
                     case _:
@@ -223,6 +225,12 @@ class Go2:
         self._pipe.send("reset")
         self.read()
         self.frames = []
+
+    @property
+    def time(self) -> float:
+        """Its own time [s], by its ticks."""
+        self._pipe.send("time")
+        return self._pipe.recv()
 
     @property
     def settings(self) -> Settings:

@@ -35,7 +35,7 @@ class Rig:
     """A board, and an operator whose bytes take no time."""
 
     def __init__(self, robot, encoder, *words: str, rack: bool = True) -> None:
-        plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig().ideal(), rack=rack)
+        plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), rack=rack)
         limits, faults = Limits.from_robot(robot), parse_faults(words)
         self.robot, self.wire = robot, encoder
         self.line = SerialHostLink(Hosts(), 8, faults, seed=1)

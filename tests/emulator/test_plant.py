@@ -22,7 +22,7 @@ DAMPED = MotorOrder(Mode.DISARMED, np.zeros(8))
 
 
 def ideal(robot, **more) -> Plant:
-    return Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig().ideal(), **more)
+    return Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), **more)
 
 
 def position(values) -> MotorOrder:

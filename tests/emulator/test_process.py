@@ -132,7 +132,7 @@ def test_in_lockstep_time_is_that_of_the_frames(emulate_here):
 
 def test_in_lockstep_the_robot_moves_as_a_simulation_does(emulate_here, robot):
     host = emulate_here("--lockstep", "--ideal-sensors").host()
-    plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig().ideal())
+    plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal())
     host.send(Hello(ME, 0.010), 0.0)
     host.run_to(0.030)
     for _ in range(30):

@@ -92,7 +92,9 @@ def main(argv: list[str]) -> int:
     controller = Controller(policy, robot)
 
     def check(handshake: Handshake) -> None:
-        error = first_failure([*link.preliminary_checks, *check_contract(contract, handshake, robot)])
+        if (error := first_failure(link.preliminary_checks)) is not None:
+            raise SurefootError(f"the robot is not armed: {error}")
+        error = first_failure(check_contract(contract, handshake, robot))
         if error is not None:
             raise SurefootError(f"policy '{contract.name}' must not run on this robot: {error}")
 

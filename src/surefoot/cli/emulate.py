@@ -74,6 +74,9 @@ class EmulateCommand:
     """Network interface of the topics, such as lo."""
     domain: Annotated[int, Within(0, 232)] = 0
     """DDS domain of the topics; robots have 0."""
+    motion_service: Literal["released", "lying", "standing"] = "released"
+    """The Go2's own controller at the start: released, or active with the robot lying or standing up. A real robot
+    starts with it active."""
     out: tuple[Path, ...] = ()
     """Files to write: what a motion capture system sees of the robot, 200 times a second (.csv), and the physical
     parameters that --hidden-seed draws (.toml), for checking later."""
@@ -102,7 +105,7 @@ def main(argv: list[str]) -> int:
     from surefoot.world.registry import check_takes_params
 
     robot = RobotDescription.load(command.robot)
-    faults = parse_faults(words, command.lockstep, robot.num_motors)
+    faults = parse_faults(words, command.lockstep, robot.num_motors, command.link)
     if "tilt" in faults and command.rack:
         raise SurefootError("fault tilt needs a robot that can fall; it does not go with --rack")
     check_takes_params(command.world)
@@ -123,8 +126,8 @@ def _check(command: EmulateCommand) -> None:
         for option in ("lockstep", "symlink", "socket"):
             if getattr(command, option):
                 raise SurefootError(f"{option} is about the serial link; it does not go with --link dds")
-    elif command.interface or command.domain:
-        raise SurefootError("interface and domain are those of a link over DDS; give --link dds too")
+    elif command.interface or command.domain or command.motion_service != "released":
+        raise SurefootError("interface, domain and motion_service are those of a link over DDS; give --link dds too")
     elif command.symlink is not None and command.socket is not None:
         raise SurefootError("symlink and socket are given; a symbolic link leads to a pseudo-terminal")
     if command.baud and command.baud < 9600:
@@ -176,7 +179,7 @@ def make_plant(command: EmulateCommand, robot: RobotDescription, servo_every: in
 
     sensors, power = SensorConfig(), PowerConfig.from_robot(robot)
     if command.ideal_sensors:
-        sensors, power = SensorConfig.ideal(), power.ideal()
+        sensors, power = SensorConfig.ideal(), PowerConfig.ideal(robot)
     params = _params(command, robot)
     return Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every)
 
@@ -207,13 +210,24 @@ def make_dds_loop(
     command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], bus: Bus, summary: Summary
 ) -> RealTime:
     """Return the loop that runs a Go2 behind its topics, warmed up."""
+    from surefoot.deploy.dds.low_level import STATE_PERIOD
     from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.dds.board import Go2Board
     from surefoot.emulator.dds.link import LowLevelLink
+    from surefoot.emulator.dds.motion_service import MotionService
+    from surefoot.emulator.dds.own_controller import OwnController
     from surefoot.emulator.real_time import RealTime
 
-    plant = make_plant(command, robot)
-    return RealTime(Go2Board(plant, LowLevelLink(bus), LEAD, command.seed), summary, _load(faults))
+    plant, controller = make_plant(command, robot), OwnController()
+    if command.motion_service != "released":
+        controller.activate()
+    if command.motion_service == "standing":
+        controller.stand_up()
+    service = None if "no-service" in faults else MotionService(bus, controller, plant)
+    # A deployment uses, so long before its step, the newest state there is: half a period old on average.
+    lead = LEAD + STATE_PERIOD / 2
+    board = Go2Board(plant, LowLevelLink(bus), lead, controller, service, faults, command.seed)
+    return RealTime(board, summary, _load(faults))
 
 
 def _load(faults: dict[str, InjectedFault]) -> float:

@@ -73,9 +73,11 @@ class PowerConfig(NamedTuple):
             heat_resistance=heat.resistance,
         )
 
-    def ideal(self) -> PowerConfig:
-        """Return the same with a battery that neither sags nor empties; motors still grow warm."""
-        return self._replace(battery_resistance=0.0, battery_capacity=math.inf)
+    @classmethod
+    def ideal(cls, robot: RobotDescription | None = None) -> PowerConfig:
+        """Return a battery that neither sags nor empties; motors still grow warm, as a robot's or by default."""
+        power = cls() if robot is None else cls.from_robot(robot)
+        return power._replace(battery_resistance=0.0, battery_capacity=math.inf)
 
 
 @njit(cache=True)

@@ -73,7 +73,8 @@ class Plant:
         servo_every: int = 1,
     ) -> None:
         self.robot, self.params = robot, params or PhysicalParams.nominal(robot)
-        self.sensors, self.power, self.servo_every = sensors or SensorConfig(), power or PowerConfig.from_robot(robot), servo_every
+        self.sensors, self.power = sensors or SensorConfig(), power or PowerConfig.from_robot(robot)
+        self.servo_every = servo_every
         config = WorldConfig(rest=robot.poses.sit, rack=rack, threads=1)
         self.world = SimWorld(robot, 1, self.params, seed, config, engine)
         self.extra_latency = self.voltage_drop = 0.0
@@ -84,8 +85,9 @@ class Plant:
         self._torque_noise = generator(seed, "emulated torque sensors")
         self._torque_gain = 1.0 + self.sensors.torque_gain * self._torque_noise.standard_normal(motors)
         self._imu_noise = float(self.params.imu_noise[0])
-        self.initial_voltage = float(self.params.voltage[0]) if robot.actuator.kind == "dc" else robot.battery.nominal
-        self.world.actuation.voltage[0] = self.initial_voltage
+        self.start_voltage = float(self.params.voltage[0]) if robot.actuator.kind == "dc" else robot.battery.nominal
+        """Battery voltage [V] without load when it was switched on."""
+        self.world.actuation.voltage[0] = self.start_voltage
         self._count = np.ones(1, np.int64)
         self._row = np.empty(2 * motors + 6)
         self.temperature = np.full(motors, self.power.ambient)
@@ -115,7 +117,7 @@ class Plant:
     def open_circuit(self) -> float:
         """Battery voltage without load [V]."""
         used = self.power.battery_drop * self._used / self.power.battery_capacity
-        return self.initial_voltage - self.voltage_drop - used
+        return self.start_voltage - self.voltage_drop - used
 
     def step(self, order: MotorOrder | JointOrder, count: int = 1) -> None:
         """Run `count` servo steps under one order; update battery and heat after the last one.

@@ -18,7 +18,8 @@ from surefoot.robot import RobotDescription
 pytest.importorskip("cyclonedds")
 from go2_robot import Go2, worker_domain
 
-from surefoot.deploy.dds.dds_link import FIRST_TORQUE, DdsLink, make_config
+from surefoot.deploy.dds.dds_link import FIRST_TORQUE, DdsLink, check_priority, make_config
+from surefoot.deploy.dds.keeper import WATCHER_SILENCE
 
 DOMAIN = worker_domain(60)
 STEP = 0.01
@@ -100,6 +101,8 @@ def again(shared: Operator, body: Go2) -> Operator:
 def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, body: Go2) -> None:
     time.sleep(0.1)
     assert body.read() == []  # nothing before the motors are armed
+    operator.link.update()
+    assert operator.link.state_sent == pytest.approx(body.time, abs=0.1)  # what records the robot has the same time
     operator.arm()
     assert operator.hold(lambda: False, 0.5) is False
     frames = body.read()
@@ -146,6 +149,17 @@ def test_a_keeper_that_stands_still(operator: Operator, body: Go2) -> None:
     os.kill(operator.keeper, signal.SIGCONT)
     time.sleep(0.2)
     assert all(later.damps for later in body.read() if later.time > frame.time)
+
+
+def test_a_watcher_that_stands_still(operator: Operator, body: Go2) -> None:
+    operator.arm()
+    stopped = time.monotonic()
+    os.kill(operator.watcher, signal.SIGSTOP)
+    assert operator.hold(lambda: operator.link.last_state().mode == Mode.FAULT, 4.0)
+    frame = body.wait_for(lambda frame: frame.damps, stopped)
+    os.kill(operator.watcher, signal.SIGCONT)
+    assert frame.time - stopped < 1e-6 * WATCHER_SILENCE + REACTION
+    assert operator.link.last_state().reason == Reason.WATCHER
 
 
 def test_a_first_command_that_jumps_is_refused(again: Operator, body: Go2) -> None:
@@ -229,6 +243,13 @@ def test_a_stick_of_the_remote_control_asks_to_sit(again: Operator, body: Go2) -
     body.set(stick=0.8)
     assert again.hold(lambda: again.link.last_state().reason == Reason.REMOTE)
     assert again.link.last_state().mode == Mode.POSITION
+
+
+def test_the_priority_of_processes(shared: Operator) -> None:
+    pids = [shared.watcher, shared.keeper]
+    real_time = all(os.sched_getscheduler(pid) == os.SCHED_FIFO for pid in pids)
+    assert check_priority(pids).passed is (True if real_time else None)
+    assert check_priority([os.getpid()]).passed is None
 
 
 def test_another_robot_is_refused(robot: RobotDescription) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import tyro
 from numpy.typing import ArrayLike
 
-from surefoot.cli.helpers.options import Port
+from surefoot.cli.helpers.options import Port, ask_to_release
 from surefoot.configuration import Within
 from surefoot.deploy.links import open_dds_link, open_link
 from surefoot.deploy.robot_link import RobotLink
@@ -42,6 +43,10 @@ class LinkOptions(SerialOptions):
     """Network interface that leads to the robot, such as eth0; of --link dds."""
     domain: Annotated[int, Within(0, 230)] = 0
     """DDS domain of the robot; 0 on a Go2."""
+    release: bool = False
+    """Let a Go2 lie down and release its own controller, without asking."""
+    hand_back: bool = False
+    """Select a Go2's own controller at the end."""
 
     @property
     def address(self) -> str:
@@ -53,16 +58,24 @@ class LinkOptions(SerialOptions):
         if self.link == "serial":
             if self.port is None:
                 raise SurefootError("--port is missing; of a robot over DDS, give --link dds --interface NAME")
-            if self.interface is not None:
-                raise SurefootError("--interface is given; it goes with --link dds")
+            for name in ("interface", "release", "hand_back"):
+                if getattr(self, name):
+                    raise SurefootError(f"--{name.replace('_', '-')} is given; it goes with --link dds")
         elif self.interface is None:
             raise SurefootError("--interface is missing; it names the network interface to the robot, such as eth0")
         elif self.port is not None or self.lockstep:
             option = "--lockstep" if self.lockstep else "--port"
             raise SurefootError(f"{option} and --link dds don't go together; --port is a serial one")
 
-    def open_link(self, robot: RobotDescription, gains: tuple[ArrayLike, ArrayLike]) -> RobotLink:
-        """Open the link to a robot; one without a board of its own gets these gains, kp and kd."""
+    def open_link(self, robot: RobotDescription, gains: tuple[ArrayLike, ArrayLike], may_ask: bool = True) -> RobotLink:
+        """Open the link to a robot; one without a board of its own gets these gains, kp and kd.
+
+        `may_ask`: ask at a terminal whether a Go2's own controller is to be released.
+        """
         if self.link == "serial":
             return self.open_port(str(self.port), robot.num_motors)
-        return open_dds_link(robot, str(self.interface), self.domain, gains)
+
+        def release(name: str) -> bool:
+            return self.release or (may_ask and sys.stdin.isatty() and ask_to_release(name))
+
+        return open_dds_link(robot, str(self.interface), self.domain, gains, release, self.hand_back)

@@ -20,16 +20,17 @@ LOW_STATE_TOPIC, LOW_COMMAND_TOPIC = "rt/lowstate", "rt/lowcmd"
 SPORT_STATE_TOPIC = "rt/sportmodestate"
 _SIOCGIFADDR = 0x8915
 _IFF_UP, _IFF_MULTICAST = 0x1, 0x1000
-_MULTICAST = "</General>"
-_NO_MULTICAST = (
-    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
-    "<Peers><Peer address='localhost'/></Peers></Discovery>"
-)
-"""What cyclonedds does by itself on a loopback without multicast; said outright, it prints no warning."""
 _CONFIG = (
     "<CycloneDDS><Domain Id='any'><General><Interfaces><NetworkInterface name={} priority='default'"
-    " multicast='default'/></Interfaces></General><Tracing><Verbosity>none</Verbosity></Tracing></Domain></CycloneDDS>"
+    " multicast='{}'/></Interfaces>{}<Tracing><Verbosity>none</Verbosity></Tracing></Domain></CycloneDDS>"
 )
+_MULTICAST = "default", "</General>"
+_NO_MULTICAST = (
+    "false",
+    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    "<Peers><Peer address='localhost'/></Peers></Discovery>",
+)
+"""What cyclonedds does by itself on a loopback without multicast; said outright, it prints no warning."""
 
 
 def _flags(interface: str) -> int:
@@ -80,13 +81,25 @@ class Bus:
             ) from error
         try:
             discovery = _MULTICAST if _flags(interface) & _IFF_MULTICAST else _NO_MULTICAST
-            self._domain = Domain(domain, _CONFIG.format(quoteattr(interface), discovery))
+            self._domain = Domain(domain, _CONFIG.format(quoteattr(interface), *discovery))
             self.participant = DomainParticipant(domain)
         except DDSException as error:
             raise SurefootError(
                 f"DDS does not start in domain {domain} on {interface}: {error}; on a loopback without multicast "
                 "a domain has room for nine programs"
             ) from error
+
+    def types_of(self, name: str) -> list[str]:
+        """Return the types with which others write a topic, as far as DDS has found them."""
+        from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+
+        found = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication).take(1000)
+        return sorted({entry.type_name for entry in found if entry.topic_name == name})
+
+    def close(self) -> None:
+        """Leave the domain, with all readers and writers of this bus."""
+        for entity in (self.participant, self._domain):
+            entity.__del__()
 
     def topic(self, name: str, kind: type[_T]) -> Any:
         """Return a topic with the type `kind` of `types`."""

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from surefoot.check_result import CheckResult
 from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.deploy.clock import MonotonicClock
+from surefoot.deploy.dds.bus import Bus
+from surefoot.deploy.dds.inspection import Inspection
 from surefoot.deploy.dds.low_level import MOTOR_NAMES, STATE_PERIOD
+from surefoot.deploy.dds.motion_service import MotionService
 from surefoot.deploy.dds.processes import Child, LinkConfig
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.robot_link import LinkLostError
@@ -20,9 +26,6 @@ from surefoot.deploy.serial.serial_link import SerialLink
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
 
-LEAD = 0.002
-"""Time [s] between a state's sending and the control step that uses it: sockets take a tenth of a millisecond, the rest
-is for a keeper or a loop that wakes late."""
 FIRST_TORQUE = 5.0
 """Largest torque [N m] that the first command after arming may request."""
 FIRMWARE = "surefoot keeper"
@@ -52,29 +55,76 @@ def make_config(
     return LinkConfig(handshake, limits, interface, domain)
 
 
+def inspect(config: LinkConfig, robot: RobotDescription, release: Callable[[str], bool]) -> list[CheckResult]:
+    """Return the results of an `Inspection` of the robot; see there."""
+    bus = Bus(config.interface, config.domain)
+    try:
+        inspection = Inspection(bus, config.interface, config.domain)
+        return inspection.inspect(robot, config.handshake.servo_kp, config.handshake.servo_kd, release)
+    finally:
+        bus.close()
+
+
+def check_priority(processes: Sequence[int]) -> CheckResult:
+    """Return whether processes have a real-time priority; without one, nothing is wrong on a computer that is idle."""
+    name = "keeper's priority"
+    if all(os.sched_getscheduler(process) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO for process in processes):
+        return CheckResult(name, True, "real time, above the control loop's")
+    message = "ordinary: beside other programs it holds the robot late, and damps it"
+    return CheckResult(name, None, message, "allow real time: sudo setcap cap_sys_nice+ep on Python, or a limit rtprio")
+
+
 class DdsLink(SerialLink):
-    """A link to the keeper, which it starts, and which ends with it."""
+    """A link to the keeper, which it starts, and which ends with it.
+
+    Args:
+        config: what the keeper must know.
+        session: number of the operator's session; drawn, if not given.
+        hand_back: select the robot's own controller at the end.
+        checks: results of what was checked before.
+
+    Raises:
+        SurefootError: the keeper or the watcher does not start.
+    """
 
     advice = "the keeper process does not answer: close other programs"
 
-    def __init__(self, config: LinkConfig, session: int | None = None) -> None:
+    def __init__(
+        self,
+        config: LinkConfig,
+        session: int | None = None,
+        hand_back: bool = False,
+        checks: Sequence[CheckResult] = (),
+    ) -> None:
         (here, host), (keeper, watcher) = socket.socketpair(), socket.socketpair()
         self.children = [Child(_WATCHER, config, [watcher]), Child(_KEEPER, config, [host, keeper])]
         for end in (host, keeper, watcher):
             end.close()
-        super().__init__(
-            SocketPort(here, "the keeper process"), Codec(len(MOTOR_NAMES)), MonotonicClock(), session, LEAD
-        )
+        super().__init__(SocketPort(here, "the keeper process"), Codec(len(MOTOR_NAMES)), MonotonicClock(), session)
+        self.preliminary_checks = list(checks)
+        self._config, self._hand_back = config, hand_back
         try:
             for child in self.children:
                 child.await_ready()
+            self.preliminary_checks.append(check_priority([child.pid for child in self.children]))
         except BaseException:
             self.close()
             raise
 
     def close(self) -> None:
-        """End the session; return when the keeper has damped the motors and has ended."""
+        """End the session; return when the keeper has damped the motors and has ended.
+
+        Raises:
+            SurefootError: the robot's own controller should have been selected, and was not.
+        """
+        children, self.children = self.children, []
         with contextlib.suppress(LinkLostError):
             super().close()
-        for child in self.children:
+        for child in children:
             child.finish(_ENDING)
+        if self._hand_back and children:
+            bus = Bus(self._config.interface, self._config.domain)
+            try:
+                MotionService(bus).hand_back()
+            finally:
+                bus.close()

@@ -12,14 +12,15 @@ import math
 import select
 import sys
 import time
+from typing import Any
 
 from surefoot.arrays import Array
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.host_frames import HostFrames
-from surefoot.deploy.board.signals import Hazard, MotorOrder
+from surefoot.deploy.board.signals import Hazard, MotorOrder, Sensors
 from surefoot.deploy.dds import types
-from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus
-from surefoot.deploy.dds.low_level import STATE_PERIOD, encode, new_command
+from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus, RawReader
+from surefoot.deploy.dds.low_level import LOW_STATE, STATE_PERIOD, BadMessageError, decode, encode, new_command
 from surefoot.deploy.dds.processes import LinkConfig, await_readers, serve
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.dds.state_monitor import MOTORS, SHOWN, StateMonitor
@@ -36,6 +37,8 @@ WATCHER_SILENCE = 2_000_000
 """Silence of the watcher [us] after which it counts as gone; it reports twice a second."""
 IDLE, ACTIVE, DONE = b"\0", b"\1", b"\2"
 """What the keeper tells the watcher in every cycle: no command was written yet; commands are written; the end."""
+_FIRST_STATE = 100
+"""Time [ms] within which a state must come, so that time is the robot's."""
 _EVERY = 5
 """Cycles between two looks for messages that should never come."""
 
@@ -76,31 +79,36 @@ class Keeper:
         self._watcher, self._watched = watcher, 0
         self._watcher_text = ""
         self._state_reader = bus.reader(LOW_STATE_TOPIC, types.LowState, 4)
-        self._strangers = (
-            (
-                bus.reader(LOW_COMMAND_TOPIC, types.LowCmd, others=True),
-                (Reason.OTHER_PROGRAM, "another program commands the motors, on rt/lowcmd"),
-            ),
+        # The robot's own controller also commands the motors: it is named first.
+        self._strangers: tuple[tuple[RawReader[Any], Hazard], ...] = (
             (
                 bus.reader(SPORT_STATE_TOPIC, types.SportModeState),
                 (Reason.OWN_CONTROLLER, "the robot's own controller is active: messages on rt/sportmodestate"),
+            ),
+            (
+                bus.reader(LOW_COMMAND_TOPIC, types.LowCmd, others=True),
+                (Reason.OTHER_PROGRAM, "another program commands the motors, on rt/lowcmd"),
             ),
         )
         self.writer = bus.writer(LOW_COMMAND_TOPIC, types.LowCmd)
         self._damping = self._frame = damping_frame()
         self._order: MotorOrder | None = None
-        self._seen: dict[Reason, tuple[int, Hazard]] = {}
+        self._seen = [-math.inf] * len(self._strangers)
         self._controller = ""
         self._cycles = 0
         self._ends: float = math.inf
         self._active = False
 
     def run(self) -> None:
-        """Run until the loop is gone and the motors have been damped."""
-        start = time.monotonic_ns()
-        due, now = 0, 0
+        """Run until the loop is gone and the motors have been damped.
+
+        Time is that of the robot's tick when this begins, and then passes by this computer's clock: a recording of the
+        robot by others, such as motion capture, has its ticks.
+        """
+        start = time.monotonic_ns() - 1000 * self._robot_time()
+        due = now = self._watched = (time.monotonic_ns() - start) // 1000
         while now < self._ends:
-            pause = min(due, self.firmware.next_state) - now
+            pause = min(due, self.firmware.next_state if self._ends == math.inf else due) - now
             ports = [port for port in (self._host, self._watcher) if port.is_open]
             select.select(ports, [], [], max(pause, 0) / 1e6)
             now = (time.monotonic_ns() - start) // 1000
@@ -113,6 +121,16 @@ class Keeper:
             self._answer(now)
         with contextlib.suppress(LinkLostError):
             self._watcher.write(DONE)
+
+    def _robot_time(self) -> int:
+        """Return the robot's time [us], by the next state that comes; 0, if none does within a moment."""
+        self._state_reader.take()
+        for _ in range(_FIRST_STATE):
+            time.sleep(0.001)
+            for data in self._state_reader.take():
+                with contextlib.suppress(BadMessageError):
+                    return 1000 * int(decode(LOW_STATE, data)["tick"])
+        return 0
 
     def _hear_host(self, now: int) -> None:
         if self._ends < math.inf:
@@ -149,13 +167,12 @@ class Keeper:
         if self._controller:
             return Reason.OWN_CONTROLLER, f"the robot's own controller '{self._controller}' is active"
         if self._cycles % _EVERY == 0:
-            for reader, hazard in self._strangers:
+            for k, (reader, _) in enumerate(self._strangers):
                 if reader.take():
-                    self._seen[hazard[0]] = now, hazard
-        if not self._seen:
-            return None
-        self._seen = {reason: (at, hazard) for reason, (at, hazard) in self._seen.items() if now - at < SHOWN}
-        return next((hazard for _, hazard in self._seen.values()), None)
+                    self._seen[k] = now
+        return next(
+            (hazard for at, (_, hazard) in zip(self._seen, self._strangers, strict=True) if now - at < SHOWN), None
+        )
 
     def _cycle(self, now: int) -> None:
         """Take the robot's newest state, and write the motors' order."""
@@ -180,7 +197,12 @@ class Keeper:
     def _answer(self, now: int) -> None:
         if self._ends < math.inf:
             return
-        self.firmware.report(now, self.states.sensors)
+
+        def read() -> Sensors:
+            self.states.take(now, self._state_reader.take())
+            return self.states.sensors()
+
+        self.firmware.report(now, read)
         try:
             for packet in self.firmware.take():
                 self._host.write(self._frames.encode(packet))
