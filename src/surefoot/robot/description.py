@@ -26,7 +26,19 @@ from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.serial_leg import SerialLegs
-from surefoot.robot.sheet import GRAVITY, Battery, ContactData, Heat, Leg, Loop, Poses, Range, Sheet, Timing, check_ranges
+from surefoot.robot.sheet import (
+    GRAVITY,
+    Battery,
+    ContactData,
+    Heat,
+    Leg,
+    Loop,
+    Poses,
+    Range,
+    Sheet,
+    Timing,
+    check_ranges,
+)
 from surefoot.robot.urdf import Urdf
 from surefoot.robot.urdf_file import read_urdf
 

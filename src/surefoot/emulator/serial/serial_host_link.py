@@ -14,7 +14,6 @@ from surefoot.emulator.serial.pty_port import PtyPort
 from surefoot.emulator.serial.socket_server_port import SocketServerPort
 from surefoot.seeding import generator
 
-
 HostPort = PtyPort | SocketServerPort
 
 
