@@ -1,4 +1,4 @@
-"""How punctual the control loop is, with the emulator on the same computer: lateness, inference, age of states.
+r"""How punctual the control loop is, with the emulator on the same computer: lateness, inference, age of states.
 
     bare      a loop that only sleeps until each control step is due: what the computer gives
     deployed  `surefoot deploy` in real time: readings in, checks, policy, command out, recording
@@ -9,7 +9,7 @@ deployed loop looks at the clock for the last part of a wait. `--busy` programs 
 rack does not get hot; with `--ground` it walks.
 
     python benchmarks/control_loop.py                                   # one run of a minute in each world
-    python benchmarks/control_loop.py trot-robust go2-steer --worlds bullet --lines pty socket --busy 3 --runs 8 \\
+    python benchmarks/control_loop.py trot-robust go2-steer --worlds bullet --lines pty socket --busy 3 --runs 8 \
         --seconds 10 --ground --out results/control_loop.csv
 
 A row of the table is a policy in a world behind a line, a pseudo-terminal or a socket: of `runs`, how many came to
@@ -60,7 +60,8 @@ def bare_loop(seconds: float, step: float) -> dict[str, float]:
         time.sleep(max(due - time.monotonic(), 0.0))
         late[k] = 1e3 * (time.monotonic() - due)
     names, shares = ("median", "p99_9", "max"), (50, 99.9, 100)
-    figures = {f"lateness_{name}_ms": float(np.percentile(late, share)) for name, share in zip(names, shares, strict=True)}
+    parts = zip(names, np.percentile(late, shares).tolist(), strict=True)
+    figures = {f"lateness_{name}_ms": part for name, part in parts}
     return figures | {"missed": int((late > 1e3 * step).sum())}
 
 

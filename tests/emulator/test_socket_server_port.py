@@ -53,6 +53,12 @@ def test_bytes_go_both_ways_and_a_host_may_come_back(robot: SocketServerPort) ->
         robot.write(b"to nobody")
 
 
+def read_on(port: SocketPort) -> None:
+    """Read until the port is lost."""
+    while True:
+        port.read()
+
+
 def test_a_second_host_is_turned_away_and_the_first_one_stays(robot: SocketServerPort) -> None:
     first, second = host(robot), socket.socket(socket.AF_UNIX)
     second.connect(robot.path)
@@ -64,8 +70,7 @@ def test_a_second_host_is_turned_away_and_the_first_one_stays(robot: SocketServe
     assert robot.read() == b"still here"
     robot.close()
     with pytest.raises(LinkLostError, match="robot is gone"):
-        while True:
-            first.read()
+        read_on(first)
 
 
 def test_a_host_that_does_not_read_loses_frames_and_does_not_block(robot: SocketServerPort) -> None:
