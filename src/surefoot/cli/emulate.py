@@ -208,6 +208,7 @@ def make_dds_loop(
     command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], bus: Bus, summary: Summary
 ) -> RealTime:
     """Return the loop that runs a Go2 behind its topics, warmed up."""
+    from surefoot.deploy.dds.low_level import STATE_PERIOD
     from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.dds.board import Go2Board
     from surefoot.emulator.dds.link import LowLevelLink
@@ -222,7 +223,9 @@ def make_dds_loop(
     if command.motion_service == "standing":
         controller.stand_up()
     service = None if "no-service" in faults else MotionService(bus, controller, plant)
-    board = Go2Board(plant, LowLevelLink(bus), LEAD, controller, service, faults, command.seed)
+    # A deployment uses, so long before its step, the newest state there is: half a period old on average.
+    lead = LEAD + STATE_PERIOD / 2
+    board = Go2Board(plant, LowLevelLink(bus), lead, controller, service, faults, command.seed)
     return RealTime(board, summary, _load(faults))
 
 
