@@ -228,6 +228,14 @@ class RobotDescription:
         """Names of the coordinates of leg space: (abduction,) swing, extension."""
         return tuple(self.leg_space)
 
+    @property
+    def motor_limits(self) -> tuple[Array, Array]:
+        """Least and greatest motor angles (M,) [rad] that the joints allow; a full turn where the URDF has no limits."""
+        turn = (-2 * np.pi, 2 * np.pi)
+        limits = np.array([self.urdf.joints[name].limits or turn for name in self.motor_names])
+        ends = np.sort(self.motor_sign[:, None] * limits, axis=1)
+        return ends[:, 0], ends[:, 1]
+
     def _split_legs(self, angles: Array) -> Array:
         """Return the angles (..., L, m) of each leg's motors for those of all motors (..., M)."""
         return angles[..., self.leg_motor_index]

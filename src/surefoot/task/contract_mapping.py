@@ -15,7 +15,7 @@ import numpy as np
 from surefoot import __version__
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError, choices, quote
-from surefoot.policy.contract import ASSUMED_PARAMS, Contract, ObservationPart, config_hash
+from surefoot.policy.contract import ASSUMED_PARAMS, MEMORY, Contract, ObservationPart, config_hash
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.robot.params_file import ParamValue, param_values
@@ -30,7 +30,7 @@ from surefoot.task.reward import TERMS
 if TYPE_CHECKING:
     from surefoot.task.env import LocomotionEnv
 
-_STATED = ("robot", "observations", "history", "reference", "feedback", "action", "rest")
+_STATED = ("robot", "observations", "history", "reference", "feedback", "action", "memory", "rest")
 """Fields of the task that the contract states itself."""
 _LIMITS = (*COMMANDS, "relative", "acceleration", "heading_gain")
 """Fields of the task's commands that the contract states as limits."""
@@ -159,7 +159,7 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
     if stated := keys & _STATED_KEYS:
         raise SurefootError(f"{min(stated)} is not a key; the contract states it outside the task")
     task = from_mapping(TaskConfig, _task_without_skipped(contract), "task")
-    kind, feedback = _feedback(contract, robot)
+    kind, memory, feedback = _feedback(contract, robot)
     return replace(
         task,
         robot=robot.location,
@@ -168,24 +168,37 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         reference=from_mapping(ReferenceConfig, contract.reference or {}, "reference"),
         feedback=feedback,
         action=kind,
+        memory=memory,
         rest=contract.rest,
         commands=_commands(contract, task.commands),
         params=task.params | _assumed_params(contract, robot),
     )
 
 
-def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, FeedbackConfig]:
-    """Return what the feedback is added to, and its bounds on each coordinate."""
-    kind: ActionKind = "joint" if contract.action_names[:1] == (f"joint.{robot.motor_names[0]}",) else "leg"
-    names = action_names(robot, kind)
+def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, int, FeedbackConfig]:
+    """Return what the feedback is added to, how many of its numbers are memory, and bounds on each coordinate."""
+    prefix = contract.action_names[0].partition(".")[0] if contract.action_names else ""
+    kind: ActionKind = "joint" if prefix == "joint" else "angle" if prefix == "angle" else "leg"
+    memory = sum(name.startswith(f"{MEMORY}.") for name in contract.action_names)
+    names = action_names(robot, kind, memory)
     if list(contract.action_names) != names:
         raise SurefootError(
             f"its actions are {choices(contract.action_names)}; on {robot.name} they must be {choices(names)}"
         )
+    ends = np.array([contract.low, contract.high])[:, : len(names) - memory]
+    if kind == "angle":
+        least, greatest = robot.motor_limits
+        if wrong := np.flatnonzero((ends[0] < least - 1e-9) | (ends[1] > greatest + 1e-9)).tolist():
+            one = wrong[0]
+            raise SurefootError(
+                f"bounds of {names[one]} are {ends[0, one]:g} to {ends[1, one]:g} rad; the joint of {robot.name} "
+                f"allows {least[one]:g} to {greatest[one]:g}"
+            )
+        return kind, memory, FeedbackConfig()
     coordinates = ("joint",) if kind == "joint" else robot.coordinates
-    low, high = (np.reshape(bound, (len(coordinates), -1)) for bound in (contract.low, contract.high))
+    low, high = (np.reshape(bound, (len(coordinates), -1)) for bound in ends)
     bounds = zip(coordinates, low.min(axis=1).tolist(), high.max(axis=1).tolist(), strict=True)
-    return kind, FeedbackConfig(**{name: (least, most) for name, least, most in bounds})
+    return kind, memory, FeedbackConfig(**{name: (least, most) for name, least, most in bounds})
 
 
 def _commands(contract: Contract, config: CommandConfig) -> CommandConfig:
