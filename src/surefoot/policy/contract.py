@@ -26,7 +26,8 @@ MEMORY = "memory"
 MAX_MEMORY = 4096
 MEMORY_RANGE = 1e6
 """Greatest number that a policy keeps."""
-Angle = Annotated[float, Within(-2 * math.pi, 2 * math.pi)]
+_TURN = Within(-2 * math.pi, 2 * math.pi)
+Angle = Annotated[float, _TURN]
 Latency = Annotated[float, Within(0, 1)]
 Gain = Annotated[float | tuple[float, ...], Within(0, 1e4)]
 
@@ -122,6 +123,12 @@ class Contract:
         """Refuse numbers out of bounds; keep only what JSON can hold."""
         for name in ("task", "figures", "reference"):
             object.__setattr__(self, name, plain(getattr(self, name)))
+        for k, name in enumerate(self.action_names):
+            if not name.startswith(f"{MEMORY}."):
+                for end in ("low", "high"):
+                    numbers = getattr(self, end)
+                    if k < len(numbers):
+                        _TURN.check(f"contract.{end}[{k}]", numbers[k])
         check_bounds(self, "contract")
         motors, actions = len(self.motor_names), len(self.action_names)
         lengths = {"motor_signs": motors, "low": actions, "high": actions, "servo_kp": motors, "servo_kd": motors}
@@ -134,8 +141,6 @@ class Contract:
                 raise SurefootError(
                     f"contract: bounds of {name} are [{low:g}, {high:g}]; the lower bound must come first"
                 )
-            if max(-low, high) > 2 * math.pi and not name.startswith(f"{MEMORY}."):
-                raise SurefootError(f"contract: bounds of {name} are [{low:g}, {high:g}]; a full turn is the most")
         for numbers in self.rest:
             if isinstance(numbers, tuple) and len(numbers) != len(self.leg_names):
                 raise SurefootError(f"contract.rest has {len(numbers)} numbers in one; it must have one or one a leg")

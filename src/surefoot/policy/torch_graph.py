@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import onnx
 import torch
-from onnx import helper, numpy_helper
 from torch import fx, nn
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from surefoot.errors import SurefootError
+from surefoot.policy.graph import Graph, Value
 
 ALLOWED = (
     "linear layers, ELU, SELU, ReLU, LeakyReLU, SiLU, Tanh, Sigmoid, Hardtanh, LayerNorm, BatchNorm, clamp, and sums, "
@@ -22,40 +21,13 @@ ALLOWED = (
 )
 _ROWS = 3
 """Rows of the observations that a module is traced with."""
-_LARGEST = float(np.finfo(np.float32).max)
 _SELU = (1.6732632423543772, 1.0507009873554805)
 _SHAPES = ("view", "_unsafe_view", "reshape", "squeeze", "unsqueeze", "expand", "slice")
 _SAME = ("detach", "alias", "clone", "contiguous", "_to_copy", "lift_fresh_copy")
 
 
-class Graph:
-    """Nodes and constants of a graph."""
-
-    def __init__(self) -> None:
-        self.nodes: list[onnx.NodeProto] = []
-        self.constants: list[onnx.TensorProto] = []
-
-    def constant(self, array: Any, name: str = "") -> str:
-        """Add a constant of 32-bit numbers; return its name."""
-        name = name or f"constant_{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array, np.float32), name))
-        return name
-
-    def apply(self, kind: str, *values: str, result: str = "", **attributes: Any) -> str:
-        """Apply an operator to values; return the name of its result."""
-        result = result or f"{kind.lower()}_{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, values, [result], **attributes))
-        return result
-
-
-class _Value(NamedTuple):
-    """A value that depends on the observation."""
-
-    name: str
-
-
-def trace_module(module: nn.Module, graph: Graph, observation: str, width: int, outputs: int) -> str:
-    """Add the nodes of a module to a graph; return the name of its output.
+def trace_module(module: nn.Module, graph: Graph, observation: str, width: int, outputs: int) -> Value:
+    """Add the nodes of a module to a graph; return its output.
 
     What does not depend on the observation is computed once, such as the scale of a normalizer.
 
@@ -80,7 +52,7 @@ def trace_module(module: nn.Module, graph: Graph, observation: str, width: int, 
     values: dict[fx.Node, Any] = {}
     for node in traced.graph.nodes:
         if node.op == "placeholder":
-            values[node] = _Value(observation)
+            values[node] = Value(observation, width)
         elif node.op == "get_attr":
             values[node] = getattr(traced, node.target)
         elif node.op == "output":
@@ -91,10 +63,10 @@ def trace_module(module: nn.Module, graph: Graph, observation: str, width: int, 
     shape = tuple(result.meta["val"].shape) if isinstance(result, fx.Node) and "val" in result.meta else None
     if shape != (_ROWS, outputs):
         raise SurefootError(f"the network gives {_describe(shape)} for (N, {width}); its contract says (N, {outputs})")
-    if not isinstance(values[result], _Value):
+    value = values[result]
+    if not isinstance(value, Value):
         raise SurefootError("the network does not use the observation")
-    name: str = values[result].name
-    return name
+    return value
 
 
 def _describe(shape: tuple[int, ...] | None) -> str:
@@ -106,7 +78,7 @@ def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
     args = fx.map_arg(node.args, lambda one: values[one])
     kwargs = fx.map_arg(node.kwargs, lambda one: values[one])
     flat = [*args, *(part for one in args if isinstance(one, tuple | list) for part in one), *kwargs.values()]
-    if not any(isinstance(one, _Value) for one in flat):
+    if not any(isinstance(one, Value) for one in flat):
         with torch.no_grad():
             return node.target(*args, **kwargs)  # type: ignore[operator]
     if node.target is operator.getitem:
@@ -121,12 +93,12 @@ def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
         result = _OPERATORS[name](graph, *args, **kwargs)
     except (KeyError, TypeError, NotImplementedError) as error:
         raise SurefootError(f"the network has operator {name}, as it is used there; allowed are {ALLOWED}") from error
-    return _Value(result)
+    return result if isinstance(result, Value) else Value(result, args[0].width if shape is None else shape[-1])
 
 
 def _row(graph: Graph, value: Any) -> str:
     """Return the name of an operand: a value, a number, or one row of numbers."""
-    if isinstance(value, _Value):
+    if isinstance(value, Value):
         return value.name
     array = np.asarray(value.detach().cpu() if isinstance(value, torch.Tensor) else value, np.float32)
     if array.size != array.shape[-1] if array.ndim else False:
@@ -136,7 +108,7 @@ def _row(graph: Graph, value: Any) -> str:
 
 def _linear(graph: Graph, bias: Any, value: Any, weight: Any) -> str:
     """Apply a linear layer with a weight (in, out)."""
-    if not isinstance(value, _Value) or isinstance(weight, _Value) or isinstance(bias, _Value):
+    if not isinstance(value, Value) or isinstance(weight, Value) or isinstance(bias, Value):
         raise NotImplementedError
     transposed = weight.detach().cpu().numpy().T
     offset = np.zeros(len(transposed)) if bias is None else bias.detach().cpu().numpy()
@@ -147,7 +119,7 @@ def _binary(kind: str) -> Callable[..., str]:
     def apply(graph: Graph, first: Any, second: Any, alpha: float = 1.0) -> str:
         if alpha != 1.0:
             raise NotImplementedError
-        if isinstance(first, _Value):
+        if isinstance(first, Value):
             return graph.apply(kind, first.name, _row(graph, second))
         if kind == "Div":
             raise NotImplementedError
@@ -163,40 +135,65 @@ def _unary(kind: str) -> Callable[..., str]:
     return lambda graph, value: graph.apply(kind, value.name)
 
 
-def _elu(graph: Graph, value: _Value, alpha: float = 1.0, scale: float = 1.0, input_scale: float = 1.0) -> str:
+def _elu(graph: Graph, value: Value, alpha: float = 1.0, scale: float = 1.0, input_scale: float = 1.0) -> str:
     if input_scale != 1:
         raise NotImplementedError
     if math.isclose(alpha, _SELU[0]) and math.isclose(scale, _SELU[1]):
         return graph.apply("Selu", value.name)
-    result = graph.apply("Elu", value.name)
-    if alpha != 1:
-        # The part above zero has no alpha.
-        above = graph.apply("Mul", graph.apply("Relu", value.name), graph.constant(1.0 - alpha))
-        result = graph.apply("Add", graph.apply("Mul", result, graph.constant(alpha)), above)
+    result = graph.elu(value.name, alpha)
     return result if scale == 1 else graph.apply("Mul", result, graph.constant(scale))
 
 
-def _leaky_relu(graph: Graph, value: _Value, slope: float = 0.01) -> str:
-    above = graph.apply("Mul", graph.apply("Relu", value.name), graph.constant(1.0 - slope))
-    return graph.apply("Add", graph.apply("Mul", value.name, graph.constant(slope)), above)
+def _leaky_relu(graph: Graph, value: Value, slope: float = 0.01) -> str:
+    return graph.leaky_relu(value.name, slope)
 
 
-def _silu(graph: Graph, value: _Value) -> str:
+def _silu(graph: Graph, value: Value) -> str:
     return graph.apply("Mul", graph.apply("Sigmoid", value.name), value.name)
 
 
-def _clamp(graph: Graph, value: _Value, low: float | None = None, high: float | None = None) -> str:
-    bounds = (-_LARGEST if low is None else low, _LARGEST if high is None else high)
-    return graph.apply("Clip", value.name, *(graph.constant(float(bound)) for bound in bounds))
+def _clamp(graph: Graph, value: Value, low: float | None = None, high: float | None = None) -> str:
+    return graph.clip(value.name, -math.inf if low is None else low, math.inf if high is None else high)
 
 
-def _power(graph: Graph, value: _Value, exponent: float) -> str:
+def _check_last(dim: int | list[int]) -> None:
+    """Refuse what does not act on the columns."""
+    if (dim[0] if isinstance(dim, list) and len(dim) == 1 else dim) not in (1, -1):
+        raise NotImplementedError
+
+
+def _slice(graph: Graph, value: Value, dim: int = 0, start: Any = None, end: Any = None, step: int = 1) -> Value:
+    _check_last(dim)
+    return graph.select(value, range(value.width)[start:end:step])
+
+
+def _cat(graph: Graph, values: list[Any], dim: int = 0) -> Value:
+    _check_last(dim)
+    if not all(isinstance(value, Value) for value in values):
+        raise NotImplementedError
+    return graph.join(values)
+
+
+def _norm(graph: Graph, value: Value, order: float | None, dim: Any, keep: bool = False) -> Value:
+    _check_last(dim)
+    if order not in (None, 2) or not keep:
+        raise NotImplementedError
+    return graph.norm(value)
+
+
+def _expand(graph: Graph, value: Value, shape: list[int]) -> Value:
+    if value.width != 1:
+        raise NotImplementedError
+    return graph.linear(value.name, np.ones((1, shape[-1])))
+
+
+def _power(graph: Graph, value: Value, exponent: float) -> str:
     if exponent != 2:
         raise NotImplementedError
     return graph.apply("Mul", value.name, value.name)
 
 
-def _layer_norm(graph: Graph, value: _Value, shape: list[int], weight: Any, bias: Any, epsilon: float) -> str:
+def _layer_norm(graph: Graph, value: Value, shape: list[int], weight: Any, bias: Any, epsilon: float) -> str:
     # ONNX's default, so that the node needs no attribute.
     if len(shape) != 1 or not math.isclose(epsilon, 1e-5):
         raise NotImplementedError
@@ -206,7 +203,7 @@ def _layer_norm(graph: Graph, value: _Value, shape: list[int], weight: Any, bias
 
 
 def _batch_norm(
-    graph: Graph, value: _Value, weight: Any, bias: Any, mean: Any, variance: Any, training: bool, *rest: float
+    graph: Graph, value: Value, weight: Any, bias: Any, mean: Any, variance: Any, training: bool, *rest: float
 ) -> str:
     if training:
         raise NotImplementedError
@@ -227,6 +224,14 @@ _OPERATORS: dict[str, Callable[..., str]] = {
     "silu": _silu,
     "leaky_relu": _leaky_relu,
     "clamp": _clamp,
+    "clamp_min": lambda graph, value, low: _clamp(graph, value, low),
+    "slice": _slice,
+    "cat": _cat,
+    "norm": _norm,
+    "linalg_vector_norm": lambda graph, value, order=2, dim=None, keepdim=False: _norm(
+        graph, value, order, dim, keepdim
+    ),
+    "expand": _expand,
     "hardtanh": lambda graph, value, low=-1.0, high=1.0: _clamp(graph, value, low, high),
     "native_layer_norm": _layer_norm,
     "native_batch_norm": _batch_norm,
