@@ -96,6 +96,22 @@ class Graph:
         bounds = (self.constant(float(np.clip(bound, -LARGEST, LARGEST))) for bound in (low, high))
         return self.apply("Clip", value, *bounds)
 
+    def to_onnx(
+        self, inputs: Sequence[Value], outputs: Sequence[Value], name: str = "", version: str = ""
+    ) -> onnx.ModelProto:
+        """Return the graph as a model of ONNX with these inputs and outputs."""
+        ends = [
+            [helper.make_tensor_value_info(one.name, TensorProto.FLOAT, ["N", one.width]) for one in values]
+            for values in (inputs, outputs)
+        ]
+        return helper.make_model(
+            helper.make_graph(self.nodes, name, ends[0], ends[1], self.constants),
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            ir_version=IR_VERSION,
+            producer_name="surefoot",
+            producer_version=version,
+        )
+
     def to_model(self, contract: Contract, robot: bytes) -> bytes:
         """Return the policy file whose output is `OUTPUT`, without digest.
 
@@ -103,19 +119,8 @@ class Graph:
             contract: the policy's.
             robot: archive of a robot that does not ship, which the file is to carry.
         """
-        model = helper.make_model(
-            helper.make_graph(
-                self.nodes,
-                "policy",
-                [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["N", contract.width])],
-                [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["N", len(contract.action_names)])],
-                self.constants,
-            ),
-            opset_imports=[helper.make_opsetid("", OPSET)],
-            ir_version=IR_VERSION,
-            producer_name="surefoot",
-            producer_version=contract.version,
-        )
+        inputs, outputs = [Value(INPUT, contract.width)], [Value(OUTPUT, len(contract.action_names))]
+        model = self.to_onnx(inputs, outputs, "policy", contract.version)
         properties = {METADATA_KEY: contract.to_json()}
         if robot:
             properties[ROBOT_KEY] = base64.b64encode(robot).decode()

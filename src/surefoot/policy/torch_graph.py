@@ -93,7 +93,9 @@ def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
         result = _OPERATORS[name](graph, *args, **kwargs)
     except (KeyError, TypeError, NotImplementedError) as error:
         raise SurefootError(f"the network has operator {name}, as it is used there; allowed are {ALLOWED}") from error
-    return result if isinstance(result, Value) else Value(result, args[0].width if shape is None else shape[-1])
+    # What has several results, such as a norm of layers, keeps the width.
+    width = next(one.width for one in flat if isinstance(one, Value)) if shape is None else int(shape[-1])
+    return result if isinstance(result, Value) else Value(result, width)
 
 
 def _row(graph: Graph, value: Any) -> str:
@@ -174,7 +176,7 @@ def _cat(graph: Graph, values: list[Any], dim: int = 0) -> Value:
     return graph.join(values)
 
 
-def _norm(graph: Graph, value: Value, order: float | None, dim: Any, keep: bool = False) -> Value:
+def _norm(graph: Graph, value: Value, order: float | None = 2, dim: Any = None, keep: bool = False) -> Value:
     _check_last(dim)
     if order not in (None, 2) or not keep:
         raise NotImplementedError
@@ -212,7 +214,7 @@ def _batch_norm(
     return graph.apply("Add", result, _row(graph, (0.0 if bias is None else bias) - mean * scale))
 
 
-_OPERATORS: dict[str, Callable[..., str]] = {
+_OPERATORS: dict[str, Callable[..., str | Value]] = {
     "addmm": _linear,
     "mm": lambda graph, value, weight: _linear(graph, None, value, weight),
     **{name: _binary(name.capitalize()) for name in ("add", "sub", "mul", "div")},
@@ -228,9 +230,7 @@ _OPERATORS: dict[str, Callable[..., str]] = {
     "slice": _slice,
     "cat": _cat,
     "norm": _norm,
-    "linalg_vector_norm": lambda graph, value, order=2, dim=None, keepdim=False: _norm(
-        graph, value, order, dim, keepdim
-    ),
+    "linalg_vector_norm": _norm,
     "expand": _expand,
     "hardtanh": lambda graph, value, low=-1.0, high=1.0: _clamp(graph, value, low, high),
     "native_layer_norm": _layer_norm,

@@ -230,7 +230,7 @@ class RobotDescription:
 
     @property
     def motor_limits(self) -> tuple[Array, Array]:
-        """Least and greatest motor angles (M,) [rad] that the joints allow; a full turn where the URDF has no limits."""
+        """Least and greatest motor angles (M,) [rad] that the joints allow; a full turn without limits."""
         turn = (-2 * np.pi, 2 * np.pi)
         limits = np.array([self.urdf.joints[name].limits or turn for name in self.motor_names])
         ends = np.sort(self.motor_sign[:, None] * limits, axis=1)

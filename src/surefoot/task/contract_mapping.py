@@ -22,7 +22,7 @@ from surefoot.robot.params_file import ParamValue, param_values
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.gait import ActionKind, action_names
-from surefoot.task.observation import PARTS
+from surefoot.task.observation import PARTS, Observer
 from surefoot.task.plugins import changed_plugins, used_plugins
 from surefoot.task.reference import ReferenceConfig
 from surefoot.task.reward import TERMS
@@ -52,18 +52,43 @@ def make_contract(
         figures: figures of the run.
         created: when the policy was made, ISO 8601.
     """
-    robot, gait, task, config = env.robot, env.gait, env.task, config or env.task
+    config = config or env.task
+    return contract_from_task(
+        env.task, env.robot, config_hash(_without_path(to_mapping(config), env.robot)), config.name, figures, created
+    )
+
+
+def contract_from_task(
+    task: TaskConfig,
+    robot: RobotDescription,
+    whole_hash: str = "",
+    name: str = "",
+    figures: Mapping[str, Any] | None = None,
+    created: str = "",
+) -> Contract:
+    """Return the contract of a policy for a task on its robot.
+
+    Args:
+        task: the task.
+        robot: the task's.
+        whole_hash: `config_hash` of the configuration of the run; the task's, if empty.
+        name: of the policy; the task's, if empty.
+        figures: figures of the run.
+        created: when the policy was made, ISO 8601.
+    """
+    gait = task.gait(robot)
+    observer = Observer(robot, task.observations, gait.action_names)
     assumed: dict[str, Any] = param_values(task.nominal(robot), ASSUMED_PARAMS)
     assumed |= {name: None for name in assumed if name not in PhysicalParams.names(robot)}
     return Contract(
-        name=config.name,
+        name=name or task.name,
         robot=robot.name,
         description=robot.location if robot.ships else "",
         motor_names=robot.motor_names,
         motor_signs=tuple(float(sign) for sign in robot.motor_sign),
         leg_names=robot.leg_names,
-        observation=tuple(ObservationPart(**part) for part in env.observer.describe()),
-        columns=tuple(env.observer.columns),
+        observation=tuple(ObservationPart(**part) for part in observer.describe()),
+        columns=tuple(observer.columns),
         history=task.history,
         action_names=tuple(gait.action_names),
         low=tuple(gait.low.tolist()),
@@ -72,7 +97,7 @@ def make_contract(
         rest=task.rest or gait.rest,
         **assumed,
         task=_task_mapping(task),
-        config_hash=config_hash(_without_path(to_mapping(config), robot)),
+        config_hash=whole_hash or config_hash(_without_path(to_mapping(task), robot)),
         figures=dict(figures or {}),
         commands=task.commands.limits(robot),
         plugins=used_plugins(task.reward, task.observations),

@@ -123,7 +123,11 @@ class HybridGait:
             return self.low[:motors], self.high[:motors]
         ranges = self._ranges if self._leading is None else list(self.robot.leg_space.values())
         least, greatest = self.robot.angle_extent(*ranges)
-        return (least + self.low[:motors], greatest + self.high[:motors]) if self.action_kind == "joint" else (least, greatest)
+        return (
+            (least + self.low[:motors], greatest + self.high[:motors])
+            if self.action_kind == "joint"
+            else (least, greatest)
+        )
 
     def feedback(self, action: ArrayLike) -> Array:
         """Return feedback (N, A) for actions in [-1, 1], clipped: -1 is the lower bound, 1 the upper one."""

@@ -94,7 +94,8 @@ def tilt_robot(
 
 def _tilted_angles(robot: RobotDescription, stand: Sequence[ArrayLike], side: str) -> Array:
     """Return the motor angles (M,) [rad] with shorter legs on one side and longer ones on the other."""
-    settings, (*lateral, extension) = robot.experiments, stand
+    settings = robot.experiments
+    *lateral, extension = (np.asarray(part, float) for part in stand)
     low, high = robot.leg_space["extension"]
     shorter = np.array([side in leg for leg in robot.leg_names])
     extensions = np.clip(np.where(shorter, extension - settings.shorter, extension + settings.longer), low, high)
