@@ -54,7 +54,7 @@ TINY = (
     "--threads 1 --learning-threads 1 --ppo.minibatches 1"
 )
 RUN = "--threads 1 --out out"
-OUT = ("--out", "--link", "--params")
+OUT = ("--out", "--symlink", "--params")
 """Options that name files to be written."""
 CODES = {"study": {1, 130}, "train": {130}, "deploy": {3}, "doctor": {3}, "identify": {3}}
 """Exit codes that are documented besides 0 and 2."""

@@ -15,6 +15,8 @@ from surefoot.cli import emulate
 from surefoot.emulator.faults import FAULTS
 from surefoot.robot.params_file import read_params
 
+DDS = ["--link", "dds", "--interface", "lo"]
+
 
 @pytest.mark.parametrize(
     ("words", "message"),
@@ -26,6 +28,12 @@ from surefoot.robot.params_file import read_params
         (["--lockstep", "--fault", "overload"], "it does not go with --lockstep"),
         (["--rack", "--fault", "tilt"], "it does not go with --rack"),
         (["--fault", "slow-servo=0.0025"], "fault slow-servo is 0.0025; it must be whole servo steps of 0.001 s"),
+        (["--link", "dds"], "link dds needs the network interface of the topics; give --interface, such as lo"),
+        (["--link", "tcp"], "dds"),
+        (["--interface", "lo"], "interface and domain are those of a link over DDS; give --link dds too"),
+        ([*DDS, "--domain", "233"], "domain is 233; it must be 232 or less"),
+        ([*DDS, "--lockstep"], "lockstep is about the serial link; it does not go with --link dds"),
+        (DDS, "link dds is that of a Unitree Go2; robot minitaur has other motors, give --robot go2"),
         (["--duration", "0"], "duration is 0; it must be over 0"),
         (["--baud", "-1"], "baud is -1; it must be 0 or more"),
         (["--baud", "300"], "baud is 300; it must be 9600 or more, or 0"),
@@ -43,7 +51,7 @@ def test_emulate_reports_invalid_options_in_one_line(tmp_path, words, message):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("option", "name"), [("--out", "a.csv"), ("--out", "a.toml"), ("--link", "a")])
+@pytest.mark.parametrize(("option", "name"), [("--out", "a.csv"), ("--out", "a.toml"), ("--symlink", "a")])
 def test_emulate_refuses_to_overwrite_files(tmp_path, option, name):
     file = tmp_path / name
     file.write_text("mine")

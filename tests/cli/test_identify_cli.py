@@ -21,7 +21,7 @@ from processes import SUREFOOT, EmulatorHere, emulators, printed_commands, refus
 
 from surefoot.api.extras import install_command
 from surefoot.cli.helpers.identify_run import refuse_another_robot
-from surefoot.emulator.limits import Limits, make_handshake
+from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import PhysicalParams, RobotDescription

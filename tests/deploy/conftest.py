@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from surefoot.deploy.board.firmware import Firmware, MotorOrder, Sensors, Vitals
+from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.loop import RunMonitor, Snapshot
 from surefoot.deploy.messages import Message, State
@@ -15,8 +17,6 @@ from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.deploy.serial.serial_link import SerialLink
-from surefoot.emulator.firmware import Firmware, MotorOrder, Sensors, Vitals
-from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.robot import RobotDescription
 
 

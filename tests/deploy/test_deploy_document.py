@@ -24,7 +24,7 @@ def test_the_hosts_limits_are_those_of_the_code(document: str, robot: RobotDescr
 
 def test_the_robots_limits_are_those_of_the_emulator(document: str, robot: RobotDescription):
     pytest.importorskip("numba")
-    from surefoot.emulator.limits import Limits
+    from surefoot.deploy.board.limits import Limits
 
     limits = Limits.from_robot(robot)
     paragraph = re.search(r"^The robot's own.*?\n\n", document, re.MULTILINE | re.DOTALL)

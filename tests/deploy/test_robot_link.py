@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.messages import Arm, Mode
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.serial_link import LEAD, SerialLink
-from surefoot.emulator.firmware import Firmware
 from surefoot.errors import SurefootError
 
 

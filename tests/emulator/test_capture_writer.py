@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from surefoot.deploy.board.signals import MotorOrder
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.capture_writer import CaptureWriter
 from surefoot.emulator.plant import Plant
-from surefoot.emulator.signals import MotorOrder
 from surefoot.errors import SurefootError
 
 DAMPED = MotorOrder(Mode.DISARMED, np.zeros(8))

@@ -12,11 +12,11 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Packet, Position, Reason, State
 from surefoot.emulator.board import Board
 from surefoot.emulator.faults import FAULTS, describe, parse_faults
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
-from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.serial.serial_host_link import SerialHostLink
 from surefoot.errors import SurefootError

@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from surefoot.deploy.board.signals import MotorOrder
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.plant import Plant
-from surefoot.emulator.signals import MotorOrder
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.actuation import new_actuation, set_actuation_params
 from surefoot.world.interface import WorldConfig

@@ -13,10 +13,10 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
+from surefoot.deploy.board.signals import MotorOrder
 from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
-from surefoot.emulator.signals import MotorOrder
 from surefoot.world.actuation import set_actuation_params
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
@@ -90,7 +90,7 @@ def test_a_signal_ends_the_emulator_and_removes_its_link(emulate, tmp_path, numb
     # Whoever runs the tests without a terminal may ignore hangups, and children inherit that.
     before = signal.signal(number, signal.SIG_DFL)
     try:
-        process = emulate("--link", str(link), "--out", str(seen), *words)
+        process = emulate("--symlink", str(link), "--out", str(seen), *words)
     finally:
         signal.signal(number, before)
     assert os.path.realpath(link) == process.port

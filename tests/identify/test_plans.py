@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.deploy.messages import Mode
 from surefoot.deploy.poses import sitting_pose
-from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.identify.ground.plans import DRAG, ends, rocking, sides, standing_up
 from surefoot.identify.plan import FADE, Phase, Plan, chirps, go_to, hold, steps, sweep
 from surefoot.identify.rack.plans import PULSE, SPIKE_PERIOD, latency_plan, motor_plan

@@ -1,4 +1,4 @@
-"""`surefoot emulate`: a process that is the microcontroller and the robot, behind a pseudo-terminal."""
+"""`surefoot emulate`: a process that is the robot, behind a pseudo-terminal or topics over DDS."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -19,7 +19,10 @@ from surefoot.robot.params_file import load_params, write_params
 
 if TYPE_CHECKING:
     from surefoot.cli.helpers.viewer import EmulateViewer
+    from surefoot.deploy.dds.bus import Bus
     from surefoot.emulator.faults import InjectedFault
+    from surefoot.emulator.hardware import PowerConfig
+    from surefoot.emulator.plant import Plant
     from surefoot.emulator.real_time import RealTime, Summary
     from surefoot.emulator.serial.lockstep import Lockstep
     from surefoot.emulator.serial.pty_port import PtyPort
@@ -32,8 +35,9 @@ STRIDE = 3
 class EmulateCommand:
     """Emulate a robot: open a pseudo-terminal, print its name, and serve the wire protocol there until interrupted.
 
-    The physics runs in real time; with --lockstep it follows the times in the frames that arrive instead. One line at
-    the end sums up the run. --fault help lists the faults.
+    With --link dds it is a Unitree Go2 instead, with its topics on a network interface. The physics runs in real time;
+    with --lockstep it follows the times in the frames that arrive instead. One line at the end sums up the run. --fault
+    help lists the faults.
     """
 
     world: World = "mujoco"
@@ -61,8 +65,14 @@ class EmulateCommand:
     """Seed of noise, and of faults at random."""
     baud: Annotated[float, Within(0, 1e8)] = 921600.0
     """Bits a second of the serial line, in real time; 0: bytes take no time."""
-    link: Path | None = None
+    symlink: Path | None = None
     """Symbolic link to the pseudo-terminal, removed at the end."""
+    link: Literal["serial", "dds"] = "serial"
+    """How hosts reach the robot: by a pseudo-terminal, or by a Go2's own topics over DDS."""
+    interface: str = ""
+    """Network interface of the topics, such as lo."""
+    domain: Annotated[int, Within(0, 232)] = 0
+    """DDS domain of the topics; robots have 0."""
     out: tuple[Path, ...] = ()
     """Files to write: what a motion capture system sees of the robot, 200 times a second (.csv), and the physical
     parameters that --hidden-seed draws (.toml), for checking later."""
@@ -95,6 +105,8 @@ def main(argv: list[str]) -> int:
     if "tilt" in faults and command.rack:
         raise SurefootError("fault tilt needs a robot that can fall; it does not go with --rack")
     check_takes_params(command.world)
+    if command.link == "dds":
+        _check_go2(robot)
     if command.viewer:
         from surefoot.cli.helpers.viewer import has_display
 
@@ -104,6 +116,14 @@ def main(argv: list[str]) -> int:
 
 
 def _check(command: EmulateCommand) -> None:
+    if command.link == "dds":
+        if not command.interface:
+            raise SurefootError("link dds needs the network interface of the topics; give --interface, such as lo")
+        for option, used in (("lockstep", command.lockstep), ("symlink", command.symlink is not None)):
+            if used:
+                raise SurefootError(f"{option} is about the serial link; it does not go with --link dds")
+    elif command.interface or command.domain:
+        raise SurefootError("interface and domain are those of a link over DDS; give --link dds too")
     if command.baud and command.baud < 9600:
         raise SurefootError(f"baud is {command.baud:g}; it must be 9600 or more, or 0")
     files = command.files
@@ -114,6 +134,14 @@ def _check(command: EmulateCommand) -> None:
     for path in files.values():
         if path.exists():
             raise SurefootError(f"out {path} exists; give another name")
+
+
+def _check_go2(robot: RobotDescription) -> None:
+    """Refuse a robot that has no place in a Go2's messages."""
+    from surefoot.deploy.dds.low_level import MOTOR_NAMES
+
+    if robot.motor_names != MOTOR_NAMES or robot.actuator.kind != "joint":
+        raise SurefootError(f"link dds is that of a Unitree Go2; robot {robot.name} has other motors, give --robot go2")
 
 
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
@@ -138,31 +166,57 @@ def _servo_every(robot: RobotDescription, fault: InjectedFault | None) -> int:
     return every
 
 
+def make_plant(
+    command: EmulateCommand, robot: RobotDescription, power: PowerConfig | None = None, servo_every: int = 1
+) -> Plant:
+    """Return the robot's body; its battery and motors are `power`, unless they are to be ideal."""
+    from surefoot.emulator.hardware import PowerConfig, SensorConfig
+    from surefoot.emulator.plant import Plant
+
+    ideal = command.ideal_sensors
+    sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if ideal else (None, power)
+    params = _params(command, robot)
+    return Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every)
+
+
 def make_loop(
     command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], port: PtyPort, summary: Summary
 ) -> RealTime | Lockstep:
-    """Return the loop that runs the robot, warmed up."""
+    """Return the loop that runs the robot behind a pseudo-terminal, warmed up."""
     from surefoot import __version__
+    from surefoot.deploy.board.limits import Limits, make_handshake
     from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.board import Board
-    from surefoot.emulator.hardware import PowerConfig, SensorConfig
-    from surefoot.emulator.limits import Limits, make_handshake
-    from surefoot.emulator.plant import Plant
     from surefoot.emulator.real_time import RealTime
     from surefoot.emulator.serial.lockstep import PATIENCE, Lockstep
     from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
-    every = _servo_every(robot, faults.get("slow-servo"))
-    sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if command.ideal_sensors else (None, None)
-    params, limits = _params(command, robot), Limits.from_robot(robot)
-    plant = Plant(robot, params, command.seed, sensors, power, command.rack, command.world, every)
+    plant = make_plant(command, robot, servo_every=_servo_every(robot, faults.get("slow-servo")))
+    limits = Limits.from_robot(robot)
     handshake = make_handshake(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:
         link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=PATIENCE)
         return Lockstep(Board(plant, handshake, link, limits, faults), link, port, summary)
     link = SerialHostLink(port, robot.num_motors, faults, command.baud, command.seed, lead=LEAD)
-    load = faults["overload"].value if "overload" in faults else 0.0
-    return RealTime(Board(plant, handshake, link, limits, faults, STRIDE), summary, load)
+    return RealTime(Board(plant, handshake, link, limits, faults, STRIDE), summary, _load(faults))
+
+
+def make_dds_loop(
+    command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], bus: Bus, summary: Summary
+) -> RealTime:
+    """Return the loop that runs a Go2 behind its topics, warmed up."""
+    from surefoot.deploy.serial.serial_link import LEAD
+    from surefoot.emulator.dds.board import Go2Board
+    from surefoot.emulator.dds.link import LowLevelLink
+    from surefoot.emulator.dds.low_state import POWER
+    from surefoot.emulator.real_time import RealTime
+
+    plant = make_plant(command, robot, POWER)
+    return RealTime(Go2Board(plant, LowLevelLink(bus), LEAD, command.seed), summary, _load(faults))
+
+
+def _load(faults: dict[str, InjectedFault]) -> float:
+    return faults["overload"].value if "overload" in faults else 0.0
 
 
 def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault]) -> int:
@@ -177,12 +231,19 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
     def end(_: int) -> None:
         summary.stop = True
 
-    port = PtyPort(command.link, held=not command.lockstep)
+    loop: RealTime | Lockstep
     observers: list[CaptureWriter | EmulateViewer] = []
-    with StopSignals(on_signal=end, respect_nohup=True):
+    with StopSignals(on_signal=end, respect_nohup=True), contextlib.ExitStack() as stack:
+        if command.link == "dds":
+            from surefoot.deploy.dds.bus import Bus
+
+            loop = make_dds_loop(command, robot, faults, Bus(command.interface, command.domain), summary)
+            place = f"{command.interface}, DDS domain {command.domain}"
+        else:
+            port = stack.enter_context(contextlib.closing(PtyPort(command.symlink, held=not command.lockstep)))
+            loop, place = make_loop(command, robot, faults, port, summary), port.path
+        board = loop.board
         try:
-            loop = make_loop(command, robot, faults, port, summary)
-            board = loop.board
             if (path := command.files.get(".csv")) is not None:
                 observers.append(CaptureWriter(path, board.plant, later=not command.lockstep))
             if command.viewer:
@@ -192,10 +253,9 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
             board.on_step = [observer.see for observer in observers]
             # A microcontroller has a processor of its own, so the emulator comes before other processes.
             with contextlib.nullcontext() if command.lockstep else undisturbed():
-                print(f"robot on {port.path}", flush=True)
+                print(f"robot on {place}", flush=True)
                 loop.run(command.duration)
         finally:
-            port.close()
             for observer in observers:
                 observer.close()
                 if isinstance(observer, CaptureWriter) and observer.file.stopped:

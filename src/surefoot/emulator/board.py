@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 
+from surefoot.deploy.board.firmware import Firmware
+from surefoot.deploy.board.limits import Limits
+from surefoot.deploy.board.signals import MotorOrder, Sensors, microseconds
 from surefoot.deploy.messages import Handshake, Mode
 from surefoot.emulator.capture_writer import PERIOD
 from surefoot.emulator.faults import FaultInjector, InjectedFault
-from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.host_link import HostLink
-from surefoot.emulator.limits import Limits
 from surefoot.emulator.plant import Plant
-from surefoot.emulator.signals import MotorOrder, Sensors, microseconds
 
 _BOOT_TIME = 200_000
 """Time [us] that a microcontroller takes to start."""
@@ -51,6 +51,15 @@ class Board:
         self._booted = 0
         self._order: MotorOrder | None = None
         self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(plant.robot.num_motors))
+
+    def counts(self) -> list[str]:
+        """Return what happened on its link, for the line at the end."""
+        statistics, firmware = self.link.statistics, self.firmware
+        return [
+            f"frames received {statistics.received}, damaged {statistics.damaged}, foreign {statistics.foreign}",
+            f"repeated {firmware.watch.old_numbers}, stale {firmware.stale}, not read {statistics.unsent}",
+            f"mode {firmware.mode.name}, reason {firmware.reason.name}",
+        ]
 
     @property
     def next_step(self) -> int:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from surefoot.deploy.board.signals import MotorOrder, Sensors
 from surefoot.deploy.messages import Handshake, Mode, Packet, State
-from surefoot.emulator.signals import MotorOrder, Sensors
 from surefoot.errors import SurefootError, suggest
 
 if TYPE_CHECKING:

@@ -34,11 +34,13 @@ class SensorConfig:
     torque_gain: float = 0.01
     """Standard deviation of the constant relative error of each motor's torque, drawn once: errors of current sense
     resistors (1 % parts) and of the torque curve after calibration."""
+    accelerometer_noise: float = 0.03
+    """Standard deviation of the specific force [m/s2]: 180 ug/sqrt(Hz) over a band of 300 Hz."""
 
     @classmethod
     def ideal(cls) -> SensorConfig:
         """Return sensors without error."""
-        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class PowerConfig(NamedTuple):

@@ -9,11 +9,24 @@ from surefoot.deploy.messages import Packet
 from surefoot.deploy.robot_link import LinkStatistics
 
 if TYPE_CHECKING:
-    from surefoot.emulator.firmware import Firmware
+    from surefoot.deploy.board.firmware import Firmware
 
 
-class HostLink(Protocol):
-    """What an emulated robot needs of a link. Times are whole microseconds on the robot's clock."""
+class Transport(Protocol):
+    """What a loop that advances a robot needs of its link. Times are whole microseconds on the robot's clock."""
+
+    def poll(self, now: int) -> None:
+        """Put what hosts have written on its way to the robot."""
+
+    def flush(self, now: int) -> None:
+        """Hand over to hosts what has reached them by now."""
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until hosts have written something, at most `timeout` [s]; return whether they have."""
+
+
+class HostLink(Transport, Protocol):
+    """What an emulated microcontroller needs of a link."""
 
     chances: Mapping[str, float]
     """Chance of each harm of `faults.HARMS` that may happen now, 0 to 1 per packet."""
@@ -31,15 +44,6 @@ class HostLink(Protocol):
     @property
     def next_departure(self) -> float:
         """When the next packets reach the host; infinite if none are on their way."""
-
-    def poll(self, now: int) -> None:
-        """Put what hosts have written on its way to the robot."""
-
-    def flush(self, now: int) -> None:
-        """Hand over to hosts what has reached them by now."""
-
-    def wait(self, timeout: float) -> bool:
-        """Wait until hosts have written something, at most `timeout` [s]; return whether they have."""
 
     def receive(self, now: int, firmware: Firmware) -> None:
         """Hand the firmware the packets that arrive next."""

@@ -8,9 +8,9 @@ import numpy as np
 
 from surefoot.actuator.motor import joint_torque, servo_duty
 from surefoot.arrays import Array
+from surefoot.deploy.board.signals import MotorOrder, Sensors, Vitals
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
-from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator
@@ -31,6 +31,20 @@ class Capture:
     position: Array
     quat: Array
     contact_ticks: Array
+
+
+@dataclass(frozen=True)
+class JointOrder:
+    """What joint actuators do until the next order, each (M,): torque = feedforward + kp (angle - q) + kd (speed - dq).
+
+    Units: rad, rad/s, N m, N m/rad, N m s/rad. The sum is limited as the actuator is.
+    """
+
+    angle: Array
+    speed: Array
+    feedforward: Array
+    kp: Array
+    kd: Array
 
 
 class Plant:
@@ -75,8 +89,9 @@ class Plant:
         self._count = np.ones(1, np.int64)
         self._row = np.empty(2 * motors + 6)
         self.temperature = np.full(motors, self.power.ambient)
-        self.energy = self._used = 0.0
+        self.energy = self.current = self._used = 0.0
         self._contact = np.zeros(len(robot.legs))
+        self._order: MotorOrder | JointOrder
         self._obey(MotorOrder(Mode.DISARMED, np.zeros(motors)))
         # Load compiled code before the first step; the world has run the physics already.
         self._look(0.0, 0.0)
@@ -96,10 +111,16 @@ class Plant:
         """Battery voltage under load [V]."""
         return float(self.world.actuation.voltage[0])
 
-    def step(self, order: MotorOrder, count: int = 1) -> None:
+    @property
+    def open_circuit(self) -> float:
+        """Battery voltage without load [V]."""
+        used = self.power.battery_drop * self._used / self.power.battery_capacity
+        return self._voltage - self.voltage_drop - used
+
+    def step(self, order: MotorOrder | JointOrder, count: int = 1) -> None:
         """Run `count` servo steps under one order; update battery and heat after the last one.
 
-        `count` is 1 if the servo runs less often than the physics.
+        `count` is 1 if the servo runs less often than the physics; orders for joints need a servo that does not.
 
         Raises:
             SurefootError: the physics diverged.
@@ -107,7 +128,8 @@ class Plant:
         world, actuation = self.world, self.world.actuation
         if order is not self._order:
             self._obey(order)
-        if self.servo_every > 1 and order.mode != Mode.PWM and self.ticks % self.servo_every == 0:
+        slow = self.servo_every > 1 and self.ticks % self.servo_every == 0
+        if slow and isinstance(order, MotorOrder) and order.mode != Mode.PWM:
             seen = self._look(0.0, float(self.params.servo_latency[0]))
             motors = self.robot.num_motors
             actuation.duty[0] = self._duty(order.values, seen[:motors], seen[motors : 2 * motors])
@@ -119,10 +141,15 @@ class Plant:
         self._contact += actuation.contact_ticks[0]
         self._draw_power(self.temperature, count)
 
-    def _obey(self, order: MotorOrder) -> None:
+    def _obey(self, order: MotorOrder | JointOrder) -> None:
         actuation, none = self.world.actuation, np.zeros(self.robot.num_motors)
-        position, pwm = order.mode == Mode.POSITION, order.mode == Mode.PWM
         self._order = order
+        if isinstance(order, JointOrder):
+            actuation.target[0], actuation.kp[0], actuation.kd[0] = order.angle, order.kp, order.kd
+            # A joint actuator adds its duty, a share of its greatest torque, to that of its PD law.
+            actuation.duty[0] = (order.feedforward + order.kd * order.speed) / actuation.max_torque[0]
+            return
+        position, pwm = order.mode == Mode.POSITION, order.mode == Mode.PWM
         if position:
             self._gains = self.params.servo_kp[0], self.params.servo_kd[0]
         else:
@@ -141,10 +168,9 @@ class Plant:
 
     def _draw_power(self, temperature: Array, count: int = 1) -> None:
         actuation, power, dt = self.world.actuation, self.power, count * self.robot.timing.servo_step
-        current = power_tick(actuation, power, dt, temperature)
-        self._used += current * dt
-        open_circuit = self._voltage - self.voltage_drop - power.battery_drop * self._used / power.battery_capacity
-        actuation.voltage[0] = max(open_circuit - power.battery_resistance * current, 1.0)
+        self.current = power_tick(actuation, power, dt, temperature)
+        self._used += self.current * dt
+        actuation.voltage[0] = max(self.open_circuit - power.battery_resistance * self.current, 1.0)
 
     def _look(self, since_step: float, latency: float) -> Array:
         """Return the state `latency` [s] before now, which is `since_step` [s] after the last servo step."""

@@ -1,16 +1,18 @@
-"""The emulator in real time: a board that follows the computer's clock."""
+"""The emulator in real time: a robot that follows the computer's clock."""
 
 from __future__ import annotations
 
 import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Protocol
 
-from surefoot.emulator.board import Board
-from surefoot.emulator.signals import microseconds
+from surefoot.deploy.board.signals import microseconds
+from surefoot.emulator.host_link import Transport
+from surefoot.emulator.plant import Plant
 
 BEHIND = 10_000
 """Lag of the physics [us] from which on it is reported."""
@@ -21,6 +23,33 @@ _MAX_STRIDE = 4_000
 _REPORT_EVERY = 1.0
 _PAUSE = 1e-3
 """Pause [s] when robot time slips: a process that has priority over all others must not keep the processor."""
+
+
+class EmulatedRobot(Protocol):
+    """What the loop needs of a robot. Times are whole microseconds since it was switched on."""
+
+    plant: Plant
+    now: int
+    on_step: list[Callable[[int], None]]
+    """Called with the time after servo steps."""
+
+    @property
+    def link(self) -> Transport:
+        """Its link to hosts."""
+
+    @property
+    def next_step(self) -> int:
+        """When the servo step in progress ends."""
+
+    @property
+    def next_time(self) -> float:
+        """When there is something to do next."""
+
+    def run_to(self, time: int) -> None:
+        """Run everything that happens until a time."""
+
+    def counts(self) -> list[str]:
+        """Return what happened on its link, for the line at the end."""
 
 
 @dataclass
@@ -40,24 +69,21 @@ class Summary:
     stop: bool = field(default=False, repr=False)
     """Set from outside to end the loop."""
 
-    def text(self, board: Board) -> str:
+    def text(self, board: EmulatedRobot) -> str:
         """Return one line for the end."""
-        statistics, firmware = board.link.statistics, board.firmware
         share = self.processor_time / self.real_time if self.real_time > 0 else 0.0
         parts = [
             f"{self.robot_time:.3f} s of robot time in {self.real_time:.1f} s",
             f"{100 * share:.0f} % of a processor",
             f"behind {self.behind} times (by {1e3 * self.worst:.1f} ms at worst)",
             f"slipped {self.slips} times ({self.slipped:.3f} s)",
-            f"frames received {statistics.received}, damaged {statistics.damaged}, foreign {statistics.foreign}",
-            f"repeated {firmware.watch.old_numbers}, stale {firmware.stale}, not read {statistics.unsent}",
-            f"mode {firmware.mode.name}, reason {firmware.reason.name}",
+            *board.counts(),
         ]
         return "; ".join(parts)
 
 
 @contextmanager
-def measure(board: Board, summary: Summary) -> Iterator[None]:
+def measure(board: EmulatedRobot, summary: Summary) -> Iterator[None]:
     """Measure the time of a run for its summary."""
     started, used = time.monotonic(), time.process_time()
     yield
@@ -67,12 +93,12 @@ def measure(board: Board, summary: Summary) -> Iterator[None]:
 
 
 class RealTime:
-    """Advances a board by the computer's monotonic clock, and sleeps in between, until `summary.stop` is set.
+    """Advances a robot by the computer's monotonic clock, and sleeps in between, until `summary.stop` is set.
 
     The physics takes at least `load` times real time.
     """
 
-    def __init__(self, board: Board, summary: Summary, load: float = 0.0) -> None:
+    def __init__(self, board: EmulatedRobot, summary: Summary, load: float = 0.0) -> None:
         self.board, self._summary, self._load = board, summary, load
         self._next_report = -math.inf
         self._since = 0.0, 0.0

@@ -19,11 +19,21 @@ _T = TypeVar("_T")
 LOW_STATE_TOPIC, LOW_COMMAND_TOPIC = "rt/lowstate", "rt/lowcmd"
 SPORT_STATE_TOPIC = "rt/sportmodestate"
 _SIOCGIFADDR = 0x8915
-_IFF_UP = 1
+_IFF_UP, _IFF_MULTICAST = 0x1, 0x1000
+_MULTICAST = "</General>"
+_NO_MULTICAST = (
+    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    "<Peers><Peer address='localhost'/></Peers></Discovery>"
+)
+"""What cyclonedds does by itself on a loopback without multicast; said outright, it prints no warning."""
 _CONFIG = (
     "<CycloneDDS><Domain Id='any'><General><Interfaces><NetworkInterface name={} priority='default'"
     " multicast='default'/></Interfaces></General><Tracing><Verbosity>none</Verbosity></Tracing></Domain></CycloneDDS>"
 )
+
+
+def _flags(interface: str) -> int:
+    return int((Path("/sys/class/net") / interface / "flags").read_text(), 16)
 
 
 def check_interface(name: str) -> str:
@@ -37,7 +47,7 @@ def check_interface(name: str) -> str:
         raise SurefootError(f"there is no network interface '{name}'; it must be one of {choices(sorted(names))}")
     folder = Path("/sys/class/net") / name
     with contextlib.suppress(OSError, ValueError):
-        if not int((folder / "flags").read_text(), 16) & _IFF_UP:
+        if not _flags(name) & _IFF_UP:
             raise SurefootError(f"network interface {name} is down; it must be up: sudo ip link set {name} up")
         if (folder / "operstate").read_text().strip() == "down":
             raise SurefootError(f"network interface {name} has no carrier; check the cable and the robot's switch")
@@ -69,7 +79,8 @@ class Bus:
                 'a link over DDS needs cyclonedds 0.10: pip install -c constraints.txt -e ".[dds]"'
             ) from error
         try:
-            self._domain = Domain(domain, _CONFIG.format(quoteattr(interface)))
+            discovery = _MULTICAST if _flags(interface) & _IFF_MULTICAST else _NO_MULTICAST
+            self._domain = Domain(domain, _CONFIG.format(quoteattr(interface), discovery))
             self.participant = DomainParticipant(domain)
         except DDSException as error:
             raise SurefootError(

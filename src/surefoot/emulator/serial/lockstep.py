@@ -6,13 +6,13 @@ import re
 import sys
 import time
 
+from surefoot.deploy.board.signals import microseconds
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder
 from surefoot.emulator.board import Board
 from surefoot.emulator.real_time import Summary, measure
 from surefoot.emulator.serial.pty_port import PtyPort
 from surefoot.emulator.serial.serial_host_link import SerialHostLink
-from surefoot.emulator.signals import microseconds
 
 PATIENCE = 2.0
 """Time [s] that a host has to read what the robot sends."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.messages import Packet
 from surefoot.deploy.robot_link import LinkStatistics
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.emulator.faults import InjectedFault
-from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.serial.line import Line
 from surefoot.emulator.serial.pty_port import PtyPort
 from surefoot.seeding import generator

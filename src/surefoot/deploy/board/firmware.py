@@ -21,10 +21,10 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.deploy import messages
+from surefoot.deploy.board.limits import Limits
+from surefoot.deploy.board.signals import MotorOrder, Sensors, Vitals, microseconds
 from surefoot.deploy.clock import ClockSync
 from surefoot.deploy.messages import Handshake, Hello, Message, Mode, Packet, Position, Pwm, Reason
-from surefoot.emulator.limits import Limits
-from surefoot.emulator.signals import MotorOrder, Sensors, Vitals, microseconds
 
 ARMED = (Mode.POSITION, Mode.PWM)
 

@@ -11,13 +11,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from surefoot.deploy import messages
+from surefoot.deploy.board.firmware import Firmware
+from surefoot.deploy.board.limits import Limits, make_handshake
+from surefoot.deploy.board.signals import MotorOrder, Sensors, Vitals
 from surefoot.deploy.messages import Fault, Handshake, Hello, Message, Mode, Packet, Ping, Pong, Position, Reason, State
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
-from surefoot.emulator.firmware import Firmware
-from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.emulator.serial.serial_host_link import SerialHostLink
-from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 
 MS = 1000
 ME, OTHER = 7, 8
@@ -148,7 +148,7 @@ def test_a_hello_is_answered_by_the_handshake_and_frames_are_counted_from_one(be
 
 @pytest.mark.parametrize("room", [1.0, 1.01, 1.02, 1.03])
 def test_a_command_at_the_limits_of_the_handshake_is_obeyed(robot, monkeypatch, room):
-    monkeypatch.setattr("surefoot.emulator.limits.ANGLE_ROOM", room)
+    monkeypatch.setattr("surefoot.deploy.board.limits.ANGLE_ROOM", room)
     bench = Bench(robot, "serial line")
     (sent,) = bench.send(Hello(ME, 0.010))
     bench.arm()

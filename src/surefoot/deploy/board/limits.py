@@ -56,8 +56,8 @@ class Limits:
 def make_handshake(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:
     """Return the handshake of a robot; the session is filled in when an operator connects.
 
-    A command may request the extremes of leg space and `ANGLE_ROOM` more. Gains are nominal, whatever the emulated
-    motors have. `firmware` is its name and version; the servo steps every `servo_period` [s].
+    A command may request the extremes of leg space and `ANGLE_ROOM` more. Gains are the data sheet's, whatever
+    an emulated robot's motors have. `firmware` is its name and version; the servo steps every `servo_period` [s].
     """
     least, greatest = robot.angle_extent(*robot.leg_space.values())
     # Rounded as on the wire, so that a command of exactly these angles is within them.

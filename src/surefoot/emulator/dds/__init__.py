@@ -1,0 +1,1 @@
+"""An emulated Unitree Go2 behind its own topics and services over DDS."""
