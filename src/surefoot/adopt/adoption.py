@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.adopt import torchscript_network
-from surefoot.adopt.builder import ForeignNetwork, build_policy, observation_width
-from surefoot.adopt.formats import rl_sar
+from surefoot.adopt.builder import ForeignNetwork, build_policy, check_specification
+from surefoot.adopt.formats import legged_gym, manual, mjlab, rl_sar, unitree_rl_lab
 from surefoot.adopt.onnx_network import OnnxNetwork
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
@@ -22,7 +22,6 @@ from surefoot.robot import RobotDescription
 class Format:
     """A format of policies."""
 
-    meaning: str
     config: str
     """Name of its configuration, looked for beside the network; empty, if the network has it all."""
     read: Callable[[Path, RobotDescription], PolicySpecification]
@@ -30,7 +29,11 @@ class Format:
 
 
 FORMATS: dict[str, Format] = {
-    "rl_sar": Format("config.yaml and base.yaml of rl_sar", "config.yaml", rl_sar.read),
+    "rl_sar": Format("config.yaml", rl_sar.read),
+    "unitree_rl_lab": Format("deploy.yaml", unitree_rl_lab.read),
+    "mjlab": Format("", mjlab.read),
+    "legged_gym": Format("config.py", legged_gym.read),
+    "manual": Format("policy.yaml", manual.read),
 }
 
 
@@ -66,16 +69,21 @@ def adopt(
         SurefootError: files that are missing, hostile, not understood, or do not fit each other or the robot.
     """
     kind = FORMATS[format_name]
-    config = config or path.parent / kind.config
+    if not kind.config and config is not None:
+        raise SurefootError(f"--config is given; {format_name} has everything in the network's file")
+    config = config or (path.parent / kind.config if kind.config else path)
     with prefix_errors(config):
-        specification = replace(kind.read(config, robot), **(changes or {}))
+        read, changes = kind.read(config, robot), changes or {}
+        notes = {name: note for name, note in read.notes.items() if name not in changes}
+        specification = replace(read, **changes, notes=notes)
+        width = check_specification(specification, robot)
     with describe_os_errors(path), path.open("rb") as file:
         data = file.read(MAX_BYTES + 1)
     source = {"format": format_name}
     for part, content in (("network", data), ("configuration", config.read_bytes())):
         source[part] = hashlib.sha256(content).hexdigest()
     with prefix_errors(path):
-        network = load_network(path, data, observation_width(specification, robot), trusted)
+        network = load_network(path, data, width, trusted)
         return AdoptedPolicy(build_policy(specification, network, robot, name, source), specification)
 
 

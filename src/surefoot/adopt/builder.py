@@ -15,13 +15,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from surefoot.adopt.specification import PerJoint, PolicySpecification, Term
+from surefoot.adopt.specification import PerJoint, PolicySpecification, Range, Term
 from surefoot.arrays import Array
 from surefoot.deploy.checks import check_policy
 from surefoot.errors import SurefootError, choices, quote
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import add_digest, read_parts
-from surefoot.policy.graph import Graph, Value
+from surefoot.policy.graph import LARGEST, Graph, Value
 from surefoot.policy.network import INPUT, OUTPUT, check_network
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -71,12 +71,13 @@ class ForeignNetwork(Protocol):
 
 @dataclass(frozen=True)
 class _Row:
-    """A number of the network's observation: clip(sum of weights * raw columns + offset) * scale."""
+    """A number of the network's observation: clip(clip(sum of weights * raw columns + offset) * scale)."""
 
     weights: dict[int, float]
     offset: float
-    clip: tuple[float, float] | None
+    clip: Range | None
     scale: float
+    clip_after: Range | None
 
 
 def build_policy(
@@ -108,9 +109,28 @@ def build_policy(
     return data
 
 
-def observation_width(specification: PolicySpecification, robot: RobotDescription) -> int:
-    """Return how many numbers the network must take."""
-    return sum(_width(term, robot.num_motors) * len(term.steps) for term in specification.observations)
+@dataclass(frozen=True)
+class _Absent:
+    """The sizes of a network that is still to be loaded."""
+
+    inputs: int
+    outputs: int
+    hidden: tuple[int, ...] = ()
+
+    def add(self, graph: Graph, observation: Value, hidden: list[Value]) -> tuple[Value, list[Value]]:
+        raise NotImplementedError
+
+
+def check_specification(specification: PolicySpecification, robot: RobotDescription) -> int:
+    """Refuse a specification that does not fit the robot; return how many numbers the network must take.
+
+    Raises:
+        SurefootError: other joints, a default pose that legs can't have, numbers that do not fit a term.
+    """
+    width = sum(_width(term, robot.num_motors) * len(term.steps) for term in specification.observations)
+    maker = _Maker(specification, _Absent(width, len(specification.joints)), robot)
+    check_policy(maker.contract("policy", {}), robot)
+    return width
 
 
 def _width(term: Term, joints: int) -> int:
@@ -233,7 +253,7 @@ class _Maker:
         if len(scale) not in (1, len(rows)):
             raise SurefootError(f"observation {term.term}: scale has {len(scale)} numbers; the term has {len(rows)}")
         scales = np.broadcast_to(scale, len(rows))
-        return [_Row(*row, term.clip, float(factor)) for row, factor in zip(rows, scales, strict=True)]
+        return [_Row(*row, term.clip, float(factor), term.clip_after) for row, factor in zip(rows, scales, strict=True)]
 
     def _columns(self, term: Term) -> list[tuple[dict[str, float], float]]:
         """Return what each number of a term is made of: weights of columns, and an offset."""
@@ -294,23 +314,26 @@ class _Maker:
         ends = (graph.constant(np.broadcast_to(end, (1, value.width))) for end in (low, high))
         return Value(graph.apply("Min", graph.apply("Max", value.name, next(ends)), next(ends)), value.width)
 
+    def _clipped(self, graph: Graph, value: Value, clips: list[Range | None]) -> Value:
+        """Return a value with those of its numbers clipped that have bounds."""
+        low, high = np.array([clip or (-LARGEST, LARGEST) for clip in clips]).T
+        return self._bounded(graph, value, tuple(low), tuple(high))
+
     def _observation(self, graph: Graph, raw: Value) -> Value:
         """Return the network's observation of a raw one."""
         rows = self._rows
         weight, offset = np.zeros((raw.width, len(rows))), np.array([row.offset for row in rows])
-        scale, clipped = np.array([row.scale for row in rows]), any(row.clip for row in rows)
+        scale = np.array([row.scale for row in rows])
         for k, row in enumerate(rows):
             for column, factor in row.weights.items():
                 weight[column, k] = factor
-        if clipped:
-            value = graph.linear(raw.name, weight, offset)
-            ends = [row.clip or (-np.inf, np.inf) for row in rows]
-            largest = np.finfo(np.float32).max
-            low, high = np.clip(np.array(ends).T, -largest, largest)
-            bounded = self._bounded(graph, value, tuple(low), tuple(high))
-            value = Value(graph.apply("Mul", bounded.name, graph.constant(scale[None])), value.width)
+        if any(row.clip for row in rows):
+            value = self._clipped(graph, graph.linear(raw.name, weight, offset), [row.clip for row in rows])
+            value = Value(graph.apply("Mul", value.name, graph.constant(scale[None])), value.width)
         else:
             value = graph.linear(raw.name, weight * scale, offset * scale)
+        if any(row.clip_after for row in rows):
+            value = self._clipped(graph, value, [row.clip_after for row in rows])
         limit = self.specification.observation_clip
         return value if limit is None else Value(graph.clip(value.name, -limit, limit), value.width)
 

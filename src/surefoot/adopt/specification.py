@@ -32,7 +32,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Term:
-    """A part of the network's observation: clip((value + offset), clip) * scale, for each of its ages."""
+    """A part of the network's observation: its numbers are clipped, scaled and clipped, for each of its ages."""
 
     term: TermName
     """command: speeds forward and to the left [m/s] and yaw rate [rad/s]; gravity: its direction in the base frame,
@@ -43,6 +43,8 @@ class Term:
     """Factor, one for all numbers of the term or one for each."""
     clip: Annotated[Range | None, Within(-1e6, 1e6)] = None
     """Least and greatest number before the scale; None: they are not clipped."""
+    clip_after: Annotated[Range | None, Within(-1e6, 1e6)] = None
+    """Least and greatest number after the scale; None: they are not clipped."""
     steps: Annotated[tuple[int, ...], Within(0, MAX_HISTORY - 1)] = (0,)
     """Ages of its numbers in control steps, in the network's order: 0 is the newest. (4, 3, 2, 1, 0) is a history of 5,
     the oldest first."""
@@ -64,8 +66,12 @@ class Term:
         check_bounds(self, "observations")
         if not self.steps:
             raise SurefootError(f"observation {self.term}: steps is empty; it must have an age, such as 0")
-        if self.clip is not None and self.clip[0] > self.clip[1]:
-            raise SurefootError(f"observation {self.term}: clip is {list(self.clip)}; the lower bound must come first")
+        for name in ("clip", "clip_after"):
+            low, high = getattr(self, name) or (0.0, 0.0)
+            if low > high:
+                raise SurefootError(
+                    f"observation {self.term}: {name} is [{low:g}, {high:g}]; the lower bound must come first"
+                )
 
 
 @dataclass(frozen=True)
@@ -111,8 +117,8 @@ class PolicySpecification:
     """Roll or pitch [rad] beyond which an episode ends."""
     name: str = ""
     """Name of the policy; that of the file that is written, if empty."""
-    notes: tuple[str, ...] = field(default=())
-    """What the user should know, such as what was assumed."""
+    notes: dict[str, str] = field(default_factory=dict)
+    """What the user should know of fields, such as what was assumed."""
 
     def __post_init__(self) -> None:
         """Refuse numbers that do not fit each other."""

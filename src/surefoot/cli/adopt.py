@@ -27,7 +27,7 @@ class AdoptCommand:
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """Its network: ONNX (.onnx), or TorchScript (.pt), which needs torch."""
-    format: Annotated[Literal["rl_sar"], tyro.conf.arg(name="from")]
+    format: Annotated[Literal["rl_sar", "unitree_rl_lab", "mjlab", "legged_gym", "manual"], tyro.conf.arg(name="from")]
     """What its configuration is written for."""
     out: Path
     """Policy file to write (.onnx)."""
@@ -41,6 +41,12 @@ class AdoptCommand:
     """Speeds to the left [m/s]; as the files say, else -.4 to .4."""
     yaw_rate: Range | None = None
     """Yaw rates [rad/s]; as the files say, else -.8 to .8."""
+    kp: float | None = None
+    """Proportional gain of all joints [N m/rad], in place of the files'."""
+    kd: float | None = None
+    """Derivative gain of all joints [N m s/rad], in place of the files'."""
+    control_step: float | None = None
+    """Time between two actions [s], in place of the files'."""
     latency: float | None = None
     """Age of the readings in training [s]; the robot's nominal one, if not given."""
     trust: bool = False
@@ -58,13 +64,13 @@ def main(argv: list[str]) -> int:
     from surefoot.files import atomic_write
     from surefoot.policy.runtime import PolicyRuntime
 
-    names = ("forward", "sideways", "yaw_rate", "latency")
+    names = ("forward", "sideways", "yaw_rate", "kp", "kd", "control_step", "latency")
     changes = {name: value for name in names if (value := getattr(command, name)) is not None}
     result = adopt(command.file, command.format, robot, command.out.stem, command.config, changes, command.trust)
     contract = PolicyRuntime.parse(result.data).contract
     command.out.parent.mkdir(parents=True, exist_ok=True)
     atomic_write(command.out, result.data)
-    notes = list(result.specification.notes)
+    notes = list(result.specification.notes.values())
     if command.json:
         print_json({"policy": contract.name, "robot": robot.name, "file": str(command.out), "notes": notes})
         return 0

@@ -83,7 +83,7 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
             action_clip=clip if all(clip) else None,
             observation_clip=table.clip_obs,
             history_by="term" if table.observations_history_priority == "term" else "step",
-            notes=("commands: rl_sar's files do not say which were trained; --forward and others set their ranges",),
+            notes={"forward": "commands: rl_sar's files do not say which were trained; --forward and others set them"},
         )
 
 
