@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from onnx import TensorProto, helper, numpy_helper
 
 from surefoot.policy.graph import Graph, Value
 
@@ -37,13 +38,48 @@ class Readings:
 
 
 class Probe:
-    """A network that gives some numbers of its observation as its action."""
+    """A network whose action is the first part of its observation, and which keeps its observation."""
 
-    hidden: tuple[int, ...] = ()
-
-    def __init__(self, inputs: int, outputs: int, first: int) -> None:
-        self.inputs, self.outputs, self._columns = inputs, outputs, [(first + k) % inputs for k in range(outputs)]
+    def __init__(self, inputs: int, outputs: int) -> None:
+        self.inputs, self.outputs, self.hidden = inputs, outputs, (inputs,)
 
     def add(self, graph: Graph, observation: Value, hidden: list[Value]) -> tuple[Value, list[Value]]:
         """Add the selection."""
-        return graph.select(observation, self._columns), []
+        return graph.select(observation, range(self.outputs)), [observation]
+
+
+def perceptron(
+    inputs: int, outputs: int = 12, hidden: int = 16, seed: int = 0, properties: dict | None = None
+) -> bytes:
+    """Return a small network as rsl_rl exports it, a normalizer and layers with ELU, as ONNX for one robot."""
+    random, nodes, constants, name = np.random.default_rng(seed), [], [], "obs"
+
+    def constant(label: str, values: np.ndarray) -> str:
+        constants.append(numpy_helper.from_array(np.asarray(values, np.float32), label))
+        return label
+
+    nodes.append(helper.make_node("Sub", [name, constant("mean", random.normal(size=(1, inputs)))], ["centred"]))
+    nodes.append(helper.make_node("Div", ["centred", constant("std", random.uniform(0.5, 2, (1, inputs)))], ["normal"]))
+    name = "normal"
+    for k, (rows, columns) in enumerate(((inputs, hidden), (hidden, outputs))):
+        weight = constant(f"weight{k}", random.normal(scale=rows**-0.5, size=(columns, rows)))
+        offset = constant(f"bias{k}", random.normal(size=columns))
+        result = "actions" if k else "layer"
+        nodes.append(helper.make_node("Gemm", [name, weight, offset], [result], transB=1))
+        name = result
+        if not k:
+            nodes.append(helper.make_node("Elu", [name], ["hidden"]))
+            name = "hidden"
+    return onnx_model(nodes, constants, {"obs": inputs}, {"actions": outputs}, properties)
+
+
+def onnx_model(nodes, constants, inputs: dict, outputs: dict, properties: dict | None = None) -> bytes:
+    """Return a model of ONNX for one robot with these inputs and outputs, each of a width."""
+    ends = [
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, width]) for name, width in part.items()]
+        for part in (inputs, outputs)
+    ]
+    graph = helper.make_graph(nodes, "policy", *ends, constants)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, properties or {})
+    return model.SerializeToString()

@@ -10,7 +10,7 @@ pytest.importorskip("onnx")
 
 from foreign import Probe, Readings
 
-from surefoot.adopt.builder import build_policy
+from surefoot.adopt.builder import build_policy, check_specification
 from surefoot.deploy.controller import Controller
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -34,7 +34,7 @@ def random_readings():
 
 @pytest.fixture
 def run_controller(go2, a_go2_state):
-    """Return a function that runs a policy file on readings; it returns targets, feedback, inputs and commands."""
+    """Return a function that runs a policy file on readings; it returns targets, feedback and commands."""
 
     def run(data, readings, command=(0.7, -0.3, 0.5)):
         controller = Controller(PolicyRuntime.parse(data), go2)
@@ -47,7 +47,7 @@ def run_controller(go2, a_go2_state):
             observation = controller.observe(k * controller.contract.control_step, a_go2_state(one))
             target = controller.compute_target(0.0, observation)
             given = np.zeros(3) if at is None else controller.observation[at : at + 3].copy()
-            results.append((target.copy(), controller.feedback.copy(), observation[0].copy(), given))
+            results.append((target.copy(), controller.feedback.copy(), given))
         return [np.array(part) for part in zip(*results, strict=True)]
 
     return run
@@ -81,20 +81,15 @@ def a_go2_state():
 
 @pytest.fixture
 def probe_observations(go2, run_controller):
-    """Return a function that gives the network's observation (T, O) of readings, with the commands (T, 3).
+    """Return a function that gives the network's observations (T, O) of readings, and the commands (T, 3).
 
-    The action of a probe is a part of it, and the contract's memory holds the action as the network gave it.
+    The network's action is the first part of its observation.
     """
 
-    def probe(specification, readings, inputs):
-        joints, rows = len(specification.joints), None
-        parts = []
-        for first in range(0, inputs, joints):
-            data = build_policy(specification, Probe(inputs, joints, first), go2, "probe", {})
-            if rows is None:
-                # Histories and commands are those of a robot that is given these readings, whatever the policy.
-                rows, commands = run_controller(data, readings)[2:]
-            parts.append(PolicyRuntime.parse(data).feedback(rows)[:, joints : 2 * joints])
-        return np.concatenate(parts, axis=1)[:, :inputs], commands
+    def probe(specification, readings):
+        width = check_specification(specification, go2)
+        data = build_policy(specification, Probe(width, len(specification.joints)), go2, "probe", {})
+        _, feedback, commands = run_controller(data, readings)
+        return feedback[:, -width:], commands
 
     return probe

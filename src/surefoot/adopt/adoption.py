@@ -72,8 +72,8 @@ def adopt(
     if not kind.config and config is not None:
         raise SurefootError(f"--config is given; {format_name} has everything in the network's file")
     config = config or (path.parent / kind.config if kind.config else path)
+    read, changes = kind.read(config, robot), changes or {}
     with prefix_errors(config):
-        read, changes = kind.read(config, robot), changes or {}
         notes = {name: note for name, note in read.notes.items() if name not in changes}
         specification = replace(read, **changes, notes=notes)
         width = check_specification(specification, robot)

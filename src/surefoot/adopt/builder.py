@@ -4,7 +4,8 @@ The file takes raw readings and gives motor angles: order, signs, offsets, scale
 specification become nodes of its graph. What the policy remembers is memory of the contract: the last action as the
 network gave it, clocks, and hidden states.
 
-A clock of period T is a rotation by the control step's angle: (sin, cos - 1), so that memory starts at 0.
+A clock of period T is a rotation by the control step's angle: (sin, cos - 1), so that memory starts at 0. Its length is
+brought back to 1 in each step, since 32-bit numbers would let it drift.
 """
 
 from __future__ import annotations
@@ -346,7 +347,11 @@ class _Maker:
             sin, cos = np.sin(angle), np.cos(angle)
             weight = np.zeros((raw.width, 2))
             weight[place : place + 2] = [[cos, -sin], [sin, cos]]
-            values.append(graph.linear(raw.name, weight, [sin, cos - 1.0]))
+            turned = graph.linear(raw.name, weight, [sin, cos]).name
+            # A step of Newton's method for 1 / length: (3 - length^2) / 2.
+            factor = graph.linear(graph.apply("Mul", turned, turned), np.full((2, 2), -0.5), [1.5, 1.5]).name
+            unit = graph.apply("Mul", turned, factor)
+            values.append(Value(graph.apply("Sub", unit, graph.constant([[0.0, 1.0]])), 2))
         return values
 
 

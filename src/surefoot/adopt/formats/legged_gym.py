@@ -82,8 +82,8 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
             action_clip=(-limit, limit),
             observation_clip=_number(values, "normalization.clip_observations"),
             notes={
-                "joints": f"order of joints: Isaac Gym's is assumed, {', '.join(joints[:4])} and so on; the file does not "
-                "say it",
+                "joints": f"order of joints: Isaac Gym's is assumed, {', '.join(joints[:4])} and so on, which the "
+                "file does not say",
                 "observations": "observation: angular velocity, gravity, commands, joint positions and speeds, last "
                 "action is assumed; the file does not say it",
             },

@@ -99,8 +99,10 @@ def _terms(table: _Config) -> tuple[tuple[Term, ...], bool]:
     """Return the terms, and whether their histories are in order of steps."""
     group = table.observations
     names = [name for name in group if name not in _SWITCHES]
-    if len(names) == 1 and isinstance(group[names[0]], Mapping) and "history_length" not in group[names[0]]:
-        # Networks with several inputs have a group for each.
+    if names and all(isinstance(group[name], Mapping) and "params" not in group[name] for name in names):
+        # Terms have params; else there is a group for each input of the network.
+        if len(names) > 1:
+            raise SurefootError(f"observations are for {len(names)} inputs ({choices(names)}); one can be adopted")
         group = group[names[0]]
         names = [name for name in group if name not in _SWITCHES]
     terms = []
