@@ -59,12 +59,17 @@ _COLUMNS = {
 class ForeignNetwork(Protocol):
     """A network as nodes that a policy file may have."""
 
-    inputs: int
-    """Numbers of an observation."""
-    outputs: int
-    """Numbers of an action."""
-    hidden: tuple[int, ...]
-    """Widths of the hidden states, which begin at 0."""
+    @property
+    def inputs(self) -> int:
+        """Numbers of an observation."""
+
+    @property
+    def outputs(self) -> int:
+        """Numbers of an action."""
+
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Widths of the hidden states, which begin at 0."""
 
     def add(self, graph: Graph, observation: Value, hidden: list[Value]) -> tuple[Value, list[Value]]:
         """Add its nodes to a graph; return the action and the next hidden states."""

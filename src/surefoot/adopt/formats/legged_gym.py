@@ -61,7 +61,7 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
             name: _number(values, f"normalization.obs_scales.{name}") for name in ("lin_vel", "ang_vel", "dof_pos")
         }
         limit = _number(values, "normalization.clip_actions")
-        ranges = {name: _pair(values, f"commands.ranges.{key}") for name, key in _RANGES.items()}
+        forward, sideways, yaw_rate = (_pair(values, f"commands.ranges.{name}") for name in _RANGES)
         return PolicySpecification(
             joints=joints,
             default_pose=tuple(
@@ -87,11 +87,13 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
                 "observations": "observation: angular velocity, gravity, commands, joint positions and speeds, last "
                 "action is assumed; the file does not say it",
             },
-            **ranges,
+            forward=forward,
+            sideways=sideways,
+            yaw_rate=yaw_rate,
         )
 
 
-_RANGES = {"forward": "lin_vel_x", "sideways": "lin_vel_y", "yaw_rate": "ang_vel_yaw"}
+_RANGES = ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
 
 
 def _isaac_gym_order(robot: RobotDescription) -> tuple[str, ...]:

@@ -77,9 +77,10 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
             raise SurefootError(f"actions are {choices(table.actions) or 'none'}; {_ACTION} alone can be adopted")
         action = pick(_Action, table.actions[_ACTION] or {})
         terms, by_step = _terms(table)
-        ranges, notes = _command_ranges(table)
+        ranges = _command_ranges(table)
+        silent = {} if ranges else {"forward": "commands: the file states no ranges; --forward and others set them"}
         low_high = np.array(action.clip or [], float).T
-        return PolicySpecification(
+        specification = PolicySpecification(
             joints=tuple(robot.motor_names[motor] for motor in table.joint_ids_map),
             default_pose=table.default_joint_pos,
             kp=tuple(table.stiffness[motor] for motor in table.joint_ids_map),
@@ -90,9 +91,9 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
             action_offset=action.offset,
             target_clip=(tuple(low_high[0].tolist()), tuple(low_high[1].tolist())) if action.clip else None,
             history_by="step" if by_step else "term",
-            notes=notes,
-            **ranges,
+            notes=silent,
         )
+        return replace(specification, **ranges)
 
 
 def _terms(table: _Config) -> tuple[tuple[Term, ...], bool]:
@@ -123,10 +124,10 @@ def _terms(table: _Config) -> tuple[tuple[Term, ...], bool]:
     return tuple(terms), bool(group.get("use_gym_history"))
 
 
-def _command_ranges(table: _Config) -> tuple[dict[str, Range], dict[str, str]]:
-    """Return the ranges of commands that the file states."""
+def _command_ranges(table: _Config) -> dict[str, Any]:
+    """Return the ranges of commands that the file states, by field of the specification."""
     stated = table.commands.get("base_velocity")
     if not isinstance(stated, Mapping) or not isinstance(stated.get("ranges"), Mapping):
-        return {}, {"forward": "commands: the file states no ranges; --forward and others set them"}
+        return {}
     ranges = pick(_Ranges, stated["ranges"])
-    return {"forward": ranges.lin_vel_x, "sideways": ranges.lin_vel_y, "yaw_rate": ranges.ang_vel_z}, {}
+    return {"forward": ranges.lin_vel_x, "sideways": ranges.lin_vel_y, "yaw_rate": ranges.ang_vel_z}
