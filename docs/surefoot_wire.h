@@ -62,19 +62,29 @@ enum surefoot_mode {
 
 /* Why a robot refuses something, or has damped its motors. */
 enum surefoot_reason {
-    SUREFOOT_REASON_NONE = 0,        /* Nothing is wrong. */
-    SUREFOOT_REASON_HOST = 1,        /* The operator asked for it. */
-    SUREFOOT_REASON_TIMEOUT = 2,     /* No command came for too long. */
-    SUREFOOT_REASON_STALE = 3,       /* Too many commands in a row were old, repeated or out of order. */
-    SUREFOOT_REASON_COMMAND = 4,     /* A command was not finite or outside the limits. */
-    SUREFOOT_REASON_TILT = 5,        /* Roll or pitch passed the robot's limit. */
-    SUREFOOT_REASON_BATTERY = 6,     /* The battery is empty. */
-    SUREFOOT_REASON_TEMPERATURE = 7, /* A motor is too hot. */
-    SUREFOOT_REASON_BUSY = 8,        /* Another operator has the robot. */
-    SUREFOOT_REASON_SESSION = 9,     /* The message names a session that the robot does not know. */
-    SUREFOOT_REASON_NOT_CLEAN = 10,  /* The link has not been clean for long enough to arm. */
-    SUREFOOT_REASON_SCHEMA = 11,     /* The message is of another version or schema of this protocol. */
-    SUREFOOT_REASON_MODE = 12        /* The message does not go with the robot's mode. */
+    SUREFOOT_REASON_NONE = 0,            /* Nothing is wrong. */
+    SUREFOOT_REASON_HOST = 1,            /* The operator asked for it. */
+    SUREFOOT_REASON_TIMEOUT = 2,         /* No command came for too long. */
+    SUREFOOT_REASON_STALE = 3,           /* Too many commands in a row were old, repeated or out of order. */
+    SUREFOOT_REASON_COMMAND = 4,         /* A command was not finite or outside the limits. */
+    SUREFOOT_REASON_TILT = 5,            /* Roll or pitch passed the robot's limit. */
+    SUREFOOT_REASON_BATTERY = 6,         /* The battery is empty. */
+    SUREFOOT_REASON_TEMPERATURE = 7,     /* A motor is too hot. */
+    SUREFOOT_REASON_BUSY = 8,            /* Another operator has the robot. */
+    SUREFOOT_REASON_SESSION = 9,         /* The message names a session that the robot does not know. */
+    SUREFOOT_REASON_NOT_CLEAN = 10,      /* The link has not been clean for long enough to arm. */
+    SUREFOOT_REASON_SCHEMA = 11,         /* The message is of another version or schema of this protocol. */
+    SUREFOOT_REASON_MODE = 12,           /* The message does not go with the robot's mode. */
+    SUREFOOT_REASON_STATES_LATE = 13,    /* The robot's states do not come, or not in time. */
+    SUREFOOT_REASON_STATES_FROZEN = 14,  /* The robot's states come and do not change. */
+    SUREFOOT_REASON_STATES_DAMAGED = 15, /* The robot's states are damaged, or of another layout. */
+    SUREFOOT_REASON_NOT_FINITE = 16,     /* A reading is not a finite number, or none that is possible. */
+    SUREFOOT_REASON_RESTARTED = 17,      /* The robot's computer has restarted. */
+    SUREFOOT_REASON_MOTOR_OFF = 18,      /* A motor is off, or its messages are lost. */
+    SUREFOOT_REASON_OTHER_PROGRAM = 19,  /* Another program commands the motors. */
+    SUREFOOT_REASON_OWN_CONTROLLER = 20, /* The robot's own controller is active. */
+    SUREFOOT_REASON_REMOTE = 21,         /* Somebody uses the remote control. */
+    SUREFOOT_REASON_WATCHER = 22         /* The process that damps the motors when the keeper fails is gone. */
 };
 
 #pragma pack(push, 1)
@@ -164,7 +174,7 @@ typedef struct {
 typedef struct {
     uint16_t session;                      /* operator that the robot obeys; 0: none */
     uint8_t mode;                          /* see Mode */
-    uint8_t reason;                        /* why the motors are damped, see Reason */
+    uint8_t reason;                        /* why the motors are damped, or an armed robot should sit; see Reason */
     uint32_t command;                      /* sequence number of the last command that was accepted; 0: none */
     uint16_t command_age;                  /* [1e-5 s] time since then, at most .655 s */
     uint16_t dropped;                      /* commands refused since the session began, modulo 65536 */

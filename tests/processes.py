@@ -82,14 +82,14 @@ def served(*words: object, cwd: Path | None = None) -> Iterator[str]:
 
 
 class Emulator:
-    """A running `surefoot emulate`; `port` is its pseudo-terminal."""
+    """A running `surefoot emulate`; `port` is its pseudo-terminal, or its DDS domain."""
 
     def __init__(self, *words: object) -> None:
         command = [*SUREFOOT, "emulate", *map(str, words)]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
-        if not line.startswith("robot on /dev/"):
+        if not line.startswith("robot on "):
             raise AssertionError(f"printed {line!r}, {self.process.communicate()}")
         self.port = line.split()[-1]
         self._stderr: str | None = None

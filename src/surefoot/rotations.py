@@ -47,6 +47,15 @@ def rpy_quat(roll: float, pitch: float, yaw: float) -> tuple[float, float, float
     )
 
 
+def quat_rpy(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw [rad] of a unit quaternion."""
+    return (
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)),
+        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )
+
+
 def quat_yaw(quat: ArrayLike) -> Array:
     """Return the yaw [rad] (...) of unit quaternions (..., 4), w x y z."""
     w, x, y, z = np.moveaxis(np.asarray(quat, float), -1, 0)

@@ -28,8 +28,8 @@ KEYS = {
     *("return_mean", "return_std", "drift_mean", "gait", "duty_factor", "phases", "world", "policy"),
 }
 EXTRAS = {
-    *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "push_force", "set", "robot", "policy_file"),
-    *("config_hash", "randomize", "actuator", "params", "params_source", "saturation"),
+    *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "push_force", "command", "set", "robot"),
+    *("policy_file", "config_hash", "randomize", "actuator", "params", "params_source", "saturation"),
 }
 LEGS = {"front_left", "back_left", "front_right", "back_right"}
 
@@ -299,3 +299,19 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     episode_plot(trace, robot, tmp_path / "episode.png")
     assert (tmp_path / "episode.png").stat().st_size > 10_000
     refused(surefoot("evaluate", "trot", "--command-grid"), "this policy has no commands to follow")
+
+
+def test_a_policy_is_measured_under_one_command_throughout_on_a_fitted_robot():
+    words = ("evaluate", "go2-steer", "--command", 0.4, 0.2, 0.0, "--episodes", 1, "--duration", 2.5, "--threads", 1)
+    done = surefoot(*words, "--params", "fitted", "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["command"] == [0.4, 0.2, 0.0]
+    assert result["params"]["torque_lag"] == 0.0151
+    # Energy over weight and way, which goes along the command, not along the world's x axis.
+    way = result["power_mean"] * 2.496 / (16.085004 * 9.81 * result["cost_of_transport_mean"])
+    assert way == pytest.approx(np.hypot(0.4, 0.2) * 2.0, rel=0.35)
+    assert way > result["distance_mean"]
+    refused(surefoot(*words, "--command-grid"), "--command and --command-grid are given; give one of them")
+    refused(surefoot("evaluate", "go2-steer", "--command", 9, 0, 0), "forward is 9; this policy follows -1.02")
+    refused(surefoot("evaluate", "trot", "--command", 0.1, 0, 0), "this policy has no commands to follow")

@@ -110,8 +110,8 @@ def test_the_home_task_has_no_randomization_and_no_pushes():
 
 def test_the_away_task_is_on_the_robot_of_the_data_sheet():
     assert away_task(TRAINED) == replace(home_task(TRAINED), actuator="dc", params={}, params_source={})
-    slow = replace(TRAINED, params={**TRAINED.params, "control_step": 0.01})
-    assert away_task(slow).params == {"control_step": 0.01}
+    own = {"control_step": 0.01, "servo_kp": 1.2}  # what the controller sets
+    assert away_task(replace(TRAINED, params={**TRAINED.params, **own})).params == own
 
 
 @pytest.fixture

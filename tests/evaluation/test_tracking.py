@@ -10,7 +10,7 @@ import pytest
 from scripted import COMMAND_LIMITS as LIMITS
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.tracking import GRID, Tracking, command_grid, motion, settled_steps
+from surefoot.evaluation.tracking import GRID, Tracking, command_grid, distance_along, motion, settled_steps
 from surefoot.task.trace import EpisodeTrace
 
 STEP = 0.02
@@ -67,6 +67,14 @@ def test_the_second_after_a_change_of_command_is_left_out(trace_of: MakeTrace) -
     # One step counts in which the robot had not followed yet: step 149 ends a second after the change.
     errors = Tracking.from_traces([trace], 0.5)
     assert errors.rmse[0] == pytest.approx(np.sqrt(1 / settled.sum()))
+
+
+def test_distance_along_the_commands_is_that_in_their_direction(trace_of: MakeTrace) -> None:
+    # 1 s to the left at .3 m/s, .1 m/s beside it; then 1 s on the spot, which covers nothing. The robot turns.
+    speed = np.concatenate([np.tile([0.1, 0.3], (50, 1)), np.tile([0.2, 0.0], (50, 1))])
+    command = np.concatenate([np.tile([0.0, 0.5, 0.1], (50, 1)), np.tile([0.0, 0.0, 0.7], (50, 1))])
+    trace = trace_of(speed, np.linspace(0.0, 1.0, 101), command)
+    assert distance_along(trace) == pytest.approx(0.3)
 
 
 def test_errors_are_nan_without_commands(trace_of: MakeTrace) -> None:

@@ -158,6 +158,22 @@ def test_a_run_can_start_from_the_networks_of_another_run(whole: TrainingLoop, t
     assert same_weights(again, loop)
 
 
+def test_a_run_with_randomization_can_start_from_one_without(whole: TrainingLoop, tmp_path: Path) -> None:
+    task = {"randomize": {"motor_friction": [0.0, 0.05]}, "pushes": {"enabled": True}}
+    config = tiny_config(start_from=str(whole.folder.path), seed=5, steps=256, task=task)
+    other = TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
+    own, learned = (one.learner.algorithm.save() for one in (other, whole))
+    assert all(torch.equal(value, learned["actor_state_dict"][name]) for name, value in own["actor_state_dict"].items())
+    name = next(name for name, value in learned["critic_state_dict"].items() if value.dim() == 2 and len(value) > 1)
+    old, new = learned["critic_state_dict"][name], own["critic_state_dict"][name]
+    columns = [one.learner.env.privileged_columns for one in (whole, other)]
+    assert columns[1][: len(columns[0])] == columns[0]
+    assert new.shape[1] - old.shape[1] == len(columns[1]) - len(columns[0]) > 0
+    assert torch.equal(new[:, : old.shape[1]], old)
+    assert not new[:, old.shape[1] :].any()
+    other.learner.update()
+
+
 def test_start_from_refuses_networks_of_other_layers(whole: TrainingLoop, tmp_path: Path) -> None:
     config = tiny_config(start_from=str(whole.folder.path), ppo={"policy_hidden": [16]})
     with pytest.raises(SurefootError, match=r"start_from: the other run's networks do not fit"):

@@ -208,6 +208,20 @@ def test_relative_draws_are_clipped_to_the_robots_bounds(robot):
     assert np.all(drawn.control_step == 0.05)
 
 
+def test_ranges_widen_from_the_nominal_value_over_a_robots_first_episodes(robot):
+    nominal = PhysicalParams.nominal(robot, 3)
+    whole, ramped = (Randomizer(FULL, robot, nominal, 3, ramp) for ramp in (0, 4))
+    # Robot 1 begins its episodes later than the others.
+    episodes = (([0, 2], (0.25, 0.25)), ([0, 1], (0.5, 0.25)), ([0], (0.75,)), ([0, 1], (1.0, 0.5)), ([0], (1.0,)))
+    for rows, shares in episodes:
+        index = np.array(rows)
+        full, narrowed, middle = whole.draw(index), ramped.draw(index), nominal.rows(index)
+        for name in FULL:
+            at, share = getattr(middle, name), np.reshape(shares, (-1, *[1] * (getattr(middle, name).ndim - 1)))
+            expected = at + share * (getattr(full, name) - at)
+            np.testing.assert_allclose(getattr(narrowed, name), expected, rtol=1e-12, atol=1e-15)
+
+
 def test_each_axis_draws_from_its_own_interval(robot):
     ranges: Ranges = {"imu_mount": ((0.0, 0.0), (-0.2, -0.1), (0.1, 0.2))}
     randomizer = Randomizer(ranges, robot, PhysicalParams.nominal(robot, 50), 3)

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from references import read_reference
 
+from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
-from surefoot.task.config import load_task
+from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.foot_references import FollowingReference
+from surefoot.task.gait import HybridGait
 
 ROBOTS = ("minitaur", "solo8", "go2", "pupper_v2")
 
@@ -81,6 +83,44 @@ def test_a_robot_that_stands_keeps_its_feet_where_they_are(name: str) -> None:
     still = feet(reference, state((0.0, 0.0, 0.0), activity=0.0))
     assert np.ptp(still, axis=0) == pytest.approx(0.0, abs=1e-12)
     assert still[0] == pytest.approx(reference.places, abs=1e-9)
+
+
+def changed(name: str, params: dict[str, float] | None = None, **reference: float) -> HybridGait:
+    """Return the gait of the task `steer` for a robot, with other numbers in its reference."""
+    data = {"reference": reference, "params": params or {}}
+    return from_mapping(TaskConfig, data, base=load_task("steer", name)[0]).gait(RobotDescription.load(name))
+
+
+def test_clearance_and_height_follow_the_command() -> None:
+    reference = changed("go2", clearance_rise=0.5, height_rise=-0.1).reference
+    for speed, share in ((0.0, 0.0), (5.0, 1.0)):
+        heights = feet(reference, state((speed, 0.0, 0.0), phases=2000))[:, :, 2]
+        sunk = 0.1 * share * reference.feet.height
+        assert heights.max(axis=0) == pytest.approx(
+            reference.places[:, 2] + reference.feet.clearance * (1 + 0.5 * share) + sunk, abs=1e-4
+        )
+        assert heights.min(axis=0) == pytest.approx(reference.places[:, 2] - reference.feet.depth + sunk, abs=1e-4)
+
+
+def test_commands_lead_by_what_the_weight_bends_the_actuators() -> None:
+    gait, plain = changed("go2", {"servo_kp": 30.0}, weight_feedforward=1.0), changed("go2", {"servo_kp": 30.0})
+    robot, kp = gait.robot, 30.0
+    index, feedback = robot.leg_motor_index, np.zeros((1, 12))
+    for activity, phase, carrying in ((0.0, 0.0, (0.25,) * 4), (1.0, 0.3, (0.0, 0.5, 0.5, 0.0))):
+        one = CommandState(np.zeros((1, 3)), np.array([activity]), np.array([phase]))
+        targets, there = (each.motor_targets(np.zeros(1), feedback, one)[0] for each in (gait, plain))
+        torque = kp * (targets - there)[index]
+        # Virtual work: torques that carry F do F dz against it as motors turn.
+        turn = 1e-6 * np.array([[0.3, -1.0, 0.7]])
+        move = robot.leg_geometry.foot_position(there[index] + turn) - robot.leg_geometry.foot_position(there[index])
+        work = np.array(carrying) * robot.weight * -move[:, 2]
+        assert (torque * turn).sum(axis=1) == pytest.approx(work, rel=1e-4, abs=1e-9)
+
+
+def test_commands_lead_by_the_gains_of_the_task() -> None:
+    lead = changed("go2", {"servo_kp": 30.0, "servo_kd": 0.6}).reference.velocity_feedforward
+    assert lead == pytest.approx(0.6 / 30.0)
+    assert reference_of("go2").velocity_feedforward == pytest.approx(2.0 / 70.0)
 
 
 @pytest.mark.parametrize("name", ROBOTS)

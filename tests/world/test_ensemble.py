@@ -36,15 +36,29 @@ def test_every_robot_is_within_the_ranges_and_differs(robot: RobotDescription) -
         assert len(np.unique(values)) >= ROBOTS, name
 
 
-def test_robots_keep_the_policys_control_step_and_take_no_other_parameters(robot: RobotDescription) -> None:
+def test_robots_keep_the_policys_control_step_and_gains_and_take_no_other_parameters(robot: RobotDescription) -> None:
     pytest.importorskip("pybullet")
     nominal = PhysicalParams.nominal(robot, 2)
     config = WorldConfig(threads=1)
-    world = make_world("ensemble", robot, 2, nominal.with_values(robot, control_step=0.010), 0, config)
+    own = nominal.with_values(robot, control_step=0.010, servo_kp=1.2)
+    world = make_world("ensemble", robot, 2, own, 0, config)
     assert np.all(world.params.control_step == 0.010)
+    assert np.all(world.params.servo_kp == 1.2)
     np.testing.assert_array_equal(world.params.knee_play, ensemble_params(robot, 2, SEEDS).knee_play)
     with pytest.raises(SurefootError, match="voltage is given; robots of the ensemble have their own"):
         make_world("ensemble", robot, 2, nominal.with_values(robot, voltage=15.0), 0, config)
+
+
+def test_go2s_are_between_three_identifications() -> None:
+    go2 = RobotDescription.load("go2")
+    params = ensemble_params(go2, ROBOTS, SEEDS)
+    lag, friction, rotor = params.torque_lag, params.motor_friction, params.rotor_inertia
+    assert 0.0 <= lag.min() < lag.max() <= 0.0151
+    knees = [k for k, name in enumerate(go2.motor_names) if "calf" in name]
+    assert 0.36 <= friction[:, knees].min() < friction[:, knees].max() <= 1.36
+    assert np.delete(friction, knees, axis=1).max() <= 0.37
+    assert 0.007 <= rotor[:, knees].min() < rotor[:, knees].max() <= 0.037
+    assert np.all(params.servo_kp == 70.0)
 
 
 def test_robots_for_results_are_none_of_those_for_development(robot: RobotDescription) -> None:

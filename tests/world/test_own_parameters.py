@@ -9,6 +9,7 @@ pytest.importorskip("mujoco")
 
 from surefoot.actuator.motor import presliding_kernel
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.actuation import compute_torque, new_actuation, record_sample, set_actuation_params
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -138,6 +139,25 @@ def test_a_drive_that_sticks_holds_a_load_below_its_friction(pupper: RobotDescri
         drifts.append(np.abs(one.truth().motor_angle[0] - start).max())
     assert drifts[0] > 0.02
     assert drifts[1] < 0.005
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.01])
+def test_torques_lag_behind_what_servos_ask_for(pupper: RobotDescription, lag: float):
+    values = {"servo_kp": 1.0, "servo_kd": 0.0, "motor_strength": 1.0, "servo_latency": 0.0, "torque_lag": lag}
+    params = PhysicalParams.nominal(pupper, 1).with_values(pupper, **values)
+    state = new_actuation(pupper, 1, 100, WorldConfig())
+    set_actuation_params(state, np.arange(1), params)
+    state.target[:] = 0.3
+    state.ticks[:] = -1
+    torques = []
+    for _ in range(4):
+        state.ticks[:] += 1
+        record_sample(state, 0)
+        compute_torque(state, 0)
+        torques.append(state.motor_torque[0].copy())
+    share = pupper.timing.servo_step / (lag + pupper.timing.servo_step)
+    expected = 0.3 * (1.0 - (1.0 - share) ** np.arange(1, 5))
+    np.testing.assert_allclose(torques, np.repeat(expected[:, None], 12, axis=1), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("stretch", "cut"), [(0.02, 0.01), (-0.02, -0.01), (0.004, 0.004)])

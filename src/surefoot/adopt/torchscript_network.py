@@ -67,9 +67,12 @@ def load(data: bytes, width: int, trusted: bool = False) -> OnnxNetwork:
 def _check_samples(network: OnnxNetwork, samples: Any, model: bytes) -> None:
     """Refuse a network that computes something else than the module did."""
     ends, names = [network.inputs, *network.hidden], [one.name for one in network.model.graph.input]
-    columns = np.split(samples.reshape(_SAMPLES, -1), np.cumsum(ends), axis=1)
+    widths = [*ends, network.outputs, *network.hidden]
+    if samples.size % sum(widths) or not np.isfinite(samples).all():
+        raise SurefootError("the network gives numbers that are not finite")
+    columns = np.split(samples.reshape(-1, sum(widths)), np.cumsum(widths)[:-1], axis=1)
     results = run_model(model, dict(zip(names, columns, strict=False)))
-    for mine, theirs in zip(results, columns[len(ends) :], strict=False):
+    for mine, theirs in zip(results, columns[len(ends) :], strict=True):
         difference = np.abs(mine - theirs) / np.maximum(1.0, np.abs(theirs))
         if not difference.max() <= _TOLERANCE:
             raise SurefootError(f"the network was not understood: its translation differs by {difference.max():.2g}")

@@ -10,6 +10,7 @@ from typing import Literal
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.robot.params import CONTROLLER
 from surefoot.robot.params_file import ParamValue, find_params, read_params
 from surefoot.robot.randomization import Ranges
 from surefoot.task.commands import read_schedule, schedule_duration
@@ -46,7 +47,7 @@ def _apply_file(task: TaskConfig, path: Path) -> TaskConfig:
     """Return the task on the robot of a file of parameters.
 
     The file replaces all of the task's parameters, so that a policy that was trained on one identified robot does not
-    run on a mixture of two. Only the control step stays: it belongs to the policy and to no robot.
+    run on a mixture of two. Only what the controller sets stays: the control step, and gains unless the file has them.
     """
     robot = RobotDescription.load(task.robot)
     path = find_params(path, robot)
@@ -57,7 +58,7 @@ def _apply_file(task: TaskConfig, path: Path) -> TaskConfig:
             f"{path}: control_step is {step:g}, and the task's is {expected:g}; "
             "it belongs to the policy, not to the robot: leave it out of the file"
         )
-    own = {name: value for name, value in task.params.items() if name == "control_step"}
+    own = {name: task.params[name] for name in CONTROLLER if name in task.params and name not in file.names}
     return replace(task, params={**file.values, **own}, params_source=file.source)
 
 
@@ -91,7 +92,7 @@ def evaluation_task(
             raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
         followed = replace(followed, schedule=read_schedule(commands))
     pushed = task.pushes.for_evaluation(pushes, push_force)
-    task = replace(task, randomize=ranges, pushes=pushed, commands=followed)
+    task = replace(task, randomize=ranges, randomize_ramp=0, pushes=pushed, commands=followed)
     whole = with_duration(task, robot, schedule_duration(followed.schedule))
     return whole if whole.max_steps > task.max_steps else task
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surefoot.cli.helpers.link_options import LinkOptions
-from surefoot.cli.helpers.options import PAGE_PORT, Count, Json, PagePort, PluginNames, PolicyName, Port, check_folder
+from surefoot.cli.helpers.options import PAGE_PORT, Count, Json, PagePort, PluginNames, PolicyName, check_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
@@ -42,7 +42,6 @@ class DeployCommand(LinkOptions):
     """
 
     policy: PolicyName
-    port: Port
     duration: Duration | None = None
     """Time for which the policy runs [s]; its episode's or, if longer, that of --commands' file, if not given."""
     episodes: Count = 1
@@ -70,6 +69,7 @@ def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(DeployCommand, argv, "surefoot deploy")
     check_folder(command.out)
+    command.check_link()
     if command.browser and command.commands is not None:
         raise SurefootError("--browser and --commands are given; commands come from one place")
     if command.browser and command.lockstep:
@@ -92,13 +92,15 @@ def main(argv: list[str]) -> int:
     controller = Controller(policy, robot)
 
     def check(handshake: Handshake) -> None:
+        if (error := first_failure(link.preliminary_checks)) is not None:
+            raise SurefootError(f"the robot is not armed: {error}")
         error = first_failure(check_contract(contract, handshake, robot))
         if error is not None:
             raise SurefootError(f"policy '{contract.name}' must not run on this robot: {error}")
 
     with StopSignals() as stop, contextlib.ExitStack() as stack:
-        link = command.open_link(command.port, len(contract.motor_names))
-        title = f"{contract.name} on {robot.name}, {command.port}" + (", dry run" if command.dry_run else "")
+        link = command.open_link(robot, (contract.servo_kp, contract.servo_kd))
+        title = f"{contract.name} on {robot.name}, {command.address}" + (", dry run" if command.dry_run else "")
         commands: CommandSource | None = None
         monitor: RunMonitor
         if command.commands is not None:

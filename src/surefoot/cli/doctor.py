@@ -13,7 +13,7 @@ from rich.text import Text
 from surefoot.api.policies import find_policy, open_policy
 from surefoot.check_result import CheckResult
 from surefoot.cli.helpers.link_options import LinkOptions
-from surefoot.cli.helpers.options import Json, PluginNames, PolicyName, Port, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.options import Json, PluginNames, PolicyName, Yes, ask_to_move, check_terminal
 from surefoot.cli.helpers.output import make_console, print_json
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
@@ -36,7 +36,6 @@ class DoctorCommand(LinkOptions):
     """
 
     policy: PolicyName
-    port: Port
     rack: bool = False
     """Also wiggle each motor by .05 rad: the robot hangs free, its legs in the air."""
     ground: bool = False
@@ -55,6 +54,7 @@ class DoctorCommand(LinkOptions):
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(DoctorCommand, argv, "surefoot doctor")
+    command.check_link()
     if command.rack and command.ground:
         raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")
     policy, robot = open_policy(find_policy(command.policy), command.robot)
@@ -64,8 +64,8 @@ def main(argv: list[str]) -> int:
         ask_to_move(place)
     console = make_console()
     if not command.json:
-        console.print(f"policy '{policy.contract.name}' for {robot.name}, port {command.port}")
-    link = command.open_link(command.port, robot.num_motors)
+        console.print(f"policy '{policy.contract.name}' for {robot.name}, {command.address}")
+    link = command.open_link(robot, (policy.contract.servo_kp, policy.contract.servo_kd), may_ask=False)
     results = []
     try:
         for result in examine(link, policy, robot, command.rack, command.ground, command.pings, command.steps):
@@ -80,7 +80,7 @@ def main(argv: list[str]) -> int:
         data = {
             "policy": policy.contract.name,
             "robot": robot.name,
-            "port": command.port,
+            "link": command.address,
             "passed": not counts[False],
             "checks": [asdict(result) for result in results],
         }

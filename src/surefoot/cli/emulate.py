@@ -73,6 +73,9 @@ class EmulateCommand:
     """Network interface of the topics, such as lo."""
     domain: Annotated[int, Within(0, 232)] = 0
     """DDS domain of the topics; robots have 0."""
+    motion_service: Literal["released", "lying", "standing"] = "released"
+    """The Go2's own controller at the start: released, or active with the robot lying or standing up. A real robot
+    starts with it active."""
     out: tuple[Path, ...] = ()
     """Files to write: what a motion capture system sees of the robot, 200 times a second (.csv), and the physical
     parameters that --hidden-seed draws (.toml), for checking later."""
@@ -101,7 +104,7 @@ def main(argv: list[str]) -> int:
     from surefoot.world.registry import check_takes_params
 
     robot = RobotDescription.load(command.robot)
-    faults = parse_faults(words, command.lockstep, robot.num_motors)
+    faults = parse_faults(words, command.lockstep, robot.num_motors, command.link)
     if "tilt" in faults and command.rack:
         raise SurefootError("fault tilt needs a robot that can fall; it does not go with --rack")
     check_takes_params(command.world)
@@ -122,8 +125,8 @@ def _check(command: EmulateCommand) -> None:
         for option, used in (("lockstep", command.lockstep), ("symlink", command.symlink is not None)):
             if used:
                 raise SurefootError(f"{option} is about the serial link; it does not go with --link dds")
-    elif command.interface or command.domain:
-        raise SurefootError("interface and domain are those of a link over DDS; give --link dds too")
+    elif command.interface or command.domain or command.motion_service != "released":
+        raise SurefootError("interface, domain and motion_service are those of a link over DDS; give --link dds too")
     if command.baud and command.baud < 9600:
         raise SurefootError(f"baud is {command.baud:g}; it must be 9600 or more, or 0")
     files = command.files
@@ -213,10 +216,18 @@ def make_dds_loop(
     from surefoot.emulator.dds.board import Go2Board
     from surefoot.emulator.dds.link import LowLevelLink
     from surefoot.emulator.dds.low_state import POWER
+    from surefoot.emulator.dds.motion_service import MotionService
+    from surefoot.emulator.dds.own_controller import OwnController
     from surefoot.emulator.real_time import RealTime
 
-    plant = make_plant(command, robot, POWER)
-    return RealTime(Go2Board(plant, LowLevelLink(bus), LEAD, command.seed), summary, _load(faults))
+    plant, controller = make_plant(command, robot, POWER), OwnController()
+    if command.motion_service != "released":
+        controller.activate()
+    if command.motion_service == "standing":
+        controller.stand_up()
+    service = None if "no-service" in faults else MotionService(bus, controller, plant)
+    board = Go2Board(plant, LowLevelLink(bus), LEAD, controller, service, faults, command.seed)
+    return RealTime(board, summary, _load(faults))
 
 
 def _load(faults: dict[str, InjectedFault]) -> float:

@@ -44,6 +44,8 @@ class EvaluateCommand(RunOptions):
     command_grid: bool = False
     """Give a policy with commands one command an episode, over a grid of its range, not drawn ones; with --out a
     heat map of its errors is drawn."""
+    command: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="FORWARD SIDEWAYS YAW_RATE")] = None
+    """Give a policy with commands this one throughout [m/s, m/s, rad/s], not drawn ones."""
     thermal_protection: bool = False
     """Switch off motors that overheat."""
     out: Path | None = None
@@ -103,14 +105,16 @@ def _simulate(
     if command.duration is not None:
         task = with_duration(task, robot, command.duration)
     episodes = command.episodes
-    if command.command_grid:
-        from surefoot.evaluation.tracking import command_grid
+    given = {"command": command.command, "command-grid": command.command_grid or None, "commands": command.commands}
+    if len(options := [f"--{name}" for name, value in given.items() if value is not None]) > 1:
+        raise SurefootError(f"{' and '.join(options)} are given; give one of them")
+    if command.command_grid or command.command:
+        from surefoot.evaluation.tracking import check_command, command_grid
 
-        if command.commands is not None:
-            raise SurefootError("--command-grid and --commands are given; give one of them")
-        rows = command_grid(task.commands.limits(robot))
+        limits = task.commands.limits(robot)
+        rows = command_grid(limits) if command.command is None else (check_command(command.command, limits),)
         task = replace(task, commands=replace(task.commands, each=rows))
-        episodes = len(rows)
+        episodes = episodes if command.command else len(rows)
     make_figures_folder(command.out)
     title = f"{episodes} episodes"
     traces = run_policy(policy, task, episodes, command.world, command.seed, command.threads, names["name"], title)
@@ -119,6 +123,7 @@ def _simulate(
         "seed": command.seed,
         "pushes": task.pushes.enabled,
         "push_force": command.push_force,
+        "command": command.command,
         "randomize": to_mapping(ranges),
         "set": command.simulator.latencies | {name: task.params[name] for name in parameters},
         **describe_simulator(task),

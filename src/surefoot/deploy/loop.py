@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from surefoot.arrays import Array
 from surefoot.deploy.messages import State
 from surefoot.deploy.pacer import LoopTiming, Pacer
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
-from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, Verdict
+from surefoot.deploy.safety import GO, OF_ROBOT, Act, Guard, NotFiniteError, Verdict
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 
@@ -154,6 +154,8 @@ class ControlLoop:
             verdict = self.guard.check(
                 clock.now(), state, link.state_age(), tick.missed, self.operator.stops, not self.dry_run, upright
             )
+            if verdict.reason.startswith(OF_ROBOT) and (text := link.fault_text(state.reason)):
+                verdict = replace(verdict, text=f"{verdict.text}: {text}")
             if sitting and verdict.act is Act.SIT:
                 verdict = GO
             if verdict.act in (Act.DAMP, Act.FALL):

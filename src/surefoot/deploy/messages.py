@@ -46,6 +46,16 @@ class Reason(DescribedEnum):
     NOT_CLEAN = 10, "The link has not been clean for long enough to arm."
     SCHEMA = 11, "The message is of another version or schema of this protocol."
     MODE = 12, "The message does not go with the robot's mode."
+    STATES_LATE = 13, "The robot's states do not come, or not in time."
+    STATES_FROZEN = 14, "The robot's states come and do not change."
+    STATES_DAMAGED = 15, "The robot's states are damaged, or of another layout."
+    NOT_FINITE = 16, "A reading is not a finite number, or none that is possible."
+    RESTARTED = 17, "The robot's computer has restarted."
+    MOTOR_OFF = 18, "A motor is off, or its messages are lost."
+    OTHER_PROGRAM = 19, "Another program commands the motors."
+    OWN_CONTROLLER = 20, "The robot's own controller is active."
+    REMOTE = 21, "Somebody uses the remote control."
+    WATCHER = 22, "The process that damps the motors when the keeper fails is gone."
 
 
 class Message:
@@ -153,7 +163,7 @@ class State(Message):
 
     session: int = quantity("1", "operator that the robot obeys; 0: none")
     mode: int = quantity("1", "see Mode")
-    reason: int = quantity("1", "why the motors are damped, see Reason")
+    reason: int = quantity("1", "why the motors are damped, or an armed robot should sit; see Reason")
     command: int = quantity("1", "sequence number of the last command that was accepted; 0: none")
     command_age: float = quantity("s", "time since then, at most .655 s")
     dropped: int = quantity("1", "commands refused since the session began, modulo 65536")

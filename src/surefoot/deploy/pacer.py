@@ -17,6 +17,8 @@ from surefoot.deploy.clock import Clock
 _ROUNDING = 1e-9
 PRIORITY = 20
 """Priority, 1 to 99, among real-time processes: above ordinary processes, below the kernel's own threads at 50."""
+BOARD_PRIORITY = 30
+"""Priority of a process that is the robot's board, with all its threads: above the control loop that it watches."""
 _NICE = -10
 _SWITCH = 1e-4
 """Longest time [s] for which another thread of this process keeps the loop's thread from running."""
@@ -99,16 +101,18 @@ class LoopTiming:
 
 
 @contextlib.contextmanager
-def undisturbed() -> Iterator[None]:
-    """Run without garbage collection and with the highest priority that this process may have.
+def undisturbed(priority: int = PRIORITY, threads: bool = False) -> Iterator[None]:
+    """Run without garbage collection and with a high priority; without the right to it, with the highest possible.
 
-    Without the right to more, it takes the priority that it can get. Children start with ordinary priority.
+    Args:
+        priority: among real-time processes.
+        threads: threads and processes that are started meanwhile have it too; otherwise ordinary priority.
     """
     interval, collecting = sys.getswitchinterval(), gc.isenabled()
     gc.collect()
     gc.disable()
     sys.setswitchinterval(_SWITCH)
-    raised = _raise_priority()
+    raised = _raise_priority(priority, threads)
     try:
         yield
     finally:
@@ -120,12 +124,12 @@ def undisturbed() -> Iterator[None]:
             gc.enable()
 
 
-def _raise_priority() -> bool:
+def _raise_priority(priority: int, threads: bool) -> bool:
     if not hasattr(os, "sched_setscheduler"):
         return False
     try:
-        policy = os.SCHED_FIFO | getattr(os, "SCHED_RESET_ON_FORK", 0)
-        os.sched_setscheduler(0, policy, os.sched_param(PRIORITY))
+        policy = os.SCHED_FIFO | (0 if threads else getattr(os, "SCHED_RESET_ON_FORK", 0))
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
     except OSError:
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, _NICE)

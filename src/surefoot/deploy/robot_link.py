@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from surefoot.arrays import Array
+from surefoot.check_result import CheckResult
 from surefoot.deploy import messages
 from surefoot.deploy.clock import Clock, ClockSync, LockstepClock
 from surefoot.deploy.messages import Fault, Handshake, Message, Mode, Packet, Pong, Reason, State
@@ -83,6 +84,8 @@ class RobotLink(ABC):
         """Answers to pings, by token."""
         self.on_state: Callable[[State, float, float], None] | None = None
         """Called for each state with the robot's time [s] and this computer's [s]."""
+        self.preliminary_checks: list[CheckResult] = []
+        """Results of checks that were done before the link was opened."""
         self._tokens = 0
 
     # What carries the messages.
@@ -204,6 +207,10 @@ class RobotLink(ABC):
         if self.state is None:
             raise SurefootError("the robot has sent no state yet")
         return self.state
+
+    def fault_text(self, reason: int) -> str:
+        """Return the text of the last fault with a reason; empty if there was none."""
+        return next((fault.text for fault in reversed(self.faults) if fault.reason == reason), "")
 
     def state_age(self) -> float:
         """Return how long ago the newest state was sent [s], the transmission time of the quickest packet left out."""

@@ -18,6 +18,8 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
 _ROUNDING = 1e-6
+OF_ROBOT = "robot "
+"""What a verdict's reason begins with where the robot itself has named it."""
 
 
 @dataclass(frozen=True)
@@ -162,11 +164,16 @@ class Guard:
     def _robot(self, state: State) -> Verdict:
         if state.session != self.session:
             return Verdict(Act.DAMP, "session", "the robot has forgotten this operator; it was switched on anew")
+        known = state.reason in {*Reason}
+        name = Reason(state.reason).name.lower().replace("_", " ") if known else str(state.reason)
         if state.mode == Mode.FAULT:
-            name = Reason(state.reason).name.lower() if state.reason in {*Reason} else str(state.reason)
-            return Verdict(Act.GONE, f"robot {name}", f"the robot has damped its motors ({name})")
+            return Verdict(Act.GONE, f"{OF_ROBOT}{name}", f"the robot has damped its motors ({name})")
         if state.mode != self.mode:
             return Verdict(Act.DAMP, "mode", f"the robot is in mode {state.mode}; it must be in {int(self.mode)}")
+        if state.reason == Reason.REMOTE:
+            return Verdict(Act.SIT, "operator", "stopped with the remote control")
+        if state.reason:
+            return Verdict(Act.SIT, f"{OF_ROBOT}{name}", f"the robot asks to sit ({name})")
         return GO
 
     def _lateness(self, state_age: float, missed: int) -> Verdict:

@@ -15,7 +15,7 @@ from surefoot.emulator.faults import FaultInjector, InjectedFault
 from surefoot.emulator.host_link import HostLink
 from surefoot.emulator.plant import Plant
 
-_BOOT_TIME = 200_000
+BOOT_TIME = 200_000
 """Time [us] that a microcontroller takes to start."""
 
 
@@ -41,13 +41,16 @@ class Board:
         faults = faults or {}
         self.stride = stride if not faults and plant.servo_every == 1 else 1
         self.plant, self.limits, self.link = plant, limits, link
-        self.injector = FaultInjector(faults, plant, handshake)
+        self.injector = FaultInjector(faults, plant)
+        self._handshake = self.injector.change_handshake(handshake)
+        if "late-states" in faults:
+            plant.extra_latency = faults["late-states"].value
         link.chances = self.injector.chances
         self.now = self.reboots = 0
         self.on_step: list[Callable[[int], None]] = []
         """Called with the time [us] after servo steps: after all, or at least after each that motion capture sees."""
         self._step = microseconds(plant.robot.timing.servo_step)
-        self.firmware = Firmware(self.injector.handshake, limits)
+        self.firmware = Firmware(self._handshake, limits)
         self._booted = 0
         self._order: MotorOrder | None = None
         self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(plant.robot.num_motors))
@@ -130,9 +133,9 @@ class Board:
         if self.injector.began("unplug"):
             self.link.cut_off()
         if not self.reboots and self.injector.began("reboot"):
-            self.firmware, self._last = Firmware(self.injector.handshake, self.limits), self._damped
+            self.firmware, self._last = Firmware(self._handshake, self.limits), self._damped
             self.link.restart()
-            self.reboots, self._booted = 1, end + _BOOT_TIME
+            self.reboots, self._booted = 1, end + BOOT_TIME
         for observe in self.on_step:
             observe(end)
 

@@ -84,8 +84,9 @@ class Plant:
         self._torque_noise = generator(seed, "emulated torque sensors")
         self._torque_gain = 1.0 + self.sensors.torque_gain * self._torque_noise.standard_normal(motors)
         self._imu_noise = float(self.params.imu_noise[0])
-        self._voltage = float(self.params.voltage[0]) if robot.actuator.kind == "dc" else robot.battery.nominal
-        self.world.actuation.voltage[0] = self._voltage
+        self.start_voltage = float(self.params.voltage[0]) if robot.actuator.kind == "dc" else robot.battery.nominal
+        """Battery voltage [V] without load when it was switched on."""
+        self.world.actuation.voltage[0] = self.start_voltage
         self._count = np.ones(1, np.int64)
         self._row = np.empty(2 * motors + 6)
         self.temperature = np.full(motors, self.power.ambient)
@@ -115,7 +116,7 @@ class Plant:
     def open_circuit(self) -> float:
         """Battery voltage without load [V]."""
         used = self.power.battery_drop * self._used / self.power.battery_capacity
-        return self._voltage - self.voltage_drop - used
+        return self.start_voltage - self.voltage_drop - used
 
     def step(self, order: MotorOrder | JointOrder, count: int = 1) -> None:
         """Run `count` servo steps under one order; update battery and heat after the last one.

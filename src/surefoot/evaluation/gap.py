@@ -21,6 +21,7 @@ import pandas as pd
 from surefoot.arrays import Array
 from surefoot.evaluation.runs import summarize_runs
 from surefoot.evaluation.statistics import MeanEstimate
+from surefoot.robot.params import CONTROLLER
 from surefoot.tables import with_unit
 from surefoot.task.config import TaskConfig
 
@@ -126,7 +127,7 @@ def home_task(task: TaskConfig) -> TaskConfig:
 def away_task(task: TaskConfig) -> TaskConfig:
     """Return the task on the robot of the data sheet, whatever it was trained with: a stand-in for reality.
 
-    The control step stays: it belongs to the policy.
+    What the controller sets stays: control step and gains.
     """
-    params = {name: value for name, value in task.params.items() if name == "control_step"}
+    params = {name: value for name, value in task.params.items() if name in CONTROLLER}
     return replace(home_task(task), actuator="dc", params=params, params_source={})

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls, circular_phase
 from surefoot.evaluation.statistics import MeanEstimate
-from surefoot.evaluation.tracking import STRIDE, Tracking
+from surefoot.evaluation.tracking import STRIDE, Tracking, distance_along
 from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
@@ -103,9 +103,9 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
     Returns:
         a dict that JSON can hold (None for NaN): episodes, falls, steps_mean, distance_mean (m), speed_mean and
         speed_std (m/s), power_mean (W), return_mean, return_std, drift_mean (m to either side), cost_of_transport_mean
-        (of episodes that went forward), with commands rmse and rmse_stride by command, gait, and by leg name
-        duty_factor, phases (strides after front_left) and stance (s), by motor name saturation (share of time at the
-        motor's limit), world, policy.
+        (energy over weight times distance, where that is over 0: along the commands, if there are any), with commands
+        rmse and rmse_stride by command, gait, and by leg name duty_factor, phases (strides after front_left) and stance
+        (s), by motor name saturation (share of time at the motor's limit), world, policy.
 
     Raises:
         SurefootError: episodes of several worlds or policies.
@@ -128,7 +128,7 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         "return_mean": _mean(runs["return"]),
         "return_std": plain_value(float(runs["return"].std())),
         "drift_mean": _mean([abs(t.base_position_world[-1, 1] - t.base_position_world[0, 1]) for t in traces]),
-        "cost_of_transport_mean": _mean(runs.power / (total_mass * GRAVITY * runs.speed.where(runs.speed > 0))),
+        "cost_of_transport_mean": _mean([_cost_of_transport(trace, total_mass * GRAVITY) for trace in traces]),
         "gait": gait,
         "duty_factor": _by_leg(feet, "duty_factor"),
         "phases": _phases(feet),
@@ -138,6 +138,15 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         "policy": policy,
         **(tracking.to_mapping() if tracking else {}),
     }
+
+
+def _cost_of_transport(trace: EpisodeTrace, weight: float) -> float:
+    """Return the energy of a run over weight [N] times distance; NaN where that is not over 0."""
+    if np.isfinite(trace.command).any():
+        distance = distance_along(trace)
+    else:
+        distance = float(trace.base_position_world[-1, 0] - trace.base_position_world[0, 0])
+    return float(trace.energy.sum()) / (weight * distance) if distance > 0 else np.nan
 
 
 def _mean(values: ArrayLike) -> object:

@@ -124,6 +124,28 @@ def command_grid(limits: CommandLimits | None) -> tuple[tuple[float, float, floa
     return tuple(rows)
 
 
+def check_command(command: tuple[float, float, float], limits: CommandLimits | None) -> tuple[float, float, float]:
+    """Return a command to a policy: speeds forward and to the left [m/s] and yaw rate [rad/s].
+
+    Raises:
+        SurefootError: a policy without commands, or a command out of its range.
+    """
+    if limits is None:
+        raise SurefootError("--command is given; this policy has no commands to follow")
+    for name, value, low, high in zip(COMMANDS, command, limits.low, limits.high, strict=True):
+        if not low <= value <= high:
+            raise SurefootError(f"--command: {name} is {value:g}; this policy follows {low:g} to {high:g}")
+    return command
+
+
+def distance_along(trace: EpisodeTrace) -> float:
+    """Return how far a run went along its commands [m]: steps whose command has no linear speed cover nothing."""
+    linear = np.nan_to_num(trace.command[:, :2])
+    speed = np.linalg.norm(linear, axis=1)
+    along = np.sum(motion(trace)[:, :2] * linear, axis=1) / np.where(speed > 0, speed, 1.0)
+    return float(np.sum(along * np.diff(trace.time, prepend=0.0)))
+
+
 def _commanded_run(trace: EpisodeTrace) -> CommandedRun:
     step = float(trace.meta["control_step"])
     return CommandedRun(trace.time, trace.base_position_world, trace.base_quat_world, trace.command, step)

@@ -101,7 +101,8 @@ class TrainConfig:
     machines with more or fewer cores learn the same."""
     start_from: str | None = None
     """Folder of another run, whose networks as it left them are this run's first ones: the same layers,
-    observations and legs; everything else may differ."""
+    observations and legs; everything else may differ. Of a run without randomization to one with it, the value network
+    gets what is drawn as further inputs."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learning algorithm."""
 

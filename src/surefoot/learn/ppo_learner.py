@@ -212,12 +212,20 @@ class PpoLearner:
         network = nn.Sequential(self.policy.obs_normalizer, self.policy.mlp)
         return export_policy(network, contract, path, robot=self.env.robot.archive)
 
-    def load_networks(self, algorithm: dict[str, Any]) -> None:
+    def load_networks(self, algorithm: dict[str, Any], appended: bool = False) -> None:
         """Load only the networks of another run's state.
+
+        Args:
+            algorithm: its part of the state.
+            appended: whether what the value network observes here and did not there comes last; its weights are 0.
 
         Raises:
             SurefootError: networks of other layers, observations or actions.
         """
+        if appended:
+            critic = self.algorithm.save()["critic_state_dict"]
+            old = algorithm["critic_state_dict"].items()
+            algorithm = {**algorithm, "critic_state_dict": {name: _widened(one, critic.get(name)) for name, one in old}}
         try:
             self.algorithm.load(algorithm, {"actor": True, "critic": True}, strict=True)
         except RuntimeError as error:
@@ -257,6 +265,15 @@ class PpoLearner:
         )
         self.update_count = state["update_count"]
         torch.set_rng_state(state["torch"])
+
+
+def _widened(old: torch.Tensor, own: torch.Tensor | None) -> torch.Tensor:
+    """Return a network's tensor with further inputs: weights of 0, or the normalization of a new network."""
+    if own is None or old.dim() != 2 or old.shape[0] != own.shape[0] or old.shape[1] >= own.shape[1]:
+        return old
+    wide = own.clone() if len(own) == 1 else torch.zeros_like(own)
+    wide[:, : old.shape[1]] = old
+    return wide
 
 
 def _first_mismatch(error: Exception) -> str:

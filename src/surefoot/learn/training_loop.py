@@ -50,7 +50,7 @@ def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes
     """Run the deterministic policy for whole episodes, always from the same seed."""
     config, results, rmse = learner.config, [], None
     base = replace(config.task, reward=config.evaluation_reward or config.task.reward)
-    base = replace(base, commands=replace(base.commands, ramp=0))
+    base = replace(base, randomize_ramp=0, commands=replace(base.commands, ramp=0))
     for pushed in (False, True) if config.task.pushes.enabled else (False,):
         task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
@@ -89,7 +89,10 @@ class TrainingLoop:
         self.config, self.folder, self._make_world = config, folder, make_world
         self.learner = PpoLearner(config, make_world)
         if config.start_from is not None and not resume:
-            self.learner.load_networks(RunFolder.open(Path(config.start_from))[0].load()["learner"]["algorithm"])
+            other, before = RunFolder.open(Path(config.start_from))
+            # Forces of pushes and drawn parameters come last among what the value network observes.
+            appended = not before.task.randomize and before.task.pushes.enabled <= config.task.pushes.enabled
+            self.learner.load_networks(other.load()["learner"]["algorithm"], appended)
         self.best: Evaluation | None = None
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0

@@ -19,10 +19,10 @@ ALLOWED = (
     "linear layers, ELU, SELU, ReLU, LeakyReLU, SiLU, Tanh, Sigmoid, Hardtanh, LayerNorm, BatchNorm, clamp, and sums, "
     "differences, products and quotients"
 )
-_ROWS = 3
+ROWS = 3
 """Rows of the observations that a module is traced with."""
 _SELU = (1.6732632423543772, 1.0507009873554805)
-_SHAPES = ("view", "_unsafe_view", "reshape", "squeeze", "unsqueeze", "expand", "slice")
+_SHAPES = ("view", "_unsafe_view", "reshape", "squeeze", "unsqueeze", "expand", "slice", "select")
 _SAME = ("detach", "alias", "clone", "contiguous", "_to_copy", "lift_fresh_copy")
 
 
@@ -42,35 +42,49 @@ def trace_module(module: nn.Module, graph: Graph, observation: str, width: int, 
         SurefootError: a module of other widths, one that decides by its numbers, or an operator that is not allowed.
     """
     parameter = next(module.parameters(), torch.zeros(0))
-    example = torch.zeros(_ROWS, width, device=parameter.device)
+    example = torch.zeros(ROWS, width, device=parameter.device)
     try:
         with torch.no_grad():
             traced = make_fx(module)(example)
     except Exception as error:  # a module of somebody else can raise anything
         reason = " ".join(str(error).split())[:200]
         raise SurefootError(f"the network can't take observations (N, {width}): {reason}") from error
+    ((value, shape),) = add_traced(traced, graph, [Value(observation, width)])
+    if shape != (ROWS, outputs):
+        raise SurefootError(f"the network gives {_describe(shape)} for (N, {width}); its contract says (N, {outputs})")
+    return value
+
+
+def add_traced(traced: fx.GraphModule, graph: Graph, inputs: list[Value]) -> list[tuple[Value, tuple[int, ...] | None]]:
+    """Add the nodes of a function that was traced on `ROWS` rows; return its outputs, and their shapes then.
+
+    Raises:
+        SurefootError: an operator that is not allowed, or an output that does not depend on the inputs.
+    """
     values: dict[fx.Node, Any] = {}
+    remaining = iter(inputs)
     for node in traced.graph.nodes:
         if node.op == "placeholder":
-            values[node] = Value(observation, width)
+            values[node] = next(remaining)
         elif node.op == "get_attr":
             values[node] = getattr(traced, node.target)
         elif node.op == "output":
             break
         else:
             values[node] = _apply(graph, node, values)
-    result = node.args[0]
-    shape = tuple(result.meta["val"].shape) if isinstance(result, fx.Node) and "val" in result.meta else None
-    if shape != (_ROWS, outputs):
-        raise SurefootError(f"the network gives {_describe(shape)} for (N, {width}); its contract says (N, {outputs})")
-    value = values[result]
-    if not isinstance(value, Value):
-        raise SurefootError("the network does not use the observation")
-    return value
+    (result,) = node.args
+    outputs = []
+    for one in result if isinstance(result, list | tuple) else [result]:
+        shape = tuple(one.meta["val"].shape) if isinstance(one, fx.Node) and "val" in one.meta else None
+        value = values.get(one)
+        if shape is not None and not isinstance(value, Value):
+            raise SurefootError("the network does not use the observation")
+        outputs.append((value, shape))
+    return outputs
 
 
 def _describe(shape: tuple[int, ...] | None) -> str:
-    return "no tensor" if shape is None else f"({', '.join('N' if size == _ROWS else str(size) for size in shape)})"
+    return "no tensor" if shape is None else f"({', '.join('N' if size == ROWS else str(size) for size in shape)})"
 
 
 def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
@@ -82,20 +96,27 @@ def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
         with torch.no_grad():
             return node.target(*args, **kwargs)  # type: ignore[operator]
     if node.target is operator.getitem:
-        return args[0] if args[1] == 0 else None
+        # Of what has several results, such as a norm of layers, the first is the value.
+        return args[0][args[1]] if isinstance(args[0], list) else args[0] if args[1] == 0 else None
     name = str(getattr(node.target, "overloadpacket", node.target)).rpartition(".")[2].rstrip("_")
     shape = getattr(node.meta.get("val"), "shape", None)
     source = node.args[0]
     before = getattr(source.meta.get("val"), "shape", None) if isinstance(source, fx.Node) else None
-    if name in _SAME or (name in _SHAPES and shape == before):
+    if name in _SAME or (name in _SHAPES and _rows(shape) == _rows(before)):
         return args[0]
     try:
         result = _OPERATORS[name](graph, *args, **kwargs)
     except (KeyError, TypeError, NotImplementedError) as error:
         raise SurefootError(f"the network has operator {name}, as it is used there; allowed are {ALLOWED}") from error
-    # What has several results, such as a norm of layers, keeps the width.
+    if isinstance(result, list):
+        return result
     width = next(one.width for one in flat if isinstance(one, Value)) if shape is None else int(shape[-1])
     return result if isinstance(result, Value) else Value(result, width)
+
+
+def _rows(shape: tuple[int, ...] | None) -> list[int] | None:
+    """Return a shape without axes of length 1, which recurrent layers put around rows."""
+    return None if shape is None else [size for size in shape if size != 1]
 
 
 def _row(graph: Graph, value: Any) -> str:
@@ -169,6 +190,26 @@ def _slice(graph: Graph, value: Value, dim: int = 0, start: Any = None, end: Any
     return graph.select(value, range(value.width)[start:end:step])
 
 
+def _split(graph: Graph, value: Value, size: int, dim: int = 0) -> list[Value]:
+    _check_last(dim)
+    starts = range(0, value.width, size)
+    return [graph.select(value, range(start, min(start + size, value.width))) for start in starts]
+
+
+def _single(graph: Graph, values: Any, dim: int = 0) -> Any:
+    """Return what is in a stack of one, or a stack of it."""
+    if dim != 0 or (isinstance(values, list) and len(values) != 1):
+        raise NotImplementedError
+    return values[0] if isinstance(values, list) else [values]
+
+
+def _source(graph: Graph, value: Any, source: Value, dim: int = 0, start: Any = None, end: Any = None) -> Value:
+    """Return what is copied over all of a value."""
+    if start is not None or end is not None or (isinstance(value, Value) and value.width != source.width):
+        raise NotImplementedError
+    return source
+
+
 def _cat(graph: Graph, values: list[Any], dim: int = 0) -> Value:
     _check_last(dim)
     if not all(isinstance(value, Value) for value in values):
@@ -214,7 +255,7 @@ def _batch_norm(
     return graph.apply("Add", result, _row(graph, (0.0 if bias is None else bias) - mean * scale))
 
 
-_OPERATORS: dict[str, Callable[..., str | Value]] = {
+_OPERATORS: dict[str, Callable[..., str | Value | list[Value]]] = {
     "addmm": _linear,
     "mm": lambda graph, value, weight: _linear(graph, None, value, weight),
     **{name: _binary(name.capitalize()) for name in ("add", "sub", "mul", "div")},
@@ -229,6 +270,9 @@ _OPERATORS: dict[str, Callable[..., str | Value]] = {
     "clamp_min": lambda graph, value, low: _clamp(graph, value, low),
     "slice": _slice,
     "cat": _cat,
+    **dict.fromkeys(("split", "unsafe_split"), _split),
+    **dict.fromkeys(("stack", "unbind"), _single),
+    **dict.fromkeys(("copy", "slice_scatter"), _source),
     "norm": _norm,
     "linalg_vector_norm": _norm,
     "expand": _expand,

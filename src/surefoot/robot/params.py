@@ -27,6 +27,9 @@ class _Robot(Protocol):
     def check_allowed(self, name: str, values: Array) -> None: ...
 
 
+CONTROLLER = ("control_step", "servo_kp", "servo_kd")
+"""Parameters that a policy sets, not the robot: they stay where another robot's parameters take the place of its own,
+unless these state them."""
 GROUPS = ("body", "motors", "contact", "sensors")
 """What parameters belong to; latencies are the sensors'."""
 
@@ -242,6 +245,14 @@ class PhysicalParams:
     )
     contact_shear_ratio: Array = _ratio(
         "contact: shear stiffness", "stiffness of the feet along the ground, over that against it", (0.01, 10.0)
+    )
+    torque_lag: Array = _deviation(
+        "motors: lag of torques",
+        "s",
+        "time constant of the first-order lag of a joint actuator's torque behind what its servo asks for",
+        (0.0, 0.1),
+        actuator="joint",
+        servo_only=True,
     )
 
     @property

@@ -238,11 +238,24 @@ class Randomizer:
         robot: the robot's description.
         nominal: values of parameters that are not drawn, one row per robot.
         seed: seed of the streams.
+        ramp: a robot's first `ramp` episodes draw from ranges that widen from the nominal value; 0: none do.
     """
 
-    def __init__(self, ranges: Mapping[str, ParamRange], robot: RobotDescription, nominal: PhysicalParams, seed: int):
+    arrays = ("drawn",)
+    """Names of the arrays that change over time."""
+
+    def __init__(
+        self,
+        ranges: Mapping[str, ParamRange],
+        robot: RobotDescription,
+        nominal: PhysicalParams,
+        seed: int,
+        ramp: int = 0,
+    ):
         check_ranges(ranges, robot)
-        self.nominal = nominal
+        self.nominal, self._ramp = nominal, ramp
+        self.drawn = np.zeros(nominal.num_envs, np.int64)
+        """Episodes of each robot that were drawn."""
         self.ranges = {name: ranges[name] for name in PARAMETERS if name in ranges}
         self.streams = generators(seed, "randomize", nominal.num_envs)
         self.columns: list[str] = []
@@ -287,9 +300,14 @@ class Randomizer:
         low, high = self._low[index], self._high[index]
         drawn = np.clip(low + (high - low) * unit[:, self._places], *self._allowed)
         params = self.nominal.rows(index)
+        self.drawn[index] += 1
         for name, columns in self._columns.items():
             values = getattr(params, name)
-            values[...] = drawn[:, columns].reshape(values.shape)
+            new = drawn[:, columns].reshape(values.shape)
+            if self._ramp:
+                share = np.minimum(self.drawn[index] / self._ramp, 1.0).reshape(-1, *[1] * (values.ndim - 1))
+                new = values + share * (new - values)
+            values[...] = new
         return params
 
     def scaled(self, params: PhysicalParams) -> Array:

@@ -94,6 +94,9 @@ class TaskConfig:
     """Random pushes on the base."""
     randomize: NoOption[Ranges] = field(default_factory=dict)
     """Ranges from which every episode draws physical parameters, by name; in a file also the name of a table."""
+    randomize_ramp: Annotated[int, Within(0, 1_000_000)] = 0
+    """Curriculum: a robot's first `randomize_ramp` episodes draw from ranges that widen from the nominal value; 0: none
+    do."""
     params: NoOption[dict[str, ParamValue]] = field(default_factory=dict)
     """Physical parameters that differ from the robot's description, by name: a number, or one for each motor."""
     params_source: NoOption[dict[str, str]] = field(default_factory=dict)
@@ -127,7 +130,7 @@ class TaskConfig:
 
         Beside a `relative` reference, which serves any robot, bounds are narrowed to what the legs allow.
         """
-        reference = make_reference(self.reference, robot, self.commands.limits(robot))
+        reference = make_reference(self.reference, robot, self.commands.limits(robot), self.nominal(robot))
         names = {"leg": robot.coordinates, "joint": ("joint",), "angle": ()}[self.action]
         bounds = self.feedback.bounds(names)
         if self.reference.relative and self.action == "leg":

@@ -110,7 +110,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self._ground = config.ground
         self.world: Simulation = self._make_world(self.robot, self.num_envs, self.nominal, seed, config)
         self.pusher = Pusher(task.pushes, self.num_envs, seed, self.robot.weight)
-        self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed)
+        self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed, task.randomize_ramp)
         self.source: CommandGenerator | None = None
         self.commands: CommandFilter | None = None
         if limits := task.commands.limits(self.robot):
@@ -330,7 +330,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
                 stream.bit_generator.state = saved
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        owners: dict[str, Any] = {"": self, "pushes_": self.pusher}
+        owners: dict[str, Any] = {"": self, "pushes_": self.pusher, "randomizer_": self.randomizer}
         if self.source is not None:
             owners |= {"source_": self.source, "commands_": self.commands}
         return {f"{prefix}{name}": getattr(owner, name) for prefix, owner in owners.items() for name in owner.arrays}

@@ -29,8 +29,14 @@ QUANTITIES = ("stroke", "clearance", "duty_factor", "phase", "height", "offset",
 """What each leg has of its own."""
 LENGTHS = ("stroke", "clearance", "height", "offset", "depth")
 """Those that are lengths."""
+FOLLOWING = ("stride_gain", "frequency_rise", "turn_gain", "clearance_rise", "height_rise")
+"""Numbers of a `FollowingReference` that `ReferenceConfig` has by the same names."""
+_LOADING = 0.15
+"""Part of the stance in which a leg takes over its share of the weight, and in which it gives it back."""
 RATE_STEP = 0.002
 """Half of the time [s] over which the velocity of a pose is taken."""
+ACCELERATION_STEP = 0.01
+"""Half of the time [s] over which the acceleration of a pose is taken: it jumps where feet touch down and lift off."""
 _SAMPLES = 360
 _PHASES = 48
 
@@ -163,6 +169,14 @@ class FollowingReference:
     turn_gain: float = 1.0
     """What a stride has for turning, over that of a foot that does not slip. Legs without abduction turn a robot only
     as far as they make feet slide."""
+    clearance_rise: float = 0.0
+    """Clearance gained at the greatest stride, over that on the spot."""
+    height_rise: float = 0.0
+    """Height gained at the greatest stride, over that on the spot."""
+    acceleration_feedforward: float = 0.0
+    """Square of the time [s^2] by which commands lead along the acceleration of the pose."""
+    weight_feedforward: float = 0.0
+    """Angle by which commands lead, over the lever arm of the weight [rad/m]."""
     places: Array = field(init=False, repr=False)
     """Feet below the legs' mounts, (L, 3) [m] from the mounts; z is the height."""
     _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
@@ -240,8 +254,21 @@ class FollowingReference:
         along, bump = self.feet.curve(state.phase)
         active = state.activity[:, None]
         step = (active * along)[..., None] * self.strides(state.command)
+        if self.clearance_rise or self.height_rise:
+            _, share = self._on_the_spot(state.command)
+            lifted = np.where(bump > 0.0, bump * (1.0 + self.clearance_rise * share[:, None]), bump)
+            bump = lifted - self.height_rise * share[:, None] * self.feet.height
         foot = np.concatenate([step, (active * bump)[..., None]], axis=-1) + self.places
         return self.robot.leg_geometry.foot_pose(foot)
+
+    def load(self, state: CommandState) -> Array:
+        """Return the share of the weight that each leg carries (N, L), of legs in stance alike."""
+        share, duty = self.feet.shares(state.phase), self.feet.duty_factor
+        part = np.minimum(share, duty - share) / duty
+        carried = np.clip(part / _LOADING, 0.0, 1.0)
+        carried = carried / np.maximum(carried.sum(axis=1, keepdims=True), 0.5)
+        active = state.activity[:, None]
+        return np.asarray(active * carried + (1.0 - active) / len(self.feet.legs))
 
     @property
     def velocity_feedforward(self) -> float:
@@ -255,6 +282,12 @@ class FollowingReference:
         before, after = (self.pose(time, replace(state, phase=state.phase + sign * change)) for sign in (-1, 1))
         return (after - before) / (2 * RATE_STEP)
 
+    def pose_acceleration(self, state: CommandState) -> Array:
+        """Return the second derivatives (N, C, L) of the poses at the state's commands and phases."""
+        change = ACCELERATION_STEP * self.frequency(state.command)
+        before, now, after = (self.pose(0.0, replace(state, phase=state.phase + k * change)) for k in (-1, 0, 1))
+        return (after - 2.0 * now + before) / ACCELERATION_STEP**2
+
     def extent(self) -> tuple[tuple[float, float], ...]:
         """Return the lowest and highest value of each coordinate over all legs, phases and commands."""
         return self._extent
@@ -262,4 +295,6 @@ class FollowingReference:
     def to_dict(self) -> dict[str, Any]:
         """Return the `ReferenceConfig` that makes it again, as JSON values."""
         gains = {name: getattr(self, name) for name in ("stride_gain", "frequency_rise", "turn_gain")}
+        others = ("clearance_rise", "height_rise", "acceleration_feedforward", "weight_feedforward")
+        gains |= {name: value for name in others if (value := getattr(self, name))}
         return {**self.feet.to_dict(), "kind": "follow", **gains}

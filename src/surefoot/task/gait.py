@@ -74,6 +74,13 @@ class HybridGait:
         self._leading: FootReference | FollowingReference | None = None
         if isinstance(reference, FootReference | FollowingReference) and reference.velocity_feedforward:
             self._leading = reference
+        self._accelerating: FollowingReference | None = None
+        self._carrying: FollowingReference | None = None
+        if isinstance(reference, FollowingReference) and reference.acceleration_feedforward:
+            self._leading = self._accelerating = reference
+        if isinstance(reference, FollowingReference) and reference.weight_feedforward:
+            self._carrying = reference
+            self._allowed = robot.angle_extent(*robot.leg_space.values())
         legs, coordinates = len(robot.legs), robot.coordinates
         self._shape = (len(coordinates), legs)
         self._space = np.array(list(robot.leg_space.values())).T[..., None]
@@ -121,7 +128,8 @@ class HybridGait:
         motors = self.robot.num_motors
         if self.action_kind == "angle":
             return self.low[:motors], self.high[:motors]
-        ranges = self._ranges if self._leading is None else list(self.robot.leg_space.values())
+        ahead = self._leading or self._carrying
+        ranges = self._ranges if ahead is None else list(self.robot.leg_space.values())
         least, greatest = self.robot.angle_extent(*ranges)
         return (
             (least + self.low[:motors], greatest + self.high[:motors])
@@ -152,6 +160,18 @@ class HybridGait:
             pose = pose + feedback.reshape(len(feedback), *self._shape)
         if self._leading is not None:
             lead = self._leading.velocity_feedforward * self._leading.pose_rate(time, state)
+            if self._accelerating is not None and state is not None:
+                lead += self._accelerating.acceleration_feedforward * self._accelerating.pose_acceleration(state)
             pose = np.clip(pose + lead, *self._space)
         motors = self.robot.to_motors(pose)
+        if self._carrying is not None and state is not None:
+            motors = np.clip(motors + self._weight_lead(self._carrying, motors, state), *self._allowed)
         return motors + feedback if joint else motors
+
+    def _weight_lead(self, reference: FollowingReference, motors: Array, state: CommandState) -> Array:
+        """Return the angles (N, M) [rad] by which the weight would bend actuators: J^T F / k_p."""
+        index = self.robot.leg_motor_index
+        rise = self.robot.leg_geometry.jacobian(motors[:, index])[..., 2, :]
+        lead = np.empty_like(motors)
+        lead[:, index] = -reference.weight_feedforward * reference.load(state)[..., None] * rise
+        return lead

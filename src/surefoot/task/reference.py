@@ -20,10 +20,10 @@ from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError, choices, suggest
 from surefoot.files import check_readable
 from surefoot.npz import read_npz
-from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import CommandState
-from surefoot.task.foot_references import LENGTHS, FollowingReference, FootReference
+from surefoot.task.foot_references import FOLLOWING, LENGTHS, FollowingReference, FootReference
 
 PerLeg = float | dict[str, float]
 """One number, or one for each leg by name."""
@@ -91,11 +91,22 @@ class ReferenceConfig:
     """Frequency gained at the longest stride, over the frequency on the spot, for kind follow."""
     turn_gain: Annotated[float, Within(0, 100)] = 1.0
     """What a stride has for turning, over that of a foot that does not slip, for kind follow."""
+    clearance_rise: Annotated[float, Within(-1, 3)] = 0.0
+    """Clearance gained at the longest stride, over that on the spot, for kind follow."""
+    height_rise: Annotated[float, Within(-0.5, 0.5)] = 0.0
+    """Height gained at the longest stride, over that on the spot, for kind follow."""
     velocity_feedforward: Annotated[float, Within(0, 10)] = 0.0
     """Time [s] by which commands lead along the velocity of the reference, for kinds foot and follow."""
+    acceleration_feedforward: Annotated[float, Within(0, 10)] = 0.0
+    """Square of the time [s^2] by which commands lead along the acceleration of the reference, for kind follow: an
+    inertia over k_p makes up for it."""
+    weight_feedforward: Annotated[float, Within(0, 100)] = 0.0
+    """Angle by which commands of legs in stance lead, over the lever arm of the weight [rad/m], for kind follow:
+    m g / k_p makes up for what the weight bends actuators."""
     relative: bool = False
-    """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi, and
-    `velocity_feedforward` the actuators' k_d / k_p."""
+    """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi,
+    `velocity_feedforward` the actuators' k_d / k_p, `acceleration_feedforward` rotors' inertia over k_p, and
+    `weight_feedforward` m g over k_p. These are means over motors."""
     rows: dict[str, dict[str, tuple[float, ...]]] | None = None
     """The table itself, in place of `file`: under each coordinate of leg space, each leg's poses."""
 
@@ -202,7 +213,10 @@ Reference = SineReference | TableReference | FootReference | FollowingReference
 
 
 def make_reference(
-    config: ReferenceConfig, robot: RobotDescription, commands: CommandLimits | None = None
+    config: ReferenceConfig,
+    robot: RobotDescription,
+    commands: CommandLimits | None = None,
+    params: PhysicalParams | None = None,
 ) -> Reference:
     """Make the reference of a robot's legs.
 
@@ -210,6 +224,7 @@ def make_reference(
         config: what it is; of kind none a sinusoid without amplitude.
         robot: the robot.
         commands: what the robot can be commanded, for kind follow.
+        params: with the actuators' gains, one row; nominal, if not given.
 
     Raises:
         SurefootError: an unknown leg, a table that does not fit, or a foot out of reach.
@@ -217,12 +232,17 @@ def make_reference(
     if config.kind == "table":
         return _table_reference(config, robot)
     if config.kind == "foot":
-        return _foot_reference(config, robot)
+        return _foot_reference(config, robot, params)
     if config.kind == "follow":
         if commands is None:
             raise SurefootError("reference.kind is follow; it needs commands with a range, and the task has none")
-        gains = {name: getattr(config, name) for name in ("stride_gain", "frequency_rise", "turn_gain")}
-        return FollowingReference(robot, _foot_reference(config, robot), commands, **gains)
+        gains = {name: getattr(config, name) for name in FOLLOWING}
+        ahead = {"acceleration_feedforward": 1.0, "weight_feedforward": 1.0}
+        if config.relative:
+            kp, _, inertia = _mean_actuator(robot, params)
+            ahead = {"acceleration_feedforward": inertia / kp, "weight_feedforward": robot.weight / kp}
+        gains |= {name: unit * getattr(config, name) for name, unit in ahead.items()}
+        return FollowingReference(robot, _foot_reference(config, robot, params), commands, **gains)
     waves = {"abduction": config.abduction, "swing": config.swing, "extension": config.extension}
     if config.kind == "none":
         waves = dict.fromkeys(waves, WaveConfig())
@@ -255,15 +275,22 @@ def _check_names(table: Mapping[str, Any], names: tuple[str, ...], where: str) -
         raise SurefootError(f"{where} lacks {choices(missing)}; it needs {choices(names)}")
 
 
-def _foot_reference(config: ReferenceConfig, robot: RobotDescription) -> FootReference:
+def _mean_actuator(robot: RobotDescription, params: PhysicalParams | None) -> tuple[float, float, float]:
+    """Return the means over motors of the actuators' k_p, k_d and rotor inertia [kg m2]."""
+    params = PhysicalParams.nominal(robot) if params is None else params
+    kp, kd, inertia = (float(np.mean(one[0])) for one in (params.servo_kp, params.servo_kd, params.rotor_inertia))
+    return kp, kd, inertia
+
+
+def _foot_reference(config: ReferenceConfig, robot: RobotDescription, params: PhysicalParams | None) -> FootReference:
     values = _values_by_leg(config.foot, "reference.foot", robot.leg_names)
     frequency, ahead = np.array(values.pop("frequency")[0]), config.velocity_feedforward
     if config.relative:
         length = robot.leg_geometry.length
         frequency = frequency * np.sqrt(GRAVITY / length) / (2 * np.pi)
         values |= {name: values[name] * length for name in LENGTHS}
-        nominal = robot.nominal_params()
-        ahead *= float(np.mean(nominal["servo_kd"]) / np.mean(nominal["servo_kp"]))
+        kp, kd, _ = _mean_actuator(robot, params)
+        ahead *= kd / kp
     return FootReference(robot.leg_names, robot.leg_geometry, frequency, velocity_feedforward=ahead, **values)
 
 

@@ -62,7 +62,7 @@ _PARAMS = {
         name: name
         for name in (
             *("torque_constant", "resistance", "voltage", "servo_latency", "load_friction", "speed_filter"),
-            *("presliding", "motor_offset"),
+            *("presliding", "motor_offset", "torque_lag"),
         )
     },
     **{name: f"servo_{name}" for name in ("kp", "kd")},
@@ -70,7 +70,7 @@ _PARAMS = {
     **{"strength": "motor_strength", "friction": "motor_friction", "viscous": "motor_viscous_friction"},
 }
 """Arrays of `ActuationState` that hold a physical parameter, and its name."""
-_ROBOTS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_filter", "energy")
+_ROBOTS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_filter", "torque_lag", "energy")
 """Arrays of `ActuationState` with a number for each robot."""
 _MOTORS = (
     *("strength", "friction", "viscous", "kp", "kd", "load_friction", "target", "duty", "torque", "constraint_speed"),
@@ -97,6 +97,7 @@ class ActuationState(NamedTuple):
     servo_latency: Array  # (N,) s
     load_friction: Array  # (N, M) of joint actuators
     speed_filter: Array  # (N,) s, time constant, of joint actuators
+    torque_lag: Array  # (N,) s, time constant, of joint actuators
     max_torque: Array  # (N, M) N m at low speed, of joint actuators
     presliding: Array  # (N, M) rad, of joint actuators
     motor_offset: Array  # (N, M) rad, readings of encoders less the true angles
@@ -258,6 +259,9 @@ def compute_joint_torque(state: ActuationState, i: int) -> None:
         if torque != desired:
             state.limit_ticks[i, m] += 1.0
         torque *= state.strength[i, m]
+        if state.torque_lag[i] > 0.0:
+            last = state.motor_torque[i, m]
+            torque = last + dt / (state.torque_lag[i] + dt) * (torque - last)
         torque = protect_motor(state, i, m, torque, hot_torque)
         power += torque * speed
         state.heat[i, m] += dt * HEAT_LOSS * full * torque * torque / limit

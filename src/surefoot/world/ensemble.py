@@ -14,6 +14,7 @@ import numpy as np
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import CONTROLLER
 from surefoot.robot.randomization import draw_hidden, load_ranges
 
 RANGES = "ensemble"
@@ -28,11 +29,12 @@ def ensemble_params(robot: RobotDescription, num_envs: int, seeds: Sequence[int]
 
 
 def draw_ensemble(robot: RobotDescription, params: PhysicalParams, seeds: Sequence[int]) -> PhysicalParams:
-    """Return the robots of these seeds with the control steps of `params`; all else must be nominal there."""
+    """Return the robots of these seeds with control steps and gains of `params`; all else must be nominal there."""
     nominal = PhysicalParams.nominal(robot, params.num_envs)
     for name in PhysicalParams.names():
-        if name != "control_step" and not np.array_equal(getattr(params, name), getattr(nominal, name)):
+        if name not in CONTROLLER and not np.array_equal(getattr(params, name), getattr(nominal, name)):
             raise SurefootError(
                 f"{name} is given; robots of the ensemble have their own: leave it out, or world bullet"
             )
-    return replace(ensemble_params(robot, params.num_envs, seeds), control_step=params.control_step)
+    own = {name: getattr(params, name) for name in CONTROLLER}
+    return replace(ensemble_params(robot, params.num_envs, seeds), **own)

@@ -206,9 +206,9 @@ def test_each_number_of_motors_has_its_schema_up_to_the_largest_robot():
 
 def test_modes_and_reasons_have_their_numbers_and_meanings():
     assert [int(mode) for mode in Mode] == [0, 1, 2, 3]
-    assert [int(reason) for reason in Reason] == list(range(13))
+    assert [int(reason) for reason in Reason] == list(range(23))
     assert Reason(5) is Reason.TILT
     assert Reason.TILT == 5
     assert all(one.meaning.endswith(".") for one in [*Mode, *Reason])
-    with pytest.raises(ValueError, match="13 is not a valid Reason"):
-        Reason(13)
+    with pytest.raises(ValueError, match="23 is not a valid Reason"):
+        Reason(23)

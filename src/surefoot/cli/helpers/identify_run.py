@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from surefoot.check_result import first_failure
-from surefoot.cli.helpers.link_options import LinkOptions
+from surefoot.cli.helpers.link_options import SerialOptions
 from surefoot.cli.helpers.options import Json, Yes, ask_to_move, check_terminal
 from surefoot.cli.helpers.output import make_console
 from surefoot.deploy.checks import check_handshake
@@ -33,7 +33,7 @@ PLACES = {True: "hang free, its legs in the air", False: "sit on flat ground wit
 
 
 @dataclass(frozen=True)
-class ExperimentCommand(LinkOptions):
+class ExperimentCommand(SerialOptions):
     """Run an experiment on a robot, or take a recording of one, and identify physical parameters.
 
     The plan is shown, and must be confirmed, before a motor moves. The recording is kept however the experiment ends;
@@ -77,7 +77,7 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
 
 @contextlib.contextmanager
 def _connect(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tuple[RobotLink, Handshake]]:
-    link = command.open_link(str(command.port), robot.num_motors)
+    link = command.open_port(str(command.port), robot.num_motors)
     try:
         handshake = link.connect()
         refuse_another_robot(handshake, robot)

@@ -2,24 +2,80 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
+import tyro
+from numpy.typing import ArrayLike
+
+from surefoot.cli.helpers.options import Port, ask_to_release
 from surefoot.configuration import Within
-from surefoot.deploy.links import open_link
+from surefoot.deploy.links import open_dds_link, open_link
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.serial.port import BAUD
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkOptions:
-    """How a command opens its link to a robot."""
+class SerialOptions:
+    """How a command opens its serial link to a robot."""
 
     lockstep: bool = False
     """The robot is an emulator that runs with --lockstep."""
     baud: Annotated[int, Within(9600, 100_000_000)] = BAUD
     """Bits a second of a serial port."""
 
-    def open_link(self, port: str, motors: int) -> RobotLink:
+    def open_port(self, port: str, motors: int) -> RobotLink:
         """Open a link to a robot with so many motors."""
         return open_link(port, motors, self.lockstep, self.baud)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkOptions(SerialOptions):
+    """How a command opens its link to a robot, of any kind."""
+
+    port: Port | None = None
+    link: Literal["serial", "dds"] = "serial"
+    """What carries the messages: a serial port, or DDS to a Unitree Go2."""
+    interface: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Network interface that leads to the robot, such as eth0; of --link dds."""
+    domain: Annotated[int, Within(0, 230)] = 0
+    """DDS domain of the robot; 0 on a Go2."""
+    release: bool = False
+    """Let a Go2 lie down and release its own controller, without asking."""
+    hand_back: bool = False
+    """Select a Go2's own controller at the end."""
+
+    @property
+    def address(self) -> str:
+        """What leads to the robot, in words."""
+        return f"port {self.port}" if self.link == "serial" else f"interface {self.interface}, domain {self.domain}"
+
+    def check_link(self) -> None:
+        """Refuse options that do not go together."""
+        if self.link == "serial":
+            if self.port is None:
+                raise SurefootError("--port is missing; of a robot over DDS, give --link dds --interface NAME")
+            for name in ("interface", "release", "hand_back"):
+                if getattr(self, name):
+                    raise SurefootError(f"--{name.replace('_', '-')} is given; it goes with --link dds")
+        elif self.interface is None:
+            raise SurefootError("--interface is missing; it names the network interface to the robot, such as eth0")
+        elif self.port is not None or self.lockstep:
+            option = "--lockstep" if self.lockstep else "--port"
+            raise SurefootError(f"{option} and --link dds don't go together; --port is a serial one")
+
+    def open_link(self, robot: RobotDescription, gains: tuple[ArrayLike, ArrayLike], may_ask: bool = True) -> RobotLink:
+        """Open the link to a robot; one without a board of its own gets these gains, kp and kd.
+
+        `may_ask`: ask at a terminal whether a Go2's own controller is to be released.
+        """
+        if self.link == "serial":
+            return self.open_port(str(self.port), robot.num_motors)
+
+        def release(name: str) -> bool:
+            return self.release or (may_ask and sys.stdin.isatty() and ask_to_release(name))
+
+        return open_dds_link(robot, str(self.interface), self.domain, gains, release, self.hand_back)

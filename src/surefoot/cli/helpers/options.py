@@ -93,6 +93,13 @@ def ask_to_move(place: str) -> None:
         raise SurefootError("not begun; nothing has moved")
 
 
+def ask_to_release(controller: str) -> bool:
+    """Ask whether a robot is to lie down, and its own controller to be released; return whether it is."""
+    question = f"The robot's own controller '{controller}' is active. Let it lie down and release it? [y/N] "
+    print(question, end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
 def check_suffix(what: str, path: Path | None, suffix: str) -> None:
     """Refuse the name of a file that does not end in `suffix`; `what` is the purpose of the file."""
     if path is not None and path.suffix.lower() != suffix:

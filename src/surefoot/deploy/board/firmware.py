@@ -22,7 +22,7 @@ import numpy as np
 
 from surefoot.deploy import messages
 from surefoot.deploy.board.limits import Limits
-from surefoot.deploy.board.signals import MotorOrder, Sensors, Vitals, microseconds
+from surefoot.deploy.board.signals import Hazard, MotorOrder, Sensors, Vitals, microseconds
 from surefoot.deploy.clock import ClockSync
 from surefoot.deploy.messages import Handshake, Hello, Message, Mode, Packet, Position, Pwm, Reason
 
@@ -90,7 +90,7 @@ class Firmware:
         self._out: list[Packet] = []
         self._sent = 0
         self._order = self._damped = MotorOrder(Mode.DISARMED, np.zeros(len(handshake.motor_names)))
-        self._fresh = False
+        self._fresh = self._first = False
         self._state_period = microseconds(limits.state_period[1])
         self._report_after = self._command = self._command_time = 0
         self._dropped = self._dropped_in_a_row = 0
@@ -182,7 +182,8 @@ class Firmware:
 
     def _arm(self, now: int, arm: messages.Arm) -> None:
         shortest, longest = self.limits.command_period
-        if arm.mode not in ARMED or (self.armed and arm.mode != self.mode):
+        no_duty = arm.mode == Mode.PWM and not self.limits.duty
+        if arm.mode not in ARMED or no_duty or (self.armed and arm.mode != self.mode):
             self._refuse(now, self.owner, Reason.MODE, f"mode {arm.mode} can't be armed while {self.mode.name}")
         elif not (shortest <= arm.command_period <= longest and arm.report_after <= arm.command_period):
             text = f"command period is {arm.command_period:g} s; it must be {shortest:g} to {longest:g}"
@@ -197,7 +198,8 @@ class Firmware:
             self._report_after = microseconds(arm.report_after)
             if not self.armed:
                 self.mode, self.reason = Mode(arm.mode), Reason.NONE
-                self._command_time, self._dropped_in_a_row, self._fresh = now, 0, True
+                self._command_time, self._dropped_in_a_row = now, 0
+                self._fresh = self._first = True
             self.next_state = now + self._report_after
 
     def _take_command(self, now: int, number: int, message: Position | Pwm, age: float) -> None:
@@ -221,6 +223,13 @@ class Firmware:
             self._dropped += 1
             self._fail(now, Reason.COMMAND, f"{handshake.motor_names[bad[0]]} was sent to {values[bad[0]]:g}")
             return
+        if self._first and mode == Mode.POSITION and self._vitals is not None:
+            torque = handshake.servo_kp * np.abs(values - self._vitals.motor_angle)
+            if not (greatest := float(torque.max())) <= self.limits.first_torque:
+                text = f"the first command would give {greatest:.1f} N m at once; at most {self.limits.first_torque:g}"
+                self._fail(now, Reason.COMMAND, text)
+                return
+        self._first = False
         self._command, self._command_time, self._dropped_in_a_row, self._fresh = number, now, 0, False
         self._order = MotorOrder(self.mode, values)
         self.next_state = now + self._report_after
@@ -240,6 +249,9 @@ class Firmware:
                 self._fail(now, Reason.TIMEOUT, f"no command for {self.limits.command_timeout:g} s")
             elif (hazard := self._hazard(now)) is not None:
                 self._fail(now, *hazard)
+            elif vitals.sit is not None and not self.reason:
+                self.reason = vitals.sit[0]
+                self._refuse(now, self.owner, *vitals.sit)
         if not self.armed:
             return self._damped
         if self._fresh:
@@ -249,11 +261,13 @@ class Firmware:
             self._order = MotorOrder(self.mode, held)
         return self._order
 
-    def _hazard(self, now: int) -> tuple[Reason, str] | None:
+    def _hazard(self, now: int) -> Hazard | None:
         """Return why motors must not move, by the sensors of the last servo step; None if they may."""
         vitals, limits = self._vitals, self.limits
         if vitals is None:
             return None
+        if vitals.hazard is not None:
+            return vitals.hazard
         if not vitals.tilt <= limits.tilt:
             return Reason.TILT, f"tilt is {vitals.tilt:.2f} rad; the limit is {limits.tilt:g}"
         if now - self._low_since >= microseconds(limits.voltage_time):

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from surefoot.deploy.messages import Handshake
-from surefoot.robot import RobotDescription
+
+if TYPE_CHECKING:
+    from surefoot.robot import RobotDescription  # and with it URDF and sheets, which a board does not need
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,9 @@ class Limits:
     temperature: float = 90.0
     """Motor temperature [degC] beyond which the robot damps itself."""
     duty: float = 1.0
-    """Largest duty that a PWM command may request."""
+    """Largest duty that a PWM command may request; 0: the robot does not arm for duties."""
+    first_torque: float = math.inf
+    """Largest torque [N m] that the first command of a joint actuator may request, by its gain and present angle."""
     refusals: int = 10
     """Greatest number of refusals per second for each reason."""
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from surefoot.arrays import Array
-from surefoot.deploy.messages import Mode
+from surefoot.deploy.messages import Mode, Reason
+
+Hazard = tuple[Reason, str]
+"""Why motors must not move, and what was seen."""
 
 
 @dataclass(frozen=True)
@@ -17,6 +20,10 @@ class Vitals:
     voltage: float
     temperature: float
     """The hottest motor [degC]."""
+    hazard: Hazard | None = None
+    """What else damps the motors."""
+    sit: Hazard | None = None
+    """What asks the operator to bring the robot to rest."""
 
 
 @dataclass(frozen=True)

@@ -20,16 +20,17 @@ LOW_STATE_TOPIC, LOW_COMMAND_TOPIC = "rt/lowstate", "rt/lowcmd"
 SPORT_STATE_TOPIC = "rt/sportmodestate"
 _SIOCGIFADDR = 0x8915
 _IFF_UP, _IFF_MULTICAST = 0x1, 0x1000
-_MULTICAST = "</General>"
-_NO_MULTICAST = (
-    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
-    "<Peers><Peer address='localhost'/></Peers></Discovery>"
-)
-"""What cyclonedds does by itself on a loopback without multicast; said outright, it prints no warning."""
 _CONFIG = (
     "<CycloneDDS><Domain Id='any'><General><Interfaces><NetworkInterface name={} priority='default'"
-    " multicast='default'/></Interfaces></General><Tracing><Verbosity>none</Verbosity></Tracing></Domain></CycloneDDS>"
+    " multicast='{}'/></Interfaces>{}<Tracing><Verbosity>none</Verbosity></Tracing></Domain></CycloneDDS>"
 )
+_MULTICAST = "default", "</General>"
+_NO_MULTICAST = (
+    "false",
+    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    "<Peers><Peer address='localhost'/></Peers></Discovery>",
+)
+"""What cyclonedds does by itself on a loopback without multicast; said outright, it prints no warning."""
 
 
 def _flags(interface: str) -> int:
@@ -80,13 +81,25 @@ class Bus:
             ) from error
         try:
             discovery = _MULTICAST if _flags(interface) & _IFF_MULTICAST else _NO_MULTICAST
-            self._domain = Domain(domain, _CONFIG.format(quoteattr(interface), discovery))
+            self._domain = Domain(domain, _CONFIG.format(quoteattr(interface), *discovery))
             self.participant = DomainParticipant(domain)
         except DDSException as error:
             raise SurefootError(
                 f"DDS does not start in domain {domain} on {interface}: {error}; on a loopback without multicast "
                 "a domain has room for nine programs"
             ) from error
+
+    def types_of(self, name: str) -> list[str]:
+        """Return the types with which others write a topic, as far as DDS has found them."""
+        from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+
+        found = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication).take(1000)
+        return sorted({entry.type_name for entry in found if entry.topic_name == name})
+
+    def close(self) -> None:
+        """Leave the domain, with all readers and writers of this bus."""
+        for entity in (self.participant, self._domain):
+            entity.__del__()
 
     def topic(self, name: str, kind: type[_T]) -> Any:
         """Return a topic with the type `kind` of `types`."""
@@ -101,9 +114,8 @@ class Bus:
         from cyclonedds.util import duration
 
         reliable = Policy.Reliability.Reliable(max_blocking_time=duration(milliseconds=1))
-        return RawWriter(
-            DataWriter(self.participant, self.topic(name, kind), Qos(reliable, Policy.History.KeepLast(1)))
-        )
+        qos = Qos(reliable, Policy.History.KeepLast(1))
+        return RawWriter(self, DataWriter(self.participant, self.topic(name, kind), qos))
 
     def reader(self, name: str, kind: type[_T], depth: int = 1, others: bool = False) -> RawReader[_T]:
         """Return a reader of a topic, best effort, that keeps the last `depth` messages.
@@ -116,16 +128,22 @@ class Bus:
         policies = [Policy.Reliability.BestEffort, Policy.History.KeepLast(depth)]
         if others:
             policies.append(Policy.IgnoreLocal.Participant)
-        return RawReader(DataReader(self.participant, self.topic(name, kind), Qos(*policies)), kind)
+        return RawReader(self, DataReader(self.participant, self.topic(name, kind), Qos(*policies)), kind)
 
 
 class RawWriter:
     """Writes messages that are packed already."""
 
-    def __init__(self, writer: Any) -> None:
+    def __init__(self, bus: Bus, writer: Any) -> None:
         from cyclonedds._clayer import ddspy_write
 
+        self._bus = bus  # with its participant, DDS deletes all that is in it
         self._writer, self._write = writer, ddspy_write
+
+    @property
+    def readers(self) -> int:
+        """Number of readers of the topic that DDS has found."""
+        return max(int(self._writer._dll_handle.dds_get_matched_subscriptions(self._writer._ref, None, 0)), 0)
 
     def write(self, data: bytes) -> bool:
         """Write a message with its CDR header, its length a multiple of 4; return whether DDS has taken it."""
@@ -140,9 +158,10 @@ class RawWriter:
 class RawReader(Generic[_T]):
     """Reads messages as bytes; never waits."""
 
-    def __init__(self, reader: Any, kind: type[_T]) -> None:
+    def __init__(self, bus: Bus, reader: Any, kind: type[_T]) -> None:
         from cyclonedds._clayer import ddspy_take
 
+        self._bus = bus
         self._reader, self._take, self._kind = reader, ddspy_take, kind
 
     def take(self, count: int = 16) -> list[bytes]:

@@ -178,7 +178,7 @@ def decode(kind: np.dtype[Any], data: bytes) -> Record:
     raw[:mode] = body[:mode]
     raw[layout.c_mode] = body[mode]
     raw[layout.c_mode + 4 :] = body[rest:]
-    record: Record = (np.frombuffer(raw, np.uint8) & layout.used).view(kind).reshape(())
+    record: Record = np.frombuffer(np.frombuffer(raw, np.uint8) & layout.used, kind).reshape(())
     crc = checksum(record)
     if crc != record["crc"]:
         raise BadMessageError(f"the checksum is {int(record['crc'])}; of these bytes it is {crc}")

@@ -20,6 +20,8 @@ u8, u16, u32, i16, i32, i64, f32 = (
 )
 GO = "unitree_go.msg.dds_."
 API = "unitree_api.msg.dds_."
+GO_LOW_STATE = "unitree_go::msg::dds_::LowState_"
+"""Name of the type of rt/lowstate as DDS shows it."""
 
 
 @dataclass

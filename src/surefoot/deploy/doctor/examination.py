@@ -65,6 +65,7 @@ def examine(
         return results
 
     try:
+        yield from note_failures(link.preliminary_checks)
         handshake = link.connect()
         yield from note_failures(check_contract(contract, handshake, robot))
         figures = measure_link(link, pings)

@@ -2,18 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Protocol
 
 import numpy as np
 
 from surefoot.deploy.board.signals import microseconds
 from surefoot.deploy.dds.low_level import POS_STOP, SERVO, VEL_STOP, Record, encode
-from surefoot.emulator.dds.link import LowLevelLink
+from surefoot.emulator.board import BOOT_TIME
+from surefoot.emulator.dds.faults import MessageFaults
 from surefoot.emulator.dds.low_state import StateMessage
+from surefoot.emulator.dds.motion_service import MotionService
+from surefoot.emulator.dds.own_controller import OwnController
+from surefoot.emulator.faults import FaultInjector, InjectedFault
+from surefoot.emulator.host_link import Transport
 from surefoot.emulator.plant import JointOrder, Plant
+from surefoot.seeding import generator
 
-STATE_PERIOD = 2_000
-"""Time between two states [us]."""
+
+class StateLink(Transport, Protocol):
+    """What the robot needs of its topics. Times are whole microseconds on the robot's clock."""
+
+    inbound: list[Record]
+    """Undamaged commands that have arrived, oldest first."""
+    dead: bool
+    """Nothing comes or goes any more."""
+
+    @property
+    def next_departure(self) -> float:
+        """When the next state leaves; infinite if none waits."""
+
+    def send(self, at: float, data: bytes) -> None:
+        """Put a state's bytes on their way, to leave at a time."""
+
+    def publish_command(self, command: Record) -> None:
+        """Publish a command of the robot's own."""
+
+    def counts(self) -> list[str]:
+        """Return what came and went, for a line at the end."""
 
 
 def read_order(command: Record, motors: int) -> JointOrder | None:
@@ -37,19 +63,42 @@ class Go2Board:
 
     It has no watchdog: motors follow the last command for ever. At the end of a servo step the state is sent, then the
     newest command that has arrived becomes the order of the next step. A command in answer to a state thus acts a
-    servo step after that state.
+    servo step after that state. Where several programs command, the robot's own controller among them, each servo step
+    follows one of them at random, as nothing fixes whose command comes last.
+
+    Args:
+        plant: the body; its motors have no torque at first.
+        link: topics of states and commands.
+        lead: time [s] between a state's sending and its use by a deployment, as `Plant.read` takes it.
+        controller: the robot's own controller.
+        service: its services; none, if they are silent.
+        faults: by name.
+        seed: of all that is random here.
     """
 
-    def __init__(self, plant: Plant, link: LowLevelLink, lead: float, seed: int = 0) -> None:
-        self.plant, self.link = plant, link
+    def __init__(
+        self,
+        plant: Plant,
+        link: StateLink,
+        lead: float,
+        controller: OwnController | None = None,
+        service: MotionService | None = None,
+        faults: Mapping[str, InjectedFault] | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.plant, self.link, self.controller, self._service = plant, link, controller or OwnController(), service
         self.now = 0
         self.on_step: list[Callable[[int], None]] = []
         """Called with the time [us] after each servo step."""
-        self._step = microseconds(plant.robot.timing.servo_step)
-        self._lead = lead
+        self._step, self._lead = microseconds(plant.robot.timing.servo_step), lead
+        self._injector = FaultInjector(faults or {}, plant)
+        self._faults = MessageFaults(self._injector, seed)
         self._message = StateMessage(plant, lead, seed)
+        self._random = generator(seed, "order of commands")
         none = np.zeros(plant.robot.num_motors)
-        self._order = JointOrder(none, none, none, none, none)
+        self._order = self._limp = JointOrder(none, none, none, none, none)
+        self._commanded = self._service_back = False
+        self._next_state = self._booted = self._switched_on = 0
 
     @property
     def next_step(self) -> int:
@@ -63,8 +112,7 @@ class Go2Board:
 
     def counts(self) -> list[str]:
         """Return what happened on its link, for the line at the end."""
-        link = self.link
-        return [f"states sent {link.sent}", f"commands received {link.received}, damaged {link.damaged}"]
+        return [*self.link.counts(), f"motion service {self.controller.name or 'released'}"]
 
     def run_to(self, time: int) -> None:
         """Run everything that happens until a time."""
@@ -73,20 +121,69 @@ class Go2Board:
         self.now = max(self.now, time)
 
     def _advance(self) -> None:
-        self.plant.step(self._order)
+        faults, injector = self._faults, self._injector
+        self.plant.step(faults.order(self._order) if faults.any else self._order)
         self.now = now = self.plant.ticks * self._step
         self._message.accelerometer.measure()
+        if faults.any:
+            injector.tick(now, self._commanded)
+            self._strike(now)
         for observe in self.on_step:
             observe(now)
-        if now % STATE_PERIOD < self._step:
-            self.link.send(now, encode(self._message.fill(now // 1000, self.plant.read(0.0, self._lead))))
-        self._obey()
+        if now < max(self._booted, injector.hangs_until):
+            self.link.inbound.clear()
+            return
+        if now >= self._next_state:
+            self._next_state = max(self._next_state + faults.period, now + 1)
+            self._send(now)
+        if self._service is not None:
+            self._service.step(now, self._message.record)
+        self._obey(now)
 
-    def _obey(self) -> None:
-        """Take the order of the next step from the newest command."""
-        commands, self.link.inbound = self.link.inbound, []
-        for command in reversed(commands):
-            order = read_order(command, self.plant.robot.num_motors)
+    def _strike(self, now: int) -> None:
+        """Do what faults do to the whole robot."""
+        injector = self._injector
+        if injector.active("unplug"):
+            self.link.dead = True
+        if not self._booted and injector.began("reboot"):
+            # A restart takes its time; then ticks count anew, and the last command is forgotten.
+            self._booted = self._switched_on = now + BOOT_TIME
+            self._order = self._limp
+        if not self._service_back and injector.active("service-back"):
+            self._service_back = True
+            self.controller.activate()
+            self.controller.stand_up()
+
+    def _send(self, now: int) -> None:
+        faults, message = self._faults, self._message
+        sensors = self._injector.sensors(self.plant.read(0.0, self._lead))
+        message.fill((now - self._switched_on) // 1000, sensors)
+        if not faults.any:
+            self.link.send(now, encode(message.record))
+            return
+        faults.change(message, now)
+        for data in faults.packets(encode(message.record)):
+            self.link.send(now + faults.delay, data)
+
+    def _obey(self, now: int) -> None:
+        """Take the order of the next step from the newest command of everybody who commands."""
+        link, faults, motors = self.link, self._faults, self.plant.robot.num_motors
+        arrived, link.inbound = link.inbound, []
+        orders = []
+        for command in reversed(arrived):
+            if faults.any and faults.drops_command():
+                continue
+            order = read_order(command, motors)
             if order is not None:
-                self._order = order
-                return
+                orders.append(order)
+                self._commanded = True
+                break
+        angles = self.plant.world.actuation.sample[0, :motors]
+        for own in (self.controller.command(now, angles), faults.other_command(angles)):
+            if own is not None:
+                link.publish_command(own)
+                order = read_order(own, motors)
+                assert order is not None
+                orders.append(order)
+        if orders:
+            self._order = orders[int(self._random.integers(len(orders)))] if len(orders) > 1 else orders[0]

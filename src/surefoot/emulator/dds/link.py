@@ -29,6 +29,10 @@ class LowLevelLink:
         self.dead = False
         """The cable is pulled: nothing comes or goes."""
 
+    def counts(self) -> list[str]:
+        """Return what came and went, for a line at the end."""
+        return [f"states sent {self.sent}", f"commands received {self.received}, damaged {self.damaged}"]
+
     @property
     def next_departure(self) -> float:
         """When the next state leaves [us]; infinite if none waits."""

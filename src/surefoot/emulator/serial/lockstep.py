@@ -42,7 +42,7 @@ class Lockstep:
 
     def __init__(self, board: Board, link: SerialHostLink, port: PtyPort, summary: Summary) -> None:
         self.board, self._link, self._port, self._summary = board, link, port, summary
-        self._decoder = Decoder(Codec(link.codec.motors))
+        self._decoder = Decoder(Codec(link.frames.codec.motors))
         self._anonymous: int | None = None
         self._offsets: dict[int, int] = {}
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from surefoot.deploy.board.firmware import Firmware
+from surefoot.deploy.board.host_frames import HostFrames
 from surefoot.deploy.messages import Packet
 from surefoot.deploy.robot_link import LinkStatistics
-from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.emulator.faults import InjectedFault
 from surefoot.emulator.serial.line import Line
 from surefoot.emulator.serial.pty_port import PtyPort
@@ -40,19 +39,18 @@ class SerialHostLink:
     ) -> None:
         faults = faults or {}
         self.port, self.lead, self._patience = port, lead, patience
-        self.codec = Codec(motors)
+        self.frames = HostFrames(motors)
         if "other-schema" in faults:
-            self.codec.schema ^= 0xFFFF
+            self.frames.codec.schema ^= 0xFFFF
         batch = faults["batching"].value if "batching" in faults else 0.0
         self.inbound = Line(generator(seed, "line to robot"), baud)
         self.outbound = Line(generator(seed, "line to host"), baud, batch)
-        self._decoder = Decoder(self.codec)
 
     @property
     def statistics(self) -> LinkStatistics:
         """What the firmware has received since it started, and what hosts did not read."""
-        self._decoder.statistics.unsent = self.port.unread
-        return self._decoder.statistics
+        self.frames.statistics.unsent = self.port.unread
+        return self.frames.statistics
 
     @property
     def chances(self) -> Mapping[str, float]:
@@ -96,23 +94,15 @@ class SerialHostLink:
 
     def receive(self, now: int, firmware: Firmware) -> None:
         """Hand the firmware the packets of the bytes that arrive next, and report damage to it."""
-        statistics = self._decoder.statistics
-        damaged, foreign = statistics.damaged + statistics.unknown, statistics.foreign
-        packets = self._decoder.feed(self.inbound.take())
-        if statistics.damaged + statistics.unknown > damaged:
-            firmware.watch.note_damage()
-        if statistics.foreign > foreign:
-            firmware.refuse_foreign(now, f"schema is {self.codec.schema:#010x}")
-        for packet in packets:
-            firmware.receive(now, packet)
+        self.frames.receive(now, self.inbound.take(), firmware)
 
     def send(self, now: int, packet: Packet) -> None:
         """Put a packet's frame on the line to the host."""
-        self.outbound.send(now, encode_frame(self.codec, packet.message, packet.sequence, packet.time))
+        self.outbound.send(now, self.frames.encode(packet))
 
     def restart(self) -> None:
         """Forget frames that are not complete: the firmware starts anew."""
-        self._decoder = Decoder(self.codec)
+        self.frames.restart()
 
     def cut_off(self) -> None:
         """Pull the cable: what is on its way is lost, and all that follows."""

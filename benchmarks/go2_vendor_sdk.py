@@ -1,0 +1,107 @@
+"""The vendor's SDKs against the emulated Go2: rate of states, wrong checksums, stand-up, services, processor time.
+
+    python benchmarks/go2_vendor_sdk.py --json > results/go2_vendor_sdk.json
+
+Needs far-unitree-sdk and unitree-sdk2py-dimos, installed with --no-deps. The first knows DDS domain 0 alone, so no
+other robot may run on the loopback meanwhile. It keeps the last state only: states that come while this computer does
+not let the reader run are not counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+CLIENTS = ROOT / "tests" / "vendor_clients.py"
+
+
+def client(*words: object) -> dict[str, Any]:
+    """Run one of the vendor's programs; return what it states, with the C++ SDK's lines about wrong checksums."""
+    done = subprocess.run([sys.executable, CLIENTS, *map(str, words)], capture_output=True, text=True, check=True)
+    return {**json.loads(done.stdout.splitlines()[-1]), "crc_errors": (done.stdout + done.stderr).count("CRC Error")}
+
+
+class Robot:
+    """An emulated Go2 on the loopback, and what motion capture sees of it."""
+
+    def __init__(self, *words: object) -> None:
+        self._folder = tempfile.TemporaryDirectory()
+        self.capture = Path(self._folder.name) / "capture.csv"
+        command = [sys.executable, "-m", "surefoot", "emulate", "--robot", "go2", "--link", "dds", "--interface", "lo"]
+        self._process = subprocess.Popen(
+            [*command, "--out", self.capture, *map(str, words)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline().startswith("robot on ")
+
+    def heights(self) -> list[float]:
+        """Return the base's heights so far [m], 200 a second."""
+        with self.capture.open() as file:
+            return [float(row["z"]) for row in list(csv.DictReader(file))[:-1]]  # the last one may be half written
+
+    def stop(self) -> str:
+        """End it; return the line that sums up."""
+        self._process.terminate()
+        _, output = self._process.communicate(timeout=30)
+        self._folder.cleanup()
+        return output.splitlines()[-1]
+
+
+def measure(count: int, world: str) -> dict[str, Any]:
+    """Return all figures."""
+    figures: dict[str, Any] = {"world": world}
+    robot = Robot("--world", world)
+    figures["read"] = client("read", count)
+    line = robot.stop()
+    figures["processor_percent_idle"] = int(re.findall(r"(\d+) % of a processor", line)[0])
+
+    robot = Robot("--world", world)
+    time.sleep(1.0)  # it sinks onto its belly
+    before = robot.heights()[-1]
+    figures["stand_cpp"] = client("stand")
+    figures["stand_cpp"]["height_m"] = {"before": before, "after": robot.heights()[-1]}
+    figures["bad_crc"] = client("bad-crc", 0)
+    figures["bad_crc"]["height_m"] = robot.heights()[-1]
+    line = robot.stop()
+    figures["bad_crc"]["ignored"] = int(re.findall(r"damaged (\d+)", line)[0])
+
+    robot = Robot("--world", world, "--motion-service", "standing")
+    figures["stand_up_python"] = client("stand-up", 0)
+    heights = robot.heights()
+    figures["stand_up_python"]["height_m"] = {"greatest": max(heights), "last": heights[-1]}
+    line = robot.stop()
+    figures["processor_percent_commanded"] = int(re.findall(r"(\d+) % of a processor", line)[0])
+    figures["summary"] = line
+    return figures
+
+
+def main() -> int:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--count", type=int, default=15_000, help="states to read")
+    parser.add_argument("--world", default="mujoco")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    figures = measure(args.count, args.world)
+    if args.json:
+        print(json.dumps(figures, indent=1))
+        return 0
+    for name, value in figures.items():
+        print(f"{name}: {value}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,88 @@
+"""The watcher: damps the motors of a Go2 when the keeper dies or hangs, and asks which controller is active.
+
+Nobody has measured what a Go2 does when commands stop; it may hold the last one. So a second process, with a
+participant and a writer of its own that are made before the motors are armed, waits for the keeper's heartbeat.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import sys
+import time
+
+from surefoot.deploy.dds import services, types
+from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, Bus
+from surefoot.deploy.dds.keeper import ACTIVE, DONE, damping_frame
+from surefoot.deploy.dds.low_level import STATE_PERIOD
+from surefoot.deploy.dds.processes import LinkConfig, await_readers, serve
+from surefoot.deploy.dds.socket_port import SocketPort
+from surefoot.deploy.robot_link import LinkLostError
+
+SILENCE = 0.020
+"""Silence of a keeper that writes commands [s] after which this process damps the motors."""
+DAMPED = 3.0
+"""Time [s] for which it does so, at 500 Hz."""
+_CHECK_EVERY, _LOOK_EVERY = 0.5, 0.02
+"""Time [s] between two questions for the active controller, and between two looks for the answer."""
+
+
+class Watcher:
+    """The keeper's heartbeat on one side, a writer of commands on the other."""
+
+    def __init__(self, bus: Bus, keeper: SocketPort) -> None:
+        self.writer = bus.writer(LOW_COMMAND_TOPIC, types.LowCmd)
+        self._keeper, self._frame = keeper, damping_frame()
+        self._client = services.Client(bus, services.MOTION_SWITCHER)
+        self._controller = ""
+
+    def run(self) -> None:
+        """Run until the keeper says goodbye, or until the motors have been damped after it has stopped."""
+        last, look, check = ACTIVE[:0], 0.0, 0.0
+        while True:
+            heard = select.select([self._keeper], [], [], SILENCE)[0]
+            try:
+                data = self._keeper.read()
+            except LinkLostError:
+                break
+            if data:
+                last = data[-1:]
+            elif not heard and last == ACTIVE:
+                break
+            if last == DONE:
+                return
+            now = time.monotonic()
+            if now >= look:
+                look = now + _LOOK_EVERY
+                for code, answer in self._client.responses().values():
+                    self._controller = self._controller if code else services.mode_name(answer)
+            if now >= check:
+                check = now + _CHECK_EVERY
+                self._client.send(services.CHECK_MODE)
+                with contextlib.suppress(LinkLostError):
+                    self._keeper.write(f"{self._controller}\n".encode())
+        if last == ACTIVE:
+            self._damp()
+
+    def _damp(self) -> None:
+        self.writer.write(self._frame)
+        self._keeper.close()  # if the keeper goes on, it sees this and damps too
+        end = time.monotonic() + DAMPED
+        while time.monotonic() < end:
+            self.writer.write(self._frame)
+            time.sleep(STATE_PERIOD)
+
+
+def main() -> int:
+    """Run the watcher's process."""
+
+    def prepare(config: LinkConfig, bus: Bus, ports: list[SocketPort]) -> Watcher:
+        watcher = Watcher(bus, *ports)
+        await_readers(watcher.writer)
+        return watcher
+
+    return serve(prepare)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

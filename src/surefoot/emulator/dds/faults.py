@@ -1,0 +1,152 @@
+"""Faults of an emulated Go2 that concern its messages: states before they are packed, their bytes, commands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.deploy.dds.low_level import STATE_PERIOD, Record, Remote, new_command
+from surefoot.emulator.dds.low_state import StateMessage
+from surefoot.emulator.faults import FaultInjector
+from surefoot.emulator.plant import JointOrder
+from surefoot.seeding import generator
+
+_LAYOUT_CUT = 12
+"""Bytes that the other layout lacks at its end: `fan_frequency` and `reserve`."""
+_STOP = Remote(frozenset({"L2", "B"}), 0.0, 0.0, 0.0, 0.0)
+_STICK = Remote(frozenset(), 0.0, 0.8, 0.0, 0.0)
+_OTHER_GAINS = 5.0, 1.0
+"""Gains of the other program: those of the vendor's low-level example."""
+
+
+class MessageFaults:
+    """The faults of a robot's messages; without any it changes nothing. Times are whole microseconds.
+
+    The "number" of a state, in the descriptions of the faults, is its tick.
+
+    Args:
+        injector: which faults there are, and when they act.
+        seed: of the random ones.
+    """
+
+    def __init__(self, injector: FaultInjector, seed: int) -> None:
+        self._injector = injector
+        self.any = bool(injector.faults)
+        self._random = generator(seed, "faults of messages")
+        self._tick = 0
+        self._tick_zero: int | None = None
+        self._old: bytes | None = None
+        self._late: bytes | None = None
+        self._lost: tuple[float, ...] | None = None
+        self._kept: JointOrder | None = None
+        self._other: Record | None = None
+
+    def _motor(self, name: str) -> int | None:
+        fault = self._injector.active(name)
+        return None if fault is None else int(fault.value)
+
+    def _strikes(self, name: str) -> bool:
+        fault = self._injector.active(name)
+        return fault is not None and bool(self._random.random() < fault.value)
+
+    @property
+    def period(self) -> int:
+        """Time between two states."""
+        fault = self._injector.active("slow-states")
+        return round(1e6 * STATE_PERIOD) if fault is None else round(1e6 / fault.value)
+
+    @property
+    def delay(self) -> int:
+        """Time that a state takes to hosts."""
+        fault = self._injector.active("late-states")
+        return 0 if fault is None else round(1e6 * fault.value)
+
+    def order(self, order: JointOrder) -> JointOrder:
+        """Return what the motors get instead of an order."""
+        columns = {name: values.copy() for name, values in vars(order).items()}
+        if (motor := self._motor("swap-motors")) is not None:
+            for values in columns.values():
+                values[[motor, motor + 1]] = values[[motor + 1, motor]]
+        if (motor := self._motor("flip-sign")) is not None:
+            columns["angle"][motor] = 2 * self._injector.rest[motor] - columns["angle"][motor]
+            columns["speed"][motor], columns["feedforward"][motor] = (
+                -columns["speed"][motor],
+                -columns["feedforward"][motor],
+            )
+        if (motor := self._motor("motor-lost")) is not None:
+            self._kept = self._kept or replace(order)
+            for name, values in columns.items():
+                values[motor] = getattr(self._kept, name)[motor]
+        if (motor := self._motor("motor-off")) is not None:
+            for name in ("feedforward", "kp", "kd"):
+                columns[name][motor] = 0.0
+        return JointOrder(**columns)
+
+    def drops_command(self) -> bool:
+        """Return whether a command is lost on its way, or damaged and thus ignored."""
+        return self._strikes("drop") or self._strikes("corrupt")
+
+    def change(self, message: StateMessage, now: int) -> None:
+        """Change the state in a message before it is packed."""
+        injector, record, motors = self._injector, message.record, message.motors
+        force = record["imu_state"]["accelerometer"]
+        if fault := injector.active("imu-flip"):
+            # As angles and rates are exchanged or negated: gravity is (-sin pitch, sin roll cos pitch, ...).
+            x, y = force[:2].tolist()
+            force[:2] = {0: (-y, -x), 1: (x, -y), 2: (-x, y), 3: (-x, -y)}[int(fault.value)]
+        if (motor := self._motor("motor-off")) is not None:
+            motors["mode"][motor] = 0
+            motors["lost"][motor] += 1
+        if (motor := self._motor("motor-lost")) is not None:
+            fields = ("q", "dq", "tau_est")
+            self._lost = self._lost or tuple(float(motors[name][motor]) for name in fields)
+            for name, value in zip(fields, self._lost, strict=True):
+                motors[name][motor] = value
+            motors["lost"][motor] += 1
+        if injector.active("not-finite"):
+            motors["q"][0] = np.nan
+        for name, remote in (("remote-stop", _STOP), ("remote-stick", _STICK)):
+            if injector.active(name):
+                record["wireless_remote"] = remote.encode()
+        if injector.active("tick-restart"):
+            self._tick_zero = now if self._tick_zero is None else self._tick_zero
+            record["tick"] = (now - self._tick_zero) // 1000
+        if injector.active("repeat-sequence"):
+            record["tick"] = self._tick
+        elif injector.active("backward-sequence"):
+            record["tick"] = max(self._tick - 2, 0)
+        self._tick = int(record["tick"])
+
+    def packets(self, data: bytes) -> list[bytes]:
+        """Return what is sent instead of a state's bytes."""
+        injector = self._injector
+        if injector.active("stale-state"):
+            data = self._old = self._old or data
+        if injector.active("other-layout"):
+            data = data[:-_LAYOUT_CUT]
+        if self._strikes("drop"):
+            return []
+        if self._strikes("corrupt"):
+            bits = np.unpackbits(np.frombuffer(data, np.uint8))
+            where = self._random.choice(np.arange(32, len(bits)), int(self._random.integers(1, 4)), replace=False)
+            bits[where] ^= 1
+            data = np.packbits(bits).tobytes()
+        late, self._late = self._late, None
+        if late is None and self._strikes("reorder"):
+            self._late = data
+            return []
+        packets = [data, data] if self._strikes("duplicate") else [data]
+        return packets if late is None else [*packets, late]
+
+    def other_command(self, angles: Array) -> Record | None:
+        """Return the command of another program, if there is one: it holds the angles (12,) [rad] at its start."""
+        if not self._injector.active("second-writer"):
+            return None
+        if self._other is None:
+            self._other = new_command()
+            motors = self._other["motor_cmd"][: len(angles)]
+            motors["q"], motors["dq"] = angles, 0.0
+            motors["kp"], motors["kd"] = _OTHER_GAINS
+        return self._other

@@ -1,0 +1,262 @@
+"""The link to a Go2 over DDS: keeper and watcher as processes, against a robot that is a process too."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from surefoot.deploy.messages import Mode, Reason
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+
+pytest.importorskip("cyclonedds")
+from go2_robot import Go2, worker_domain
+
+from surefoot.deploy.dds.dds_link import FIRST_TORQUE, DdsLink, check_priority, make_config
+from surefoot.deploy.dds.keeper import WATCHER_SILENCE
+
+DOMAIN = worker_domain(60)
+STEP = 0.01
+KP, KD = 40.0, 1.5
+REACTION = 0.060
+"""Longest time [s] from a fault to the first command that damps."""
+
+
+@pytest.fixture(scope="module")
+def go2() -> RobotDescription:
+    return RobotDescription.load("go2")
+
+
+@pytest.fixture(scope="module")
+def body() -> Iterator[Go2]:
+    body = Go2(DOMAIN)
+    yield body
+    body.close()
+
+
+class Operator:
+    """A control loop that holds the present pose."""
+
+    def __init__(self, robot: RobotDescription) -> None:
+        self.link = DdsLink(make_config(robot, "lo", DOMAIN, (KP, KD)))
+        self.link.connect()
+        assert self.link.wait_for(lambda: self.link.states > 1, 2.0)
+        self.watcher, self.keeper = (child.pid for child in self.link.children)
+
+    def arm(self) -> None:
+        """Arm, as soon as the robot does."""
+        end = time.monotonic() + 5.0
+        while self.link.last_state().mode != Mode.POSITION:
+            assert time.monotonic() < end, self.link.faults[-1:]
+            self.link.ping()
+            self.link.arm(Mode.POSITION, STEP)
+            self.link.wait_for(lambda: self.link.last_state().mode == Mode.POSITION, 0.05)
+        self.link.faults.clear()
+        self.target = self.link.last_state().motor_angle
+
+    def hold(self, condition: Callable[[], bool], timeout: float = 2.0) -> bool:
+        """Command the same pose until a condition holds; return whether it does in time."""
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            self.link.command(Mode.POSITION, self.target)
+            time.sleep(STEP)
+            self.link.update()
+            if condition():
+                return True
+        return False
+
+
+@pytest.fixture
+def operator(go2: RobotDescription, body: Go2) -> Iterator[Operator]:
+    """Start an operator whose processes a test ends."""
+    body.reset()
+    operator = Operator(go2)
+    yield operator
+    operator.link.close()
+
+
+@pytest.fixture(scope="module")
+def shared(go2: RobotDescription, body: Go2) -> Iterator[Operator]:
+    operator = Operator(go2)
+    yield operator
+    operator.link.close()
+
+
+@pytest.fixture
+def again(shared: Operator, body: Go2) -> Operator:
+    """Return the operator of earlier tests, disarmed, and a robot that is whole again."""
+    shared.link.disarm()
+    shared.link.wait_for(lambda: shared.link.last_state().mode != Mode.POSITION, 1.0)
+    shared.link.faults.clear()
+    body.reset()
+    return shared
+
+
+def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, body: Go2) -> None:
+    time.sleep(0.1)
+    assert body.read() == []  # nothing before the motors are armed
+    operator.link.update()
+    assert operator.link.state_sent == pytest.approx(body.time, abs=0.1)  # what records the robot has the same time
+    operator.arm()
+    assert operator.hold(lambda: False, 0.5) is False
+    frames = body.read()
+    assert all((frame.kp, frame.kd) == (KP, KD) for frame in frames)
+    assert max(frame.jump for frame in frames) < 0.1
+    rate = len(frames) / (frames[-1].time - frames[0].time)
+    assert 450 < rate < 550
+    operator.link.disarm()
+    body.wait_for(lambda frame: frame.damps)
+    operator.link.close()
+    frames = body.read()
+    first = next(k for k, frame in enumerate(frames) if frame.damps)
+    assert all(frame.damps for frame in frames[first:])
+    assert frames[-1].time - frames[first].time > 0.4  # damped for half a second after the loop has gone
+    time.sleep(0.1)
+    assert len(body.read()) == len(frames)
+
+
+@pytest.mark.parametrize("which", ["keeper", "watcher"])
+def test_a_process_that_is_killed(operator: Operator, body: Go2, which: str) -> None:
+    operator.arm()
+    operator.hold(lambda: False, 0.1)
+    killed = time.monotonic()
+    os.kill(getattr(operator, which), signal.SIGKILL)
+    frame = body.wait_for(lambda frame: frame.damps, killed)
+    assert frame.time - killed < REACTION
+    time.sleep(0.2)
+    frames = [frame for frame in body.read() if frame.time >= killed]
+    first = next(k for k, frame in enumerate(frames) if frame.damps)
+    assert all(frame.damps for frame in frames[first:])
+    assert max(b.time - a.time for a, b in itertools.pairwise(frames)) < REACTION
+    if which == "watcher":
+        operator.link.update()
+        assert operator.link.last_state().reason == Reason.WATCHER
+
+
+def test_a_keeper_that_stands_still(operator: Operator, body: Go2) -> None:
+    operator.arm()
+    operator.hold(lambda: False, 0.1)
+    stopped = time.monotonic()
+    os.kill(operator.keeper, signal.SIGSTOP)
+    frame = body.wait_for(lambda frame: frame.damps, stopped)
+    assert frame.time - stopped < REACTION
+    os.kill(operator.keeper, signal.SIGCONT)
+    time.sleep(0.2)
+    assert all(later.damps for later in body.read() if later.time > frame.time)
+
+
+def test_a_watcher_that_stands_still(operator: Operator, body: Go2) -> None:
+    operator.arm()
+    stopped = time.monotonic()
+    os.kill(operator.watcher, signal.SIGSTOP)
+    assert operator.hold(lambda: operator.link.last_state().mode == Mode.FAULT, 4.0)
+    frame = body.wait_for(lambda frame: frame.damps, stopped)
+    os.kill(operator.watcher, signal.SIGCONT)
+    assert frame.time - stopped < 1e-6 * WATCHER_SILENCE + REACTION
+    assert operator.link.last_state().reason == Reason.WATCHER
+
+
+def test_a_first_command_that_jumps_is_refused(again: Operator, body: Go2) -> None:
+    again.link.arm(Mode.POSITION, STEP)
+    assert again.link.wait_for(lambda: again.link.last_state().mode == Mode.POSITION, 1.0)
+    again.link.command(Mode.POSITION, again.link.last_state().motor_angle + 1.1 * FIRST_TORQUE / KP)
+    assert again.link.wait_for(lambda: again.link.last_state().mode == Mode.FAULT, 1.0)
+    assert "the first command would give 5.5 N m at once; at most 5" in again.link.fault_text(Reason.COMMAND)
+    assert max(frame.jump for frame in body.read()) < 0.1
+
+
+def test_duties_are_refused(again: Operator) -> None:
+    again.link.arm(Mode.PWM, STEP)
+    assert again.link.wait_for(lambda: bool(again.link.faults), 1.0)
+    assert again.link.faults[0].reason == Reason.MODE
+
+
+def test_a_loop_that_falls_silent(again: Operator, body: Go2) -> None:
+    again.arm()
+    again.hold(lambda: False, 0.1)
+    silent = time.monotonic()
+    frame = body.wait_for(lambda frame: frame.damps, silent)
+    assert 0.03 < frame.time - silent < REACTION
+    again.link.update()
+    assert again.link.last_state().reason == Reason.TIMEOUT
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"silent": True}, Reason.STATES_LATE),
+        ({"corrupt": True}, Reason.STATES_DAMAGED),
+        ({"short": True}, Reason.STATES_DAMAGED),
+        ({"frozen": True}, Reason.STATES_FROZEN),
+        ({"restart": True}, Reason.RESTARTED),
+        ({"not_finite": True}, Reason.NOT_FINITE),
+        ({"roll": 1.2}, Reason.TILT),
+        ({"mode": 0}, Reason.MOTOR_OFF),
+        ({"lost_rate": 1}, Reason.MOTOR_OFF),
+        ({"temperature": 120}, Reason.TEMPERATURE),
+        ({"buttons": frozenset(("L2", "B"))}, Reason.REMOTE),
+        ({"sport": True}, Reason.OWN_CONTROLLER),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_a_fault_damps(again: Operator, body: Go2, change: dict[str, Any], reason: Reason) -> None:
+    again.arm()
+    again.hold(lambda: False, 0.1)
+    before = body.set(**change)
+    assert again.hold(lambda: again.link.last_state().mode == Mode.FAULT)
+    frame = body.wait_for(lambda frame: frame.damps, before)
+    assert frame.time - before < REACTION
+    assert again.link.last_state().reason == reason
+    assert again.link.fault_text(reason)
+
+
+def test_another_program_that_commands_the_motors(again: Operator, body: Go2) -> None:
+    from surefoot.deploy.dds import bus, types
+    from surefoot.deploy.dds.low_level import encode, new_command
+
+    writer = bus.Bus("lo", DOMAIN).writer(bus.LOW_COMMAND_TOPIC, types.LowCmd)
+    time.sleep(0.3)
+    again.arm()
+    again.hold(lambda: False, 0.1)
+    before = time.monotonic()
+    writer.write(encode(new_command()))
+    assert again.hold(lambda: again.link.last_state().mode == Mode.FAULT)
+    assert body.wait_for(lambda frame: frame.damps, before).time - before < REACTION
+    assert again.link.last_state().reason == Reason.OTHER_PROGRAM
+
+
+def test_a_controller_that_the_robot_names(again: Operator, body: Go2) -> None:
+    again.arm()
+    body.set(controller="mcf")
+    assert again.hold(lambda: again.link.last_state().mode == Mode.FAULT)
+    assert again.link.fault_text(Reason.OWN_CONTROLLER) == "the robot's own controller 'mcf' is active"
+
+
+def test_a_stick_of_the_remote_control_asks_to_sit(again: Operator, body: Go2) -> None:
+    again.arm()
+    body.set(stick=0.8)
+    assert again.hold(lambda: again.link.last_state().reason == Reason.REMOTE)
+    assert again.link.last_state().mode == Mode.POSITION
+
+
+def test_the_priority_of_processes(shared: Operator) -> None:
+    pids = [shared.watcher, shared.keeper]
+    real_time = all(os.sched_getscheduler(pid) == os.SCHED_FIFO for pid in pids)
+    assert check_priority(pids).passed is (True if real_time else None)
+    assert check_priority([os.getpid()]).passed is None
+
+
+def test_another_robot_is_refused(robot: RobotDescription) -> None:
+    with pytest.raises(SurefootError, match="speaks with a Unitree Go2; minitaur must have its joint actuators"):
+        make_config(robot, "lo", DOMAIN)
+
+
+def test_an_interface_that_does_not_exist(go2: RobotDescription) -> None:
+    with pytest.raises(SurefootError, match=r"there is no network interface 'eth9'; it must be one of .*lo"):
+        DdsLink(make_config(go2, "eth9", DOMAIN))

@@ -1,0 +1,218 @@
+"""Readings of a Go2 from its states, and what in them stops the motors; against states that a Go2 has sent."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.board.signals import Vitals
+from surefoot.deploy.dds.low_level import LOW_STATE, Record, Remote, encode, new_record
+from surefoot.deploy.dds.state_monitor import LATE, LATE_LOOKS, LOST_RISE, SHOWN, StateMonitor
+from surefoot.deploy.messages import Reason
+
+RECORDED = json.loads((Path(__file__).parent / "recorded_messages.json").read_text())["low_state"]
+STEP = 2000
+"""Time [us] between two states."""
+
+
+def fill(record: Any, values: dict[str, Any]) -> None:
+    for name, value in values.items():
+        if isinstance(value, dict):
+            fill(record[name], value)
+        elif isinstance(value, list) and isinstance(value[0], dict):
+            for k, entry in enumerate(value):
+                fill(record[name][k], entry)
+        else:
+            record[name] = value
+
+
+class Bench:
+    """A robot that sends the recorded state every 2 ms, with a tick that rises."""
+
+    def __init__(self) -> None:
+        self.monitor, self.now = StateMonitor(), 0
+        self.state: Record = new_record(LOW_STATE)
+        fill(self.state, RECORDED)
+        self.tick_step = 2
+
+    def run(self, seconds: float, damage: Callable[[bytes], bytes | None] = lambda data: data) -> Vitals:
+        """Run so long; return what the board then checks."""
+        for _ in range(round(seconds * 1e6 / STEP)):
+            self.now += STEP
+            self.state["tick"] += self.tick_step
+            data = damage(encode(self.state))
+            self.monitor.take(self.now, [] if data is None else [data])
+        return self.monitor.vitals(self.now)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def test_readings_of_a_recorded_state(bench: Bench) -> None:
+    vitals = bench.run(1.0)
+    assert vitals.hazard is None
+    assert vitals.sit is None
+    sensors, motors = bench.monitor.sensors(), RECORDED["motor_state"]
+    np.testing.assert_allclose(sensors.motor_angle, [m["q"] for m in motors[:12]], rtol=1e-6)
+    np.testing.assert_allclose(sensors.motor_velocity, [m["dq"] for m in motors[:12]], rtol=1e-6)
+    np.testing.assert_allclose(sensors.motor_torque, [m["tau_est"] for m in motors[:12]], rtol=1e-6)
+    np.testing.assert_allclose(sensors.roll_pitch_yaw, RECORDED["imu_state"]["rpy"], atol=1e-5)
+    np.testing.assert_allclose(sensors.angular_velocity_base, RECORDED["imu_state"]["gyroscope"], rtol=1e-6)
+    assert sensors.voltage == pytest.approx(30.668)  # eight cells; power_v is 29.5 V at the end of a cable
+    assert vitals.temperature == 78
+    power = abs(sum(m["tau_est"] * m["dq"] for m in motors[:12]))
+    assert sensors.energy == pytest.approx(power * 0.998, rel=1e-3)
+
+
+def test_a_battery_without_cells_has_the_voltage_of_the_board(bench: Bench) -> None:
+    bench.state["bms_state"]["cell_vol"] = 0
+    bench.run(0.01)
+    assert bench.monitor.voltage == pytest.approx(RECORDED["power_v"])
+
+
+def test_before_the_first_state_nothing_may_move(bench: Bench) -> None:
+    assert bench.run(0.1, lambda data: None).hazard == (Reason.STATES_LATE, "no state has come")
+
+
+def silence(_: bytes) -> None:
+    return None
+
+
+def flip(data: bytes) -> bytes:
+    return data[:200] + bytes([data[200] ^ 4]) + data[201:]
+
+
+def cut(data: bytes) -> bytes:
+    return data[:-8]
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [(silence, Reason.STATES_LATE), (flip, Reason.STATES_DAMAGED), (cut, Reason.STATES_DAMAGED)],
+)
+def test_states_that_stop_or_are_damaged(bench: Bench, damage: Callable[[bytes], bytes], reason: Reason) -> None:
+    assert bench.run(0.1).hazard is None
+    assert bench.run(1e-6 * (LATE - STEP), damage).hazard is None
+    hazard = bench.run(1e-6 * STEP, damage).hazard
+    assert hazard is not None
+    assert hazard[0] == reason
+    assert bench.run(0.002).hazard is None
+
+
+def test_a_state_now_and_then_that_is_damaged_is_left_out(bench: Bench) -> None:
+    count = 0
+
+    def every_third(data: bytes) -> bytes:
+        nonlocal count
+        count += 1
+        return data if count % 3 else flip(data)
+
+    bench.run(0.1)
+    for _ in range(100):
+        assert bench.run(0.002, every_third).hazard is None
+    assert bench.monitor.damaged == 33
+
+
+def test_states_that_repeat(bench: Bench) -> None:
+    bench.run(0.1)
+    bench.tick_step = 0
+    hazard = bench.run(1e-6 * LATE).hazard
+    assert hazard is not None
+    assert hazard[0] == Reason.STATES_FROZEN
+
+
+def test_a_reader_that_was_held_up_itself_looks_before_it_judges(bench: Bench) -> None:
+    bench.run(0.1)
+    bench.now += 5 * LATE
+    for _ in range(LATE_LOOKS - 1):
+        bench.now += STEP
+        bench.monitor.take(bench.now, [])
+        assert bench.monitor.vitals(bench.now).hazard is None
+    bench.monitor.take(bench.now, [])
+    assert bench.monitor.vitals(bench.now).hazard is not None
+
+
+def test_a_robot_that_restarts(bench: Bench) -> None:
+    bench.run(1.0)
+    bench.state["tick"] = 0
+    hazard = bench.run(0.002).hazard
+    assert hazard is not None
+    assert hazard[0] == Reason.RESTARTED
+    assert bench.run(1e-6 * SHOWN).hazard is None
+
+
+def test_states_out_of_order_are_left_out(bench: Bench) -> None:
+    bench.run(0.1)
+    old = encode(bench.state)
+    bench.run(0.01)
+    bench.monitor.take(bench.now, [old])
+    assert bench.monitor.vitals(bench.now).hazard is None
+    assert bench.monitor.record is not None
+    assert bench.monitor.record["tick"] == bench.state["tick"]
+
+
+def test_a_tick_that_overflows_is_no_restart(bench: Bench) -> None:
+    bench.state["tick"] = 2**32 - 20
+    for _ in range(20):
+        assert bench.run(0.002).hazard is None
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("q", np.nan), ("dq", np.inf), ("tau_est", -np.inf)],
+)
+def test_readings_that_are_not_finite(bench: Bench, field: str, value: float) -> None:
+    bench.run(0.1)
+    bench.state["motor_state"][field][7] = value
+    hazard = bench.run(0.002).hazard
+    assert hazard is not None
+    assert hazard[0] == Reason.NOT_FINITE
+
+
+def test_an_imu_that_sends_zeros(bench: Bench) -> None:
+    bench.state["imu_state"]["quaternion"] = 0
+    hazard = bench.run(0.002).hazard
+    assert hazard == (Reason.NOT_FINITE, "the IMU's quaternion has length 0; it must be 1")
+
+
+def test_a_motor_that_is_off(bench: Bench) -> None:
+    bench.run(0.1)
+    bench.state["motor_state"]["mode"][5] = 0
+    assert bench.run(0.002).hazard == (Reason.MOTOR_OFF, "FL_calf_joint is off (mode 0)")
+
+
+def test_a_motor_whose_messages_are_lost(bench: Bench) -> None:
+    assert bench.run(1.0).hazard is None  # counts of 5 to 12, steady
+    count, hazard = 0, None
+    while hazard is None:
+        count += 1
+        bench.state["motor_state"]["lost"][3] += 1
+        hazard = bench.run(0.002).hazard
+    assert hazard[0] == Reason.MOTOR_OFF
+    assert "FL_hip_joint has lost 10 messages" in hazard[1]
+    assert LOST_RISE <= count < 2 * LOST_RISE  # the count begins anew five times a second
+
+
+def test_messages_of_a_motor_that_are_lost_now_and_then(bench: Bench) -> None:
+    for _ in range(20):
+        bench.state["motor_state"]["lost"][3] += 1
+        assert bench.run(0.1).hazard is None
+
+
+def test_the_remote_control(bench: Bench) -> None:
+    def press(*buttons: str, stick: float = 0.0) -> Vitals:
+        bench.state["wireless_remote"] = Remote(frozenset(buttons), 0.0, 0.0, stick, 0.0).encode()
+        return bench.run(0.002)
+
+    assert press("L2").hazard is None
+    assert press("L2", "B").hazard == (Reason.REMOTE, "L2 and B of the remote control are pressed")
+    assert press(stick=0.4).sit is None
+    assert press(stick=-0.6).sit == (Reason.REMOTE, "a stick of the remote control was moved")
+    assert press(stick=float("nan")).sit is None
