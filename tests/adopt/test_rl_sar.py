@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from foreign import DATA, Readings
+from foreign import DATA, Readings, perceptron
 
 from surefoot.adopt.adoption import adopt
 from surefoot.adopt.formats import rl_sar
@@ -114,7 +114,7 @@ def test_a_contract_says_what_rl_sars_files_say(adopted):
         ({"joint_mapping": [0] * 12}, "joint_mapping is [0, 0"),
         ({"wheel_indices": [3]}, "robots with wheels can't be adopted"),
         ({"default_dof_pos": [0.0, 0.8, 1.5] * 4}, "default_pose can't be one of go2"),
-        ({"observations": ["ang_vel", "gravity_vec"]}, "the network can't take observations (N, 6)"),
+        ({"observations": ["ang_vel", "gravity_vec"]}, "the network takes 45 numbers; the observations are 6"),
     ],
 )
 def test_configurations_that_do_not_fit_are_refused_in_one_line(tmp_path, go2, change, message):
@@ -124,7 +124,9 @@ def test_configurations_that_do_not_fit_are_refused_in_one_line(tmp_path, go2, c
     path.parent.mkdir()
     path.write_text(yaml.safe_dump({"go2/robot_lab": changed}))
     base.write_text((DATA / "base.yaml").read_text())
+    network = tmp_path / "policy.onnx"
+    network.write_bytes(perceptron(45))
     with pytest.raises(SurefootError) as caught:
-        adopt(FILES["robot_lab"], "rl_sar", go2, "x", path)
+        adopt(network, "rl_sar", go2, "x", path)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -22,6 +22,9 @@ _STATES = ("hidden_state", "cell_state")
 class _Example(nn.Module):
     """A module that needs what the tracing of others may load."""
 
+    hidden_state: torch.Tensor
+    cell_state: torch.Tensor
+
     def __init__(self) -> None:
         super().__init__()
         self.layers = nn.Sequential(nn.Linear(6, 4), nn.ELU(), nn.LayerNorm(4), nn.Linear(4, 4))

@@ -73,10 +73,10 @@ def add_traced(traced: fx.GraphModule, graph: Graph, inputs: list[Value]) -> lis
         else:
             values[node] = _apply(graph, node, values)
     (result,) = node.args
-    outputs = []
+    outputs: list[tuple[Value, tuple[int, ...] | None]] = []
     for one in result if isinstance(result, list | tuple) else [result]:
         shape = tuple(one.meta["val"].shape) if isinstance(one, fx.Node) and "val" in one.meta else None
-        value = values.get(one)
+        value: Any = values.get(one)
         if shape is not None and not isinstance(value, Value):
             raise SurefootError("the network does not use the observation")
         outputs.append((value, shape))
@@ -89,7 +89,7 @@ def _describe(shape: tuple[int, ...] | None) -> str:
 
 def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
     """Return the value of a node: computed, if it is constant, else added to the graph."""
-    args = fx.map_arg(node.args, lambda one: values[one])
+    args: Any = fx.map_arg(node.args, lambda one: values[one])
     kwargs = fx.map_arg(node.kwargs, lambda one: values[one])
     flat = [*args, *(part for one in args if isinstance(one, tuple | list) for part in one), *kwargs.values()]
     if not any(isinstance(one, Value) for one in flat):
@@ -97,7 +97,7 @@ def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
             return node.target(*args, **kwargs)  # type: ignore[operator]
     if node.target is operator.getitem:
         # Of what has several results, such as a norm of layers, the first is the value.
-        return args[0][args[1]] if isinstance(args[0], list) else args[0] if args[1] == 0 else None
+        return args[0][operator.index(args[1])] if isinstance(args[0], list) else args[0] if args[1] == 0 else None
     name = str(getattr(node.target, "overloadpacket", node.target)).rpartition(".")[2].rstrip("_")
     shape = getattr(node.meta.get("val"), "shape", None)
     source = node.args[0]
