@@ -1,16 +1,26 @@
-"""How punctual the control loop is, with the emulator on the same computer: lateness, inference, missed steps.
+r"""How punctual the control loop is, with the emulator on the same computer: lateness, inference, age of states.
 
     bare      a loop that only sleeps until each control step is due: what the computer gives
     deployed  `surefoot deploy` in real time: readings in, checks, policy, command out, recording
 
-Both run for the same number of control steps, one after the other, beside the same emulator, whose robot hangs on its
-rack: on the ground its motors would be too hot after a minute. Lateness is how long after its due moment a step begins;
-`sent` is when its command was on its way. The deployed loop looks at the clock for the last part of a wait.
+Both run for the same time, one after the other, beside the same emulator. Lateness is how long after its due moment a
+step begins; `sent` is when its command was on its way; `state age` is that of the newest state when a step uses it. The
+deployed loop looks at the clock for the last part of a wait. `--busy` programs compute all the while. A robot on its
+rack does not get hot; with `--ground` it walks.
+
+    python benchmarks/control_loop.py                                   # one run of a minute in each world
+    python benchmarks/control_loop.py trot-robust go2-steer --worlds bullet --lines pty socket --busy 3 --runs 8 \
+        --seconds 10 --ground --out results/control_loop.csv
+
+A row of the table is a policy in a world behind a line, a pseudo-terminal or a socket: of `runs`, how many came to
+their end, and the worst of all [ms].
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import itertools
 import json
 import re
 import signal
@@ -18,41 +28,50 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from emulated import SUREFOOT
 
-STEP = 0.006
+from surefoot.api.policies import find_policy, open_policy
+from surefoot.tables import write_csv
 
 
-def bare_loop(steps: int) -> dict[str, float]:
+@contextlib.contextmanager
+def busy_programs(count: int) -> Iterator[None]:
+    """Run programs that compute without end."""
+    programs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for program in programs:
+            program.kill()
+            program.wait()
+
+
+def bare_loop(seconds: float, step: float) -> dict[str, float]:
     """Lateness of a loop of sleeps [ms]."""
-    late = np.empty(steps)
+    late = np.empty(max(round(seconds / step), 1))
     start = time.monotonic()
-    for k in range(steps):
-        due = start + STEP * (k + 1)
+    for k in range(len(late)):
+        due = start + step * (k + 1)
         time.sleep(max(due - time.monotonic(), 0.0))
-        late[k] = time.monotonic() - due
-    return figures(late)
+        late[k] = 1e3 * (time.monotonic() - due)
+    names, shares = ("median", "p99_9", "max"), (50, 99.9, 100)
+    parts = zip(names, np.percentile(late, shares).tolist(), strict=True)
+    figures = {f"lateness_{name}_ms": part for name, part in parts}
+    return figures | {"missed": int((late > 1e3 * step).sum())}
 
 
-def figures(late: np.ndarray) -> dict[str, float]:
-    """Median, 99.9th percentile and maximum [ms], and steps that began after the next one was due."""
-    return {
-        "median_ms": 1e3 * float(np.median(late)),
-        "p999_ms": 1e3 * float(np.percentile(late, 99.9)),
-        "max_ms": 1e3 * float(late.max()),
-        "missed": int((late > STEP).sum()),
-    }
-
-
-def run(world: str, policy: str, steps: int) -> dict[str, Any]:
-    """Both loops beside an emulator in one world."""
-    surefoot = [sys.executable, "-m", "surefoot"]
+def run(policy: str, world: str, line: str, options: argparse.Namespace) -> dict[str, Any]:
+    """Both loops beside an emulator in one world: the deployment's report of its run, and what the emulator says."""
+    runtime, robot = open_policy(find_policy(policy))
     with tempfile.TemporaryDirectory() as folder:
+        words = ["--robot", robot.folder, "--world", world, *([] if options.ground else ["--rack"])]
         emulator = subprocess.Popen(
-            [*surefoot, "emulate", "--world", world, "--rack"],
+            [*SUREFOOT, "emulate", *words, *(["--socket", f"{folder}/robot"] if line == "socket" else [])],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -61,53 +80,75 @@ def run(world: str, policy: str, steps: int) -> dict[str, Any]:
             port = re.match(r"robot on (\S+)", emulator.stdout.readline() if emulator.stdout else "")
             if port is None:
                 raise SystemExit(f"no emulator: {emulator.communicate()[1]}")
-            bare = bare_loop(steps)
-            words = ["deploy", policy, "--port", port[1], "--duration", str(steps * STEP), "--json"]
-            done = subprocess.run(
-                [*surefoot, *words, "--out", str(Path(folder) / "runs")], capture_output=True, text=True, check=False
-            )
+            bare = bare_loop(options.seconds, runtime.contract.control_step)
+            words = ["deploy", policy, "--port", port[1], "--duration", str(options.seconds), "--json"]
+            done = subprocess.run([*SUREFOOT, *words, "--out", folder], capture_output=True, text=True, check=False)
         finally:
             emulator.send_signal(signal.SIGINT)
             output = emulator.communicate(timeout=20)[1]
     if not done.stdout:
-        raise SystemExit(f"deploy ended with {done.returncode}: {done.stderr}")
-    deployed = json.loads(done.stdout)["runs"][0]
-    return {"world": world, "bare": bare, "deployed": deployed, "emulator": output.strip().splitlines()[-1]}
+        refusal = done.stderr.strip().splitlines()[-1]
+        return {"ended": "refused", "what": refusal, "bare": bare, "emulator": output.splitlines()[-1]}
+    return {**json.loads(done.stdout)["runs"][0], "bare": bare, "emulator": output.splitlines()[-1]}
 
 
-def print_result(result: dict[str, Any]) -> None:
-    """Print one world's figures."""
-    bare, run = result["bare"], result["deployed"]
-    timing = run["timing"]
-    print(f"{result['world']}, robot on its rack; {run['steps']} steps, ended: {run['ended']} ({run['what']})")
+def print_run(result: dict[str, Any]) -> None:
+    """Print one run's figures."""
+    print(f"  {result['ended']} ({result['what']}); {result['emulator'].removeprefix('surefoot: ')}")
+    rows = [("bare", "lateness", result["bare"])]
+    if "timing" in result:
+        names = ("lateness", "sent", "inference", "state_age")
+        rows += [(name.replace("_", " "), name, result["timing"]) for name in names]
+        print(f"  {result['steps']} steps, {result['timing']['stale']} without a new state")
     print(f"  {'':10}{'median':>11}{'99.9 %':>11}{'max':>11}   missed")
-    rows = (
-        ("bare", bare["median_ms"], bare["p999_ms"], bare["max_ms"], bare["missed"]),
-        ("deployed", *(timing[f"lateness_{key}_ms"] for key in ("median", "p99_9", "max")), timing["missed"]),
-        ("sent", *(timing[f"sent_{key}_ms"] for key in ("median", "p99_9", "max")), ""),
-        ("inference", *(timing[f"inference_{key}_ms"] for key in ("median", "p99_9", "max")), ""),
-    )
-    for name, median, high, worst, missed in rows:
-        times = (f"{1e3 * number:>8.1f} us" if number is not None else f"{'-':>11}" for number in (median, high, worst))
-        print(f"  {name:10}{''.join(times)}   {missed}")
-    share = timing["lateness_p99_9_ms"] / bare["p999_ms"]
-    print(f"  deployed to bare, 99.9 %: {share:.2f}")
-    print(f"  steps without a new state: {timing['stale']}; emulator: {result['emulator'].removeprefix('surefoot: ')}")
+    for title, name, figures in rows:
+        numbers = (figures[f"{name}_{key}_ms"] for key in ("median", "p99_9", "max"))
+        times = (f"{number:>8.3f} ms" if number is not None else f"{'-':>11}" for number in numbers)
+        print(f"  {title:10}{''.join(times)}   {figures['missed'] if name == 'lateness' else ''}", flush=True)
+
+
+def summary(case: str, busy: int, results: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the row of a case."""
+    timings = [result["timing"] for result in results if "timing" in result]
+    steps = sum(timing["steps"] for timing in timings)
+    return {
+        **{"case": case, "busy_programs": busy, "runs": len(results)},
+        "ended_well": sum(result["ended"] == "time" for result in results),
+        "steps": steps,
+        "missed": sum(timing["missed"] for timing in timings),
+        "without_new_state": sum(timing["stale"] for timing in timings) / max(steps, 1),
+        "bare_max_ms": max(result["bare"]["lateness_max_ms"] for result in results),
+        **{
+            f"{name}_max_ms": max((timing[f"{name}_max_ms"] for timing in timings), default=None)
+            for name in ("lateness", "sent", "state_age")
+        },
+    }
 
 
 def main() -> None:
+    """Run all cases; print each run, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=10_000)
-    parser.add_argument("--policy", default="trot-robust")
+    parser.add_argument("policies", nargs="*", default=["trot-robust"])
     parser.add_argument("--worlds", nargs="+", default=["mujoco", "bullet"])
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--lines", nargs="+", default=["pty"], choices=["pty", "socket"])
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each run")
+    parser.add_argument("--runs", type=int, default=1)
+    parser.add_argument("--busy", type=int, default=0, help="programs that compute meanwhile")
+    parser.add_argument("--ground", action="store_true", help="let the robot walk")
+    parser.add_argument("--out", type=Path, help="table of the cases (.csv)")
     options = parser.parse_args()
-    results = [run(world, options.policy, options.steps) for world in options.worlds]
-    if options.json:
-        print(json.dumps(results))
-        return
-    for result in results:
-        print_result(result)
+    rows = []
+    for policy, world, line in itertools.product(options.policies, options.worlds, options.lines):
+        results, case = [], f"{policy}/{world}/{line}"
+        for number in range(options.runs):
+            with busy_programs(options.busy):
+                results.append(run(policy, world, line, options))
+            print(f"{case}, run {number + 1} of {options.runs}")
+            print_run(results[-1])
+        rows.append(summary(case, options.busy, results))
+        print(rows[-1], flush=True)
+        if options.out is not None:
+            write_csv(options.out, rows)
 
 
 if __name__ == "__main__":

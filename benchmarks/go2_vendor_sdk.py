@@ -4,7 +4,7 @@
 
 Needs far-unitree-sdk and unitree-sdk2py-dimos, installed with --no-deps. The first knows DDS domain 0 alone, so no
 other robot may run on the loopback meanwhile. It keeps the last state only: states that come while this computer does
-not let the reader run are not counted.
+not let the reader run are not counted. So the reader has a real-time priority, where the system gives it one.
 """
 
 from __future__ import annotations
@@ -60,31 +60,48 @@ class Robot:
 
 
 def measure(count: int, world: str) -> dict[str, Any]:
-    """Return all figures."""
-    figures: dict[str, Any] = {"world": world}
+    """Return all figures; angles [rad], heights of the base [m]."""
     robot = Robot("--world", world)
-    figures["read"] = client("read", count)
-    line = robot.stop()
-    figures["processor_percent_idle"] = int(re.findall(r"(\d+) % of a processor", line)[0])
+    read = client("read", count)
+    idle = share(robot.stop())
 
     robot = Robot("--world", world)
     time.sleep(1.0)  # it sinks onto its belly
-    before = robot.heights()[-1]
-    figures["stand_cpp"] = client("stand")
-    figures["stand_cpp"]["height_m"] = {"before": before, "after": robot.heights()[-1]}
-    figures["bad_crc"] = client("bad-crc", 0)
-    figures["bad_crc"]["height_m"] = robot.heights()[-1]
-    line = robot.stop()
-    figures["bad_crc"]["ignored"] = int(re.findall(r"damaged (\d+)", line)[0])
+    lying = robot.heights()[-1]
+    stood = client("stand")
+    standing = robot.heights()[-1]
+    bad = client("bad-crc", 0)
+    ignored = re.findall(r"damaged (\d+)", robot.stop())[0]
 
     robot = Robot("--world", world, "--motion-service", "standing")
-    figures["stand_up_python"] = client("stand-up", 0)
+    example = client("stand-up", 0)
     heights = robot.heights()
-    figures["stand_up_python"]["height_m"] = {"greatest": max(heights), "last": heights[-1]}
     line = robot.stop()
-    figures["processor_percent_commanded"] = int(re.findall(r"(\d+) % of a processor", line)[0])
-    figures["summary"] = line
-    return figures
+    return {
+        "world": world,
+        **{name: read[name] for name in ("states", "seconds", "hz")},
+        "gap_median_ms": read["gap_ms"]["median"],
+        "gap_p99_ms": read["gap_ms"]["p99"],
+        "gap_max_ms": read["gap_ms"]["max"],
+        "crc_errors": read["crc_errors"] + stood["crc_errors"],
+        "processor_idle_percent": idle,
+        "height_lying": lying,
+        "height_stood_up_cpp": standing,
+        "bad_crc_sent": bad["sent"],
+        "bad_crc_ignored": int(ignored),
+        "bad_crc_motion": bad["moved"],
+        "modes": example["modes"],
+        "height_stood_up_python": max(heights),
+        "height_laid_down_python": heights[-1],
+        "states_damaged_python": example["damaged"],
+        "processor_commanded_percent": share(line),
+        "summary": line,
+    }
+
+
+def share(line: str) -> int:
+    """Return the share of a processor [%] in the line that sums up."""
+    return int(re.findall(r"(\d+) % of a processor", line)[0])
 
 
 def main() -> int:

@@ -18,7 +18,7 @@
 #endif
 
 #define SUREFOOT_VERSION 1u
-#define SUREFOOT_SCHEMA 0x883A7B5Cu
+#define SUREFOOT_SCHEMA 0x160C5D1Cu
 #define SUREFOOT_MOTORS 8
 #define SUREFOOT_MAX_FRAME 1024u /* bytes between two zeros beyond which nothing is a frame */
 #define SUREFOOT_BODY_BYTES 448u /* most bytes of header, payload and CRC-32 together */
@@ -180,7 +180,7 @@ typedef struct {
     uint16_t dropped;                      /* commands refused since the session began, modulo 65536 */
     float motor_angle[SUREFOOT_MOTORS];    /* [rad] motor angles, in motor order */
     float motor_velocity[SUREFOOT_MOTORS]; /* [rad/s] motor speeds */
-    int16_t motor_torque[SUREFOOT_MOTORS]; /* [0.001 N m] motor torques, from the currents */
+    int16_t motor_torque[SUREFOOT_MOTORS]; /* [0.005 N m] motor torques, from the currents */
     float roll_pitch_yaw[3];               /* [rad] base in world: yaw about z, then pitch about y, then roll about x */
     float angular_velocity_base[3];        /* [rad/s] in the base frame: x forward, y left, z up */
     float energy;                          /* [J] integral of |sum of torque times speed| since the session began */

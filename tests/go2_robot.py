@@ -22,6 +22,8 @@ from surefoot.deploy.pacer import BOARD_PRIORITY, undisturbed
 LYING = np.tile([0.0, 1.2, -2.6], 4)
 RATE = 30.0
 """Rate [1/s] at which a joint nears its target."""
+SPEED_NOISE = 0.05
+"""Noise [rad/s] of the motors' speeds."""
 CELLS, CELL = 8, 3830
 
 
@@ -92,6 +94,7 @@ class _Body:
         )
         self._sports = services.Server(here, services.SPORT, {services.STAND_DOWN: lambda _: (services.OK, "")})
         self._q, self._dq = self.settings.angle.copy(), np.zeros(MOTORS)
+        self._random = np.random.default_rng(0)
         self._kp = self._kd = self._target = np.zeros(MOTORS)
         self.tick = 1000
         imu = types.IMUState([1.0, 0, 0, 0], [0.0] * 3, [0.0] * 3, [0.0] * 3, 40)
@@ -152,7 +155,8 @@ class _Body:
         state["tick"] = self.tick
         motors = state["motor_state"][:MOTORS]
         motors["mode"], motors["temperature"] = low_level.SERVO, now.temperature
-        motors["q"], motors["dq"], motors["tau_est"] = self._q, self._dq, 0.5
+        motors["q"], motors["tau_est"] = self._q, 0.5
+        motors["dq"] = self._dq + SPEED_NOISE * self._random.standard_normal(MOTORS)
         motors["mode"][0] = now.mode
         self._lost += now.lost_rate
         motors["lost"] = 7

@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PLAIN = ("start", "train", "own-gait", "own-reward", "own-robot", "own-learner", "own-hardware", "cluster", "python")
+PLAIN = (
+    *("start", "train", "own-gait", "own-reward", "own-robot", "own-learner", "own-hardware", "go2", "cluster"),
+    "python",
+)
 """Pages of Start and How-to."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+(?:,\d{3})*(?:\.\d+)?|\.\d+)(?![\w.]*\w)")
 NOT_PROSE = re.compile(r"<!--.*?-->|```.*?```|^(?: {4}|\|)[^\n]*$|^#+ [^\n]*$", re.DOTALL | re.MULTILINE)

@@ -22,6 +22,17 @@ def test_the_hosts_limits_are_those_of_the_code(document: str, robot: RobotDescr
     assert {name: float(number) for name, number in rows} == asdict(SafetyLimits.from_robot(robot))
 
 
+def test_the_limits_of_a_go2_are_its_sheets(document: str):
+    robot = RobotDescription.load("go2")
+    battery, heat, text = robot.battery, robot.heat, " ".join(document.split())
+    assert (
+        f"A Go2 warns at {battery.warn:g} V and {heat.warn:g} degC, sits at {battery.low:g} V and {heat.high:g} degC, "
+        f"and is damped at {battery.empty:g} V and {heat.limit:g} degC"
+    ) in text
+    milliohm = 1e3 * battery.resistance
+    assert f"{milliohm:g} mOhm, {battery.capacity:g} Ah, {heat.capacity:g} J/K and {heat.resistance:g} K/W" in text
+
+
 def test_the_robots_limits_are_those_of_the_emulator(document: str, robot: RobotDescription):
     pytest.importorskip("numba")
     from surefoot.deploy.board.limits import Limits

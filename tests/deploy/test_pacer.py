@@ -67,14 +67,15 @@ def test_figures_are_in_milliseconds():
     timing = LoopTiming(100)
     assert timing.figures()["lateness_median_ms"] is None
     for k in range(101):
-        timing.add(k * 1e-5, 1e-3 + k * 1e-5, 2e-4 if k % 2 else float("nan"), 0, True)
-    timing.add(0.0, 0.0, float("nan"), 2, False)
+        timing.add(k * 1e-5, 1e-3 + k * 1e-5, 2e-4 if k % 2 else float("nan"), k * 1e-4, 0, True)
+    timing.add(0.0, 0.0, float("nan"), 0.0, 2, False)
     figures = timing.figures()
     assert (figures["steps"], figures["missed"], figures["stale"]) == (102, 2, 1)
     assert figures["lateness_median_ms"] == pytest.approx(0.495)
     assert figures["lateness_max_ms"] == pytest.approx(0.99)
     assert figures["sent_max_ms"] == pytest.approx(1.99)
     assert figures["inference_median_ms"] == pytest.approx(0.2)
+    assert (figures["state_age_median_ms"], figures["state_age_max_ms"]) == pytest.approx((4.95, 9.9))
     assert timing.last(2).tolist() == pytest.approx([0.98e-3, 0.99e-3])
 
 

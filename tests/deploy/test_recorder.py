@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from unittest import mock
 
 import numpy as np
 import pytest
 
+from surefoot.deploy import background_file
 from surefoot.deploy.background_file import BackgroundFile
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.run_saver import next_free
@@ -177,11 +182,59 @@ def test_a_file_without_data_is_not_made(tmp_path):
 
 
 def test_a_blocked_disk_does_not_block_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(background_file, "PATIENCE", 0.1)
     file = BackgroundFile(tmp_path / "run.partial", 0.1)
-    monkeypatch.setattr(file._thread, "join", lambda patience: None)
-    monkeypatch.setattr(file._thread, "is_alive", lambda: True)
+    file._writer.send_signal(signal.SIGSTOP)
+    start = time.monotonic()
+    for _ in range(40):
+        file.add(bytes(100_000))
+    assert time.monotonic() - start < 0.5
+    assert 25 < file.waiting < 40
     file.close()
     assert file.stopped == "the disk does not answer"
+    file._writer.kill()
+    file._writer.wait()
+
+
+def test_what_waits_for_a_slow_disk_is_written_in_order(tmp_path):
+    file, pieces = BackgroundFile(tmp_path / "run.partial", 0.01), [bytes([k]) * 100_000 for k in range(40)]
+    file._writer.send_signal(signal.SIGSTOP)
+    for piece in pieces:
+        file.add(piece)
+    file._writer.send_signal(signal.SIGCONT)
+    file.close()
+    assert file.stopped == ""
+    assert file.path.read_bytes() == b"".join(pieces)
+
+
+def test_a_writer_that_is_killed_stops_recording(tmp_path):
+    file = BackgroundFile(tmp_path / "run.partial", 0.1)
+    file._writer.kill()
+    file._writer.wait()
+    file.add(b"row")
+    assert file.stopped == "its process has ended"
+    file.close()
+
+
+def test_all_that_a_killed_process_added_is_in_the_file(tmp_path):
+    program = """
+import os, signal, sys
+from pathlib import Path
+from surefoot.deploy import background_file
+from surefoot.deploy.background_file import BackgroundFile
+
+file = BackgroundFile(Path(sys.argv[1]), 0.1)
+for k in range(300):
+    file.add(b"%03d " % k * 200)
+os.killpg(0, signal.SIGKILL)
+"""
+    path = tmp_path / "run.partial"
+    done = subprocess.run([sys.executable, "-c", program, path], start_new_session=True, check=False)
+    assert done.returncode == -signal.SIGKILL
+    whole, end = b"".join(b"%03d " % k * 200 for k in range(300)), time.monotonic() + 5.0
+    while (not path.exists() or path.read_bytes() != whole) and time.monotonic() < end:
+        time.sleep(0.01)
+    assert path.read_bytes() == whole
 
 
 def test_names_are_numbered_beside_whole_and_partial_runs(tmp_path):

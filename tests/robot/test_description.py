@@ -177,6 +177,7 @@ swing = [-1.0, 1.0] => abduction = [0.0, 0.1] => leg_space.abduction ... no abdu
 sit = [0.0, 0.9] => sit = [0.9] => poses.sit has 1 numbers ... swing, extension
 sit = [0.0, 0.9] => sit = [0.0, 0.5] => poses.sit has extension 0.5 ... 0.6 to 2.7
 low = 14.0 => low = 15.0 => battery: empty is 12.5 V, low 15 V, warn 14.4 V; they must rise
+[battery] => [heat]\nwarn = 90.0\n[battery] => heat: warn is 90 degC, high 80 degC, limit 90 degC; they must rise
 kind = "dc" => kind = "steam" => actuator.kind is 'steam' ... choices: dc, joint
 kp = 1.0 => kp = 0.0 => actuator.kp is 0 ... over 0
 kp = 1.0 => kp = [1.0, 2.0, 3.0] => actuator.kp has 3 numbers ... it takes one, 2 for ... or 8 in the
@@ -200,6 +201,15 @@ def test_a_broken_description_is_refused_in_one_line(folder: Path, case: str):
     assert "\n" not in str(caught.value)
     for piece in (str(folder), *message.split(" ... ")):
         assert piece in str(caught.value)
+
+
+def test_battery_and_heat_are_the_sheets():
+    go2, minitaur = RobotDescription.load("go2"), RobotDescription.load("minitaur")
+    assert (minitaur.heat.warn, minitaur.heat.high, minitaur.heat.limit) == (70.0, 80.0, 90.0)
+    assert (go2.heat.warn, go2.heat.high, go2.heat.limit) == (80.0, 85.0, 88.0)
+    # Eight cells: nominal 3.7 V, sit down at 3.3 V, damp above the 3.0 V at which the battery cuts off.
+    assert (go2.battery.nominal / 8, go2.battery.low / 8) == pytest.approx((3.7, 3.3))
+    assert 8 * 3.0 < go2.battery.empty < go2.battery.low
 
 
 def test_bounds_that_the_sheet_does_not_give_are_the_defaults(folder: Path):

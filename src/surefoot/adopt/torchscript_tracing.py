@@ -22,9 +22,6 @@ _STATES = ("hidden_state", "cell_state")
 class _Example(nn.Module):
     """A module that needs what the tracing of others may load."""
 
-    hidden_state: torch.Tensor
-    cell_state: torch.Tensor
-
     def __init__(self) -> None:
         super().__init__()
         self.layers = nn.Sequential(nn.Linear(6, 4), nn.ELU(), nn.LayerNorm(4), nn.Linear(4, 4))
@@ -35,8 +32,8 @@ class _Example(nn.Module):
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         value = nn.functional.normalize(self.layers(observation), p=2.0, dim=-1)
         result, (hidden, cell) = self.rnn(value.unsqueeze(0), (self.hidden_state, self.cell_state))
-        self.hidden_state[:] = hidden
-        self.cell_state[:] = cell
+        self.hidden_state[:] = hidden  # type: ignore[operator]
+        self.cell_state[:] = cell  # type: ignore[operator]
         return torch.cat([result.squeeze(0)[:, :2], observation[:, 2:4]], dim=-1)
 
 

@@ -21,11 +21,10 @@ if TYPE_CHECKING:
     from surefoot.cli.helpers.viewer import EmulateViewer
     from surefoot.deploy.dds.bus import Bus
     from surefoot.emulator.faults import InjectedFault
-    from surefoot.emulator.hardware import PowerConfig
     from surefoot.emulator.plant import Plant
     from surefoot.emulator.real_time import RealTime, Summary
     from surefoot.emulator.serial.lockstep import Lockstep
-    from surefoot.emulator.serial.pty_port import PtyPort
+    from surefoot.emulator.serial.serial_host_link import HostPort
 
 STRIDE = 3
 """Servo steps that physics may advance at once in real time; one by one they cost half as much again in Bullet."""
@@ -67,6 +66,8 @@ class EmulateCommand:
     """Bits a second of the serial line, in real time; 0: bytes take no time."""
     symlink: Path | None = None
     """Symbolic link to the pseudo-terminal, removed at the end."""
+    socket: Path | None = None
+    """Unix socket to make in place of a pseudo-terminal, whose bytes come late on a busy computer; --port takes it."""
     link: Literal["serial", "dds"] = "serial"
     """How hosts reach the robot: by a pseudo-terminal, or by a Go2's own topics over DDS."""
     interface: str = ""
@@ -122,11 +123,13 @@ def _check(command: EmulateCommand) -> None:
     if command.link == "dds":
         if not command.interface:
             raise SurefootError("link dds needs the network interface of the topics; give --interface, such as lo")
-        for option, used in (("lockstep", command.lockstep), ("symlink", command.symlink is not None)):
-            if used:
+        for option in ("lockstep", "symlink", "socket"):
+            if getattr(command, option):
                 raise SurefootError(f"{option} is about the serial link; it does not go with --link dds")
     elif command.interface or command.domain or command.motion_service != "released":
         raise SurefootError("interface, domain and motion_service are those of a link over DDS; give --link dds too")
+    elif command.symlink is not None and command.socket is not None:
+        raise SurefootError("symlink and socket are given; a symbolic link leads to a pseudo-terminal")
     if command.baud and command.baud < 9600:
         raise SurefootError(f"baud is {command.baud:g}; it must be 9600 or more, or 0")
     files = command.files
@@ -169,23 +172,22 @@ def _servo_every(robot: RobotDescription, fault: InjectedFault | None) -> int:
     return every
 
 
-def make_plant(
-    command: EmulateCommand, robot: RobotDescription, power: PowerConfig | None = None, servo_every: int = 1
-) -> Plant:
-    """Return the robot's body; its battery and motors are `power`, unless they are to be ideal."""
+def make_plant(command: EmulateCommand, robot: RobotDescription, servo_every: int = 1) -> Plant:
+    """Return the robot's body."""
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
     from surefoot.emulator.plant import Plant
 
-    ideal = command.ideal_sensors
-    sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if ideal else (None, power)
+    sensors, power = SensorConfig(), PowerConfig.from_robot(robot)
+    if command.ideal_sensors:
+        sensors, power = SensorConfig.ideal(), PowerConfig.ideal(robot)
     params = _params(command, robot)
     return Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every)
 
 
 def make_loop(
-    command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], port: PtyPort, summary: Summary
+    command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], port: HostPort, summary: Summary
 ) -> RealTime | Lockstep:
-    """Return the loop that runs the robot behind a pseudo-terminal, warmed up."""
+    """Return the loop that runs the robot behind a pseudo-terminal or a socket, warmed up."""
     from surefoot import __version__
     from surefoot.deploy.board.limits import Limits, make_handshake
     from surefoot.deploy.serial.serial_link import LEAD
@@ -212,21 +214,23 @@ def make_dds_loop(
     command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], bus: Bus, summary: Summary
 ) -> RealTime:
     """Return the loop that runs a Go2 behind its topics, warmed up."""
+    from surefoot.deploy.dds.low_level import STATE_PERIOD
     from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.dds.board import Go2Board
     from surefoot.emulator.dds.link import LowLevelLink
-    from surefoot.emulator.dds.low_state import POWER
     from surefoot.emulator.dds.motion_service import MotionService
     from surefoot.emulator.dds.own_controller import OwnController
     from surefoot.emulator.real_time import RealTime
 
-    plant, controller = make_plant(command, robot, POWER), OwnController()
+    plant, controller = make_plant(command, robot), OwnController()
     if command.motion_service != "released":
         controller.activate()
     if command.motion_service == "standing":
         controller.stand_up()
     service = None if "no-service" in faults else MotionService(bus, controller, plant)
-    board = Go2Board(plant, LowLevelLink(bus), LEAD, controller, service, faults, command.seed)
+    # A deployment uses, so long before its step, the newest state there is: half a period old on average.
+    lead = LEAD + STATE_PERIOD / 2
+    board = Go2Board(plant, LowLevelLink(bus), lead, controller, service, faults, command.seed)
     return RealTime(board, summary, _load(faults))
 
 
@@ -239,6 +243,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
     from surefoot.emulator.capture_writer import CaptureWriter
     from surefoot.emulator.real_time import Summary
     from surefoot.emulator.serial.pty_port import PtyPort
+    from surefoot.emulator.serial.socket_server_port import SocketServerPort
     from surefoot.stop_signals import StopSignals
 
     summary = Summary()
@@ -255,7 +260,12 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
             loop = make_dds_loop(command, robot, faults, Bus(command.interface, command.domain), summary)
             place = f"{command.interface}, DDS domain {command.domain}"
         else:
-            port = stack.enter_context(contextlib.closing(PtyPort(command.symlink, held=not command.lockstep)))
+            port: HostPort = (
+                PtyPort(command.symlink, held=not command.lockstep)
+                if command.socket is None
+                else SocketServerPort(command.socket)
+            )
+            stack.callback(port.close)
             loop, place = make_loop(command, robot, faults, port, summary), port.path
         board = loop.board
         try:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 from numpy.typing import ArrayLike
 
 from surefoot.deploy.clock import LockstepClock, MonotonicClock
+from surefoot.deploy.dds.socket_port import connect
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.port import BAUD, SerialPort
@@ -15,14 +17,15 @@ from surefoot.robot import RobotDescription
 
 
 def open_link(port: str, motors: int, lockstep: bool = False, baud: int = BAUD) -> RobotLink:
-    """Open a link to a robot with so many motors at a serial port or pseudo-terminal.
+    """Open a link to a robot with so many motors at a serial port, pseudo-terminal or Unix socket.
 
     In lockstep, the other end is an emulator that follows this computer's clock.
 
     Raises:
         SurefootError: a port that can't be opened, or that another program has.
     """
-    return SerialLink(SerialPort(port, baud), Codec(motors), LockstepClock() if lockstep else MonotonicClock())
+    line = connect(port) if Path(port).is_socket() else SerialPort(port, baud)
+    return SerialLink(line, Codec(motors), LockstepClock() if lockstep else MonotonicClock())
 
 
 def open_dds_link(

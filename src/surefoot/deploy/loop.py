@@ -149,10 +149,10 @@ class ControlLoop:
         except (LinkLostError, SurefootError) as error:
             self.damp()
             return Verdict(Act.GONE, "link", str(error)), steps
-        self.inference, computed = math.nan, False
+        self.inference, computed, age = math.nan, False, link.state_age()
         try:
             verdict = self.guard.check(
-                clock.now(), state, link.state_age(), tick.missed, self.operator.stops, not self.dry_run, upright
+                clock.now(), state, age, tick.missed, self.operator.stops, not self.dry_run, upright
             )
             if verdict.reason.startswith(OF_ROBOT) and (text := link.fault_text(state.reason)):
                 verdict = replace(verdict, text=f"{verdict.text}: {text}")
@@ -169,7 +169,7 @@ class ControlLoop:
             verdict = _failure(error)
         sent = clock.now() - tick.due
         fresh, self._states = link.states > self._states, link.states
-        self.timing.add(tick.late, sent, self.inference, tick.missed, fresh)
+        self.timing.add(tick.late, sent, self.inference, age, tick.missed, fresh)
         if after is not None:
             after(tick.index, state, computed and verdict.act is Act.GO)
         self._report(tick.index, state)

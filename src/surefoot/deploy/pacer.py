@@ -63,24 +63,24 @@ class Pacer:
 
 
 class LoopTiming:
-    """Lateness and computing times of a run, in arrays that are allocated before it.
+    """Lateness, computing times and ages of states of a run, in arrays that are allocated before it.
 
     Args:
         steps: greatest number of steps that are kept; later ones are only counted.
     """
 
     def __init__(self, steps: int) -> None:
-        self._times = np.full((3, steps), np.nan)
+        self._times = np.full((4, steps), np.nan)
         self.steps = self.missed = self.stale = 0
         """Steps that were done, that were missed, and that had no new state."""
 
-    def add(self, started: float, sent: float, inference: float, missed: int, fresh: bool) -> None:
-        """Take a step: delays of its start and of its command at the port [s], and time that the policy took [s].
+    def add(self, started: float, sent: float, inference: float, age: float, missed: int, fresh: bool) -> None:
+        """Take a step: delays of its start and of its command at the port, the policy's time, its state's age [s].
 
         `missed` steps were missed before it; `fresh` is whether it had a new state.
         """
         if self.steps < self._times.shape[1]:
-            self._times[:, self.steps] = started, sent, inference
+            self._times[:, self.steps] = started, sent, inference, age
         self.steps += 1
         self.missed += missed
         self.stale += not fresh
@@ -93,7 +93,7 @@ class LoopTiming:
     def figures(self) -> dict[str, float | int | None]:
         """Return median, 99.9th percentile and maximum in ms, and counts."""
         figures: dict[str, float | int | None] = {"steps": self.steps, "missed": self.missed, "stale": self.stale}
-        for name, times in zip(("lateness", "sent", "inference"), self._times, strict=True):
+        for name, times in zip(("lateness", "sent", "inference", "state_age"), self._times, strict=True):
             times = times[~np.isnan(times)]
             for key, share in (("median", 50), ("p99_9", 99.9), ("max", 100)):
                 figures[f"{name}_{key}_ms"] = round(1e3 * float(np.percentile(times, share)), 4) if len(times) else None

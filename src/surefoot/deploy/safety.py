@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from surefoot.deploy.messages import Mode, Reason, State
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.robot.sheet import Heat
 
 _ROUNDING = 1e-6
 OF_ROBOT = "robot "
@@ -40,16 +41,16 @@ class SafetyLimits:
     of the paper end there; no trained gait recovers from it."""
     battery_time: float = 1.0
     """How long [s] the battery may be low: two strides, since the voltage sags briefly whenever all motors push."""
-    temperature_warn: float = 70.0
-    """Temperature [degC] of the hottest motor that warns once; a walk reaches the next limit some minutes later."""
-    temperature_high: float = 80.0
-    """Temperature [degC] of the hottest motor at which the robot sits and is disarmed: what magnets and glue of small
-    outrunner motors bear; the robot damps itself at 90."""
+    temperature_warn: float = Heat.warn
+    """Temperature [degC] of the hottest motor that warns once."""
+    temperature_high: float = Heat.high
+    """Temperature [degC] of the hottest motor at which the robot sits and is disarmed."""
 
     @classmethod
     def from_robot(cls, robot: RobotDescription) -> SafetyLimits:
-        """Return the limits of a robot; the battery's are those of its data sheet."""
-        return cls(robot.battery.warn, robot.battery.low)
+        """Return the limits of a robot; those of battery and motors are its data sheet's."""
+        battery, heat = robot.battery, robot.heat
+        return cls(battery.warn, battery.low, temperature_warn=heat.warn, temperature_high=heat.high)
 
     def __post_init__(self) -> None:
         """Refuse limits that are not positive and finite, or that come in the wrong order."""

@@ -12,7 +12,9 @@ from typing import NamedTuple
 from numba import njit
 
 from surefoot.arrays import Array
+from surefoot.robot import RobotDescription
 from surefoot.robot.actuator import HEAT_LOSS
+from surefoot.robot.sheet import Battery, Heat
 from surefoot.world.actuation import ActuationState
 
 
@@ -44,25 +46,38 @@ class SensorConfig:
 
 
 class PowerConfig(NamedTuple):
-    """Battery and heat of the motors."""
+    """Battery and heat of the motors; by default those of a sheet that does not state them."""
 
-    battery_resistance: float = 0.015
-    """Internal resistance [Ohm]: four lithium cells of about 3.5 mOhm each, and their leads."""
-    battery_capacity: float = 10_800.0
-    """Charge [C] until it is empty: 3 Ah."""
-    battery_drop: float = 2.8
-    """Fall of the open-circuit voltage [V] until it is empty: four cells from 4.2 to 3.5 V, taken as linear."""
+    battery_resistance: float = Battery.resistance
+    """Internal resistance [Ohm]."""
+    battery_capacity: float = 3600.0 * Battery.capacity
+    """Charge [C] until it is empty."""
+    battery_drop: float = Battery.drop
+    """Fall of the open-circuit voltage [V] until it is empty, taken as linear."""
     ambient: float = 25.0
     """Temperature of the air, and of the motors at first [degC]."""
-    heat_capacity: float = 80.0
-    """Of one motor [J/K]: winding and stator, about 200 g of copper and iron at .4 J/(g K)."""
-    heat_resistance: float = 1.5
-    """From winding to air [K/W]; with the capacity, a time constant of two minutes."""
+    heat_capacity: float = Heat.capacity
+    """Of one motor [J/K]."""
+    heat_resistance: float = Heat.resistance
+    """From winding to air [K/W]."""
 
     @classmethod
-    def ideal(cls) -> PowerConfig:
-        """Return a battery that neither sags nor empties; motors still grow warm."""
-        return cls(battery_resistance=0.0, battery_capacity=math.inf)
+    def from_robot(cls, robot: RobotDescription) -> PowerConfig:
+        """Return a robot's, by its data sheet."""
+        battery, heat = robot.battery, robot.heat
+        return cls(
+            battery_resistance=battery.resistance,
+            battery_capacity=3600.0 * battery.capacity,
+            battery_drop=battery.drop,
+            heat_capacity=heat.capacity,
+            heat_resistance=heat.resistance,
+        )
+
+    @classmethod
+    def ideal(cls, robot: RobotDescription | None = None) -> PowerConfig:
+        """Return a battery that neither sags nor empties; motors still grow warm, as a robot's or by default."""
+        power = cls() if robot is None else cls.from_robot(robot)
+        return power._replace(battery_resistance=0.0, battery_capacity=math.inf)
 
 
 @njit(cache=True)

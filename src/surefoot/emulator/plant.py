@@ -73,7 +73,8 @@ class Plant:
         servo_every: int = 1,
     ) -> None:
         self.robot, self.params = robot, params or PhysicalParams.nominal(robot)
-        self.sensors, self.power, self.servo_every = sensors or SensorConfig(), power or PowerConfig(), servo_every
+        self.sensors, self.power = sensors or SensorConfig(), power or PowerConfig.from_robot(robot)
+        self.servo_every = servo_every
         config = WorldConfig(rest=robot.poses.sit, rack=rack, threads=1)
         self.world = SimWorld(robot, 1, self.params, seed, config, engine)
         self.extra_latency = self.voltage_drop = 0.0

@@ -26,7 +26,19 @@ from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.serial_leg import SerialLegs
-from surefoot.robot.sheet import GRAVITY, Battery, ContactData, Leg, Loop, Poses, Range, Sheet, Timing, check_ranges
+from surefoot.robot.sheet import (
+    GRAVITY,
+    Battery,
+    ContactData,
+    Heat,
+    Leg,
+    Loop,
+    Poses,
+    Range,
+    Sheet,
+    Timing,
+    check_ranges,
+)
 from surefoot.robot.urdf import Urdf
 from surefoot.robot.urdf_file import read_urdf
 
@@ -67,6 +79,7 @@ class RobotDescription:
     contact: ContactData
     poses: Poses
     battery: Battery
+    heat: Heat
     experiments: Experiments
     allowed: dict[str, tuple[float, float]]
     looks: str | None = None
@@ -146,6 +159,7 @@ class RobotDescription:
             contact=sheet.complete_contact(GRAVITY * urdf.total_mass / len(legs), geometry.length),
             poses=sheet.complete_poses(space),
             battery=sheet.complete_battery(voltage),
+            heat=sheet.heat,
             experiments=read_experiments(sheet.experiments, space["extension"], actuator),
             allowed={**bounds, **sheet.allowed},
             looks=sheet.looks,

@@ -87,7 +87,7 @@ class Poses:
 
 @dataclass(frozen=True)
 class Battery:
-    """Voltages of the battery [V]."""
+    """The battery: voltages [V], and what an emulated one does."""
 
     nominal: _Voltage
     warn: _Voltage
@@ -96,12 +96,41 @@ class Battery:
     """Voltage under load below which a robot sits down."""
     empty: _Voltage
     """Voltage below which a robot damps itself."""
+    capacity: Positive = 3.0
+    """Charge [A h]."""
+    drop: Positive = 2.8
+    """Fall of the voltage without load [V] from full to empty: by default four cells from 4.2 to 3.5 V."""
+    resistance: NotNegative = 0.015
+    """Internal resistance [Ohm]: by default four lithium cells of about 3.5 mOhm each, and their leads."""
 
     def __post_init__(self) -> None:
         """Refuse voltages that do not rise from empty to warn."""
         if not self.empty <= self.low <= self.warn:
             raise SurefootError(
                 f"battery: empty is {self.empty:g} V, low {self.low:g} V, warn {self.warn:g} V; they must rise"
+            )
+
+
+@dataclass(frozen=True)
+class Heat:
+    """Temperatures of the hottest motor [degC] at which something follows, and how an emulated motor warms."""
+
+    warn: Positive = 70.0
+    """A deployment warns once; by default a walk reaches the next limit some minutes later."""
+    high: Positive = 80.0
+    """The robot sits down: by default what magnets and glue of small outrunner motors bear."""
+    limit: Positive = 90.0
+    """The robot damps itself."""
+    capacity: Positive = 80.0
+    """Of one motor [J/K]: by default winding and stator, about 200 g of copper and iron at .4 J/(g K)."""
+    resistance: Positive = 1.5
+    """From winding to air [K/W]; with the default capacity, a time constant of two minutes."""
+
+    def __post_init__(self) -> None:
+        """Refuse temperatures that do not rise from warn to limit."""
+        if not self.warn <= self.high <= self.limit:
+            raise SurefootError(
+                f"heat: warn is {self.warn:g} degC, high {self.high:g} degC, limit {self.limit:g} degC; they must rise"
             )
 
 
@@ -142,6 +171,7 @@ class Sheet:
     contact: dict[str, Any] = field(default_factory=dict)
     poses: dict[str, Any] = field(default_factory=dict)
     battery: dict[str, Any] = field(default_factory=dict)
+    heat: Heat = field(default_factory=Heat)
     experiments: dict[str, Any] = field(default_factory=dict)
     allowed: dict[str, Range] = field(default_factory=dict)
 

@@ -532,3 +532,40 @@ def test_no_message_crashes_the_firmware_or_exceeds_its_limits(robot, where, tal
             assert ((bench.order.values >= low) & (bench.order.values <= high)).all()
         elif bench.order is not None and bench.order.mode == Mode.PWM:
             assert (np.abs(bench.order.values) <= 1).all()
+
+
+def test_what_else_a_body_sees_damps_and_keeps_from_arming(armed):
+    hazard = Reason.MOTOR_OFF, "a motor is off"
+    armed.vitals = replace(armed.vitals, hazard=hazard)
+    (fault,) = [packet.message for packet in armed.run(1) if isinstance(packet.message, Fault)]
+    assert (fault.reason, fault.text) == hazard
+    assert armed.mode == (Mode.FAULT, Reason.MOTOR_OFF)
+    armed.firmware.reason = Reason.NONE
+    assert fault_of(armed.arm()) == (ME, Reason.MOTOR_OFF)
+
+
+def test_a_request_to_sit_is_sent_once_and_leaves_the_motors_armed(armed):
+    armed.vitals = replace(armed.vitals, sit=(Reason.REMOTE, "a stick was moved"))
+    sent = [packet.message for packet in armed.run(20)]
+    assert [message.text for message in sent if isinstance(message, Fault)] == ["a stick was moved"]
+    assert [message.reason for message in sent if isinstance(message, State)][-1] == Reason.REMOTE
+    assert armed.mode == (Mode.POSITION, Reason.REMOTE)
+    armed.command(2)
+    np.testing.assert_array_equal(armed.order.values, TARGET)
+
+
+def test_a_robot_without_duties_does_not_arm_for_them(owned):
+    owned.firmware.limits = replace(owned.firmware.limits, duty=0.0)
+    assert fault_of(owned.arm(Mode.PWM)) == (ME, Reason.MODE)
+    assert owned.arm() == []
+
+
+@pytest.mark.parametrize(("angle", "mode"), [(0.04, Mode.POSITION), (0.06, Mode.FAULT)])
+def test_the_first_command_may_not_jump(owned, angle, mode):
+    owned.firmware.limits = replace(owned.firmware.limits, first_torque=0.05)  # a gain of 1
+    owned.arm()
+    owned.send(Position(ME, owned.vitals.motor_angle + angle))
+    assert owned.firmware.mode == mode
+    if mode == Mode.POSITION:
+        owned.send(Position(ME, TARGET))  # later ones may
+        assert owned.firmware.mode == Mode.POSITION

@@ -86,21 +86,21 @@ def test_a_ping_has_the_bytes_worked_out_by_hand():
     body = bytes.fromhex(
         "01"  # version
         "02"  # Ping
-        "5C 7B 3A 88"  # schema
+        "1C 5D 0C 16"  # schema
         "02 00 00 00"  # number
         "E8 03 00 00 00 00 00 00"  # 1000 microseconds
         "01 00 00 00"  # token
     )
-    assert crc32(body) == bytes.fromhex("5F 2C 6F 5A")
+    assert crc32(body) == bytes.fromhex("E0 03 AF 45")
     on_the_line = (
         "00"
-        "08 01 02 5C 7B 3A 88 02"  # seven bytes and a zero
+        "08 01 02 1C 5D 0C 16 02"  # seven bytes and a zero
         "01 01"
         "03 E8 03"
         "01 01 01 01 01"
         "02 01"
         "01 01"
-        "05 5F 2C 6F 5A"
+        "05 E0 03 AF 45"
         "00"
     )
     assert bytes.fromhex(on_the_line) == PING

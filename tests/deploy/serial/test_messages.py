@@ -18,6 +18,7 @@ from surefoot.deploy.messages import Arm, Fault, Hello, Message, Mode, Ping, Pos
 from surefoot.deploy.serial.codec import MAX_PAYLOAD, MESSAGES, NUMBERS, Codec, encodings
 from surefoot.deploy.serial.fields import MOTORS, FieldEncoding
 from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
 
 CODEC = Codec(8)
 TWO = Codec(2)
@@ -51,7 +52,7 @@ def same(one: Message, other: Message) -> bool:
                 dropped=3,
                 motor_angle=np.array([1.0, 2.0]),
                 motor_velocity=np.array([-1.0, -2.0]),
-                motor_torque=np.array([3.5, -0.001]),
+                motor_torque=np.array([3.5, -0.005]),
                 roll_pitch_yaw=np.array([0.5, 0.25, 0.125]),
                 angular_velocity_base=np.array([4.0, 8.0, 16.0]),
                 energy=32.0,
@@ -59,7 +60,7 @@ def same(one: Message, other: Message) -> bool:
                 temperature=np.array([25.4, 90.6]),
             ),
             "02 01  03  05  04 03 02 01  50 C3  03 00  00 00 80 3F  00 00 00 40  00 00 80 BF  00 00 00 C0"
-            "AC 0D  FF FF  00 00 00 3F  00 00 80 3E  00 00 00 3E  00 00 80 40  00 00 00 41  00 00 80 41"
+            "BC 02  FF FF  00 00 00 3F  00 00 80 3E  00 00 00 3E  00 00 80 40  00 00 00 41  00 00 80 41"
             "00 00 00 42  8C 3C  19  5B",
         ),
     ],
@@ -179,7 +180,7 @@ def test_every_field_has_a_meaning_and_a_whole_number_of_steps_in_its_unit():
 
 def test_the_schema_is_the_hash_of_the_canonical_text():
     # Firmware that was built for this schema stops understanding the host when this number changes.
-    assert CODEC.schema == 0x883A7B5C
+    assert CODEC.schema == 0x160C5D1C
     assert CODEC.schema == struct.unpack("<I", hashlib.sha256(CODEC.describe().encode()).digest()[:4])[0]
 
 
@@ -187,7 +188,7 @@ def test_the_canonical_text_is_as_documented():
     lines = CODEC.describe().split("\n")
     assert lines[:4] == ["surefoot 1 motors 8", "1 Hello", "session u16 1 0 0 1", "state_period u32 1 0 1e-06 s"]
     assert "motor_names text 8 24 0 -" in lines
-    assert "motor_torque i16 8 0 0.001 N m" in lines
+    assert "motor_torque i16 8 0 0.005 N m" in lines
     assert lines[-1] == ""
     assert len(lines) == 1 + len(MESSAGES) + sum(len(encodings(kind)) for kind in MESSAGES) + 1
 
@@ -212,3 +213,16 @@ def test_modes_and_reasons_have_their_numbers_and_meanings():
     assert all(one.meaning.endswith(".") for one in [*Mode, *Reason])
     with pytest.raises(ValueError, match="23 is not a valid Reason"):
         Reason(23)
+
+
+@pytest.mark.parametrize("name", RobotDescription.available())
+def test_a_state_carries_the_greatest_torque_of_each_robot(name: str):
+    robot = RobotDescription.load(name)
+    actuator, motors = robot.actuator, robot.num_motors
+    limit = actuator.torque_limit if actuator.kind == "joint" else max(actuator.torque_table_torque)
+    torque = np.broadcast_to(limit, motors) * np.where(np.arange(motors) % 2, -1.0, 1.0)
+    codec, zero = Codec(motors), np.zeros(motors)
+    state = State(1, 1, 0, 1, 0.0, 0, zero, zero, torque, np.zeros(3), np.zeros(3), 0.0, 20.0, zero)
+    returned = codec.unpack(NUMBERS[State], codec.pack(state))
+    assert isinstance(returned, State)
+    np.testing.assert_allclose(returned.motor_torque, torque, atol=0.0025 + 1e-9)

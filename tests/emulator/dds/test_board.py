@@ -13,7 +13,6 @@ from emulated_go2 import FOLDED, GO2, STANDING, Robot, Wire
 from surefoot.deploy.dds import low_level
 from surefoot.deploy.dds.low_level import POS_STOP, VEL_STOP
 from surefoot.emulator.dds.board import Go2Board, read_order
-from surefoot.emulator.dds.low_state import POWER
 from surefoot.emulator.plant import Plant
 
 
@@ -101,8 +100,7 @@ def test_the_vendors_stand_up_raises_the_body_and_it_stays_when_commands_stop(en
 
 def test_the_battery_is_that_of_a_recorded_robot() -> None:
     # 8 cells of 3.83 V at 63 %.
-    assert POWER.battery_drop == pytest.approx(8.0)
-    plant = Plant(GO2, power=POWER)
+    plant = Plant(GO2)
     plant.start_voltage, wire = 8 * 3.83, Wire()
     Go2Board(plant, wire, 0.0).run_to(4_000)
     assert wire.state["bms_state"]["soc"] == 63

@@ -20,6 +20,8 @@ class Limits:
 
     voltage: float
     """Battery voltage [V] below which the robot damps itself."""
+    temperature: float
+    """Motor temperature [degC] beyond which the robot damps itself."""
     command_timeout: float = 0.050
     """Silence after which an armed robot damps itself."""
     stale_after: float = 3.0
@@ -40,8 +42,6 @@ class Limits:
     """Roll or pitch [rad] beyond which the robot damps itself."""
     voltage_time: float = 0.5
     """How long the voltage must be low: it sags briefly when motors start."""
-    temperature: float = 90.0
-    """Motor temperature [degC] beyond which the robot damps itself."""
     duty: float = 1.0
     """Largest duty that a PWM command may request; 0: the robot does not arm for duties."""
     first_torque: float = math.inf
@@ -51,8 +51,8 @@ class Limits:
 
     @classmethod
     def from_robot(cls, robot: RobotDescription) -> Limits:
-        """Return the limits of a robot; those of battery and silence are its data sheet's."""
-        return cls(robot.battery.empty, robot.timing.command_timeout)
+        """Return the limits of a robot; those of battery, motors and silence are its data sheet's."""
+        return cls(robot.battery.empty, robot.heat.limit, command_timeout=robot.timing.command_timeout)
 
 
 def make_handshake(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:

@@ -35,9 +35,9 @@ LIMIT_MARGIN = 0.1
 """How far [rad] a joint may be beyond the limits of the description, such as at its stop."""
 GRAVITY_ANGLE, GRAVITY_SHARE = 0.15, 0.1
 """Greatest angle [rad] between the accelerometer's gravity and the orientation's, and relative difference from g."""
-_LYING_KNEE, _LYING_SPEED, _LYING_TIME = -2.2, 0.1, 0.5
-"""A Go2 lies whose knees are folded below this angle [rad] and whose joints have been slower than this [rad/s] for so
-long [s]."""
+_LYING_KNEE, _LYING_MOTION, _LYING_TIME = -2.2, 0.05, 0.5
+"""A Go2 lies whose knees are folded below this angle [rad] and whose joints have moved by less than this [rad] for so
+long [s]; single readings of speeds are too noisy."""
 _POLL = 0.001
 
 
@@ -108,11 +108,10 @@ class Inspection:
     def lies(self) -> bool:
         """Observe the robot for a moment, and return whether it lies still."""
         records = self.observe(_LYING_TIME).records
-        return bool(records) and all(
-            (record["motor_state"]["q"][2:MOTORS:3] < _LYING_KNEE).all()
-            and (np.abs(record["motor_state"]["dq"][:MOTORS]) < _LYING_SPEED).all()
-            for record in records
-        )
+        if not records:
+            return False
+        angle = np.array([record["motor_state"]["q"][:MOTORS] for record in records])
+        return bool((angle[:, 2::3] < _LYING_KNEE).all() and (np.ptp(angle, axis=0) < _LYING_MOTION).all())
 
     def inspect(
         self, robot: RobotDescription, kp: ArrayLike, kd: ArrayLike, release: Callable[[str], bool]

@@ -1,4 +1,4 @@
-"""One end of a pair of sockets between two processes of this computer, as a port that never blocks."""
+"""One end of a connection between two processes of this computer, as a port that never blocks."""
 
 from __future__ import annotations
 
@@ -6,8 +6,13 @@ import select
 import socket
 
 from surefoot.deploy.robot_link import LinkLostError
+from surefoot.errors import SurefootError
 
+GREETING = b"\0"
+"""What a robot that listens at a socket writes to a host that it accepts; between frames it means nothing."""
 _CHUNK = 65_536
+_PATIENCE = 2.0
+"""Time [s] that a robot has to accept a host."""
 
 
 class SocketPort:
@@ -67,3 +72,23 @@ class SocketPort:
     def close(self) -> None:
         """Close this end."""
         self._socket.close()
+
+
+def connect(path: str) -> SocketPort:
+    """Connect to a robot that listens at a Unix socket: an emulated one.
+
+    Raises:
+        SurefootError: none listens there, or another program has it.
+    """
+    end = socket.socket(socket.AF_UNIX)
+    end.settimeout(_PATIENCE)
+    try:
+        end.connect(path)
+        accepted = end.recv(1) == GREETING
+    except OSError as error:
+        end.close()
+        raise SurefootError(f"port {path}: can't be opened: {error.strerror or error}") from error
+    if not accepted:
+        end.close()
+        raise SurefootError(f"port {path}: another program has it; one operator at a time")
+    return SocketPort(end, f"port {path}")

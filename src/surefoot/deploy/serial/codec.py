@@ -63,7 +63,7 @@ SCHEMA: dict[type[Message], tuple[int, dict[str, FieldEncoding]]] = {
             "dropped": _U16,
             "motor_angle": _MOTORS,
             "motor_velocity": _MOTORS,
-            "motor_torque": FieldEncoding("i16", MOTORS, scale=1e-3),
+            "motor_torque": FieldEncoding("i16", MOTORS, scale=5e-3),  # to 163 N m; sensors are noisier than a step
             "roll_pitch_yaw": _VECTOR,
             "angular_velocity_base": _VECTOR,
             "energy": _F32,

@@ -5,15 +5,14 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import select
 
 import serial
 
 from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.serial.terminal_input import TerminalInput
 from surefoot.errors import SurefootError
 
 BAUD = 921_600
-_CHUNK = 65_536
 
 
 class SerialPort:
@@ -39,28 +38,17 @@ class SerialPort:
             raise SurefootError(f"port {path}: can't be opened: {reason}") from error
         self._file = self._serial.fileno()
         os.set_blocking(self._file, False)
-        self._poll = select.poll()
-        self._poll.register(self._file, select.POLLIN)
+        self._input = TerminalInput(self._file)
         # USB adapters otherwise hold bytes back for up to 16 ms; pseudo-terminals and some adapters have no such mode.
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
             self._serial.set_low_latency_mode(True)
 
     def read(self) -> bytes:
         """Return the bytes that have arrived, maybe none; never waits."""
-        parts = []
         try:
-            while part := os.read(self._file, _CHUNK):
-                parts.append(part)
-                if len(part) < _CHUNK:
-                    break
-            else:
-                if any(event & ~select.POLLIN for _, event in self._poll.poll(0)):
-                    raise LinkLostError(f"port {self.path} is gone")
-        except BlockingIOError:
-            pass
+            return self._input.read()
         except OSError as error:
             raise LinkLostError(f"port {self.path} is gone: {error.strerror}") from error
-        return b"".join(parts)
 
     def write(self, data: bytes) -> int:
         """Write bytes; never waits. Return how many the line took."""
@@ -73,8 +61,9 @@ class SerialPort:
 
     def wait(self, timeout: float) -> None:
         """Wait until something can be read, at most `timeout` [s]."""
-        self._poll.poll(max(timeout, 0.0) * 1e3)
+        self._input.wait(timeout)
 
     def close(self) -> None:
         """Release the port."""
+        self._input.close()
         self._serial.close()

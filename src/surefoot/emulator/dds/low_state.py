@@ -9,7 +9,6 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.deploy.board.signals import Sensors
 from surefoot.deploy.dds.low_level import HEAD, LOW_STATE, SERVO, Record, new_record
-from surefoot.emulator.hardware import PowerConfig
 from surefoot.emulator.plant import Plant
 from surefoot.rotations import quat_matrix, rpy_matrix, rpy_quat
 from surefoot.seeding import generator
@@ -17,10 +16,6 @@ from surefoot.seeding import generator
 CELLS = 8
 FULL_CELL, EMPTY_CELL = 4.2, 3.2
 """Voltage [V] of a cell without load at 100 and 0 %, linear in between: a recorded robot had 3.83 V at 63 %."""
-POWER = PowerConfig(
-    battery_resistance=CELLS * 0.00375, battery_capacity=28_800.0, battery_drop=CELLS * (FULL_CELL - EMPTY_CELL)
-)
-"""Resistance of a cell as in the battery of `PowerConfig`; 8 Ah, the vendor's smaller battery."""
 _IMU_TEMPERATURE = 79
 _BMS_VERSION, _BMS_STATUS = (1, 16), 8
 _RESERVE = 0, 525

@@ -11,8 +11,7 @@ from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder
 from surefoot.emulator.board import Board
 from surefoot.emulator.real_time import Summary, measure
-from surefoot.emulator.serial.pty_port import PtyPort
-from surefoot.emulator.serial.serial_host_link import SerialHostLink
+from surefoot.emulator.serial.serial_host_link import HostPort, SerialHostLink
 
 PATIENCE = 2.0
 """Time [s] that a host has to read what the robot sends."""
@@ -40,7 +39,7 @@ class Lockstep:
     The link takes no time, its port must not be held, and `summary.stop` ends the loop.
     """
 
-    def __init__(self, board: Board, link: SerialHostLink, port: PtyPort, summary: Summary) -> None:
+    def __init__(self, board: Board, link: SerialHostLink, port: HostPort, summary: Summary) -> None:
         self.board, self._link, self._port, self._summary = board, link, port, summary
         self._decoder = Decoder(Codec(link.frames.codec.motors))
         self._anonymous: int | None = None

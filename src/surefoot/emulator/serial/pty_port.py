@@ -7,9 +7,8 @@ import select
 import tty
 from pathlib import Path
 
+from surefoot.deploy.serial.terminal_input import TerminalInput
 from surefoot.errors import SurefootError
-
-_CHUNK = 65_536
 
 
 class PtyPort:
@@ -31,6 +30,7 @@ class PtyPort:
         self._slave = slave if held else None
         if not held:
             os.close(slave)
+        self._input = TerminalInput(self._master)
         self._hangup = select.poll()
         self._hangup.register(self._master, select.POLLIN)
         self.unread = 0
@@ -47,8 +47,8 @@ class PtyPort:
     def read(self) -> bytes:
         """Return what hosts have written."""
         try:
-            return os.read(self._master, _CHUNK)
-        except OSError:  # nothing there, or nobody
+            return self._input.read()
+        except OSError:  # nobody
             return b""
 
     def deserted(self) -> bool:
@@ -58,7 +58,7 @@ class PtyPort:
 
     def wait(self, timeout: float) -> bool:
         """Wait until something can be read, at most `timeout` [s]; return whether it can."""
-        return bool(select.select([self._master], [], [], max(timeout, 0.0))[0])
+        return self._input.wait(timeout)
 
     def write(self, data: bytes, patience: float = 0.0) -> None:
         """Write to the hosts; drop what they do not read within `patience` [s]."""
@@ -76,6 +76,7 @@ class PtyPort:
         """Hang up, and remove the link."""
         if self._link is not None:
             self._link.unlink(missing_ok=True)
+        self._input.close()
         os.close(self._master)
         if self._slave is not None:
             os.close(self._slave)

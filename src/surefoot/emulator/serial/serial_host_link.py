@@ -11,7 +11,10 @@ from surefoot.deploy.robot_link import LinkStatistics
 from surefoot.emulator.faults import InjectedFault
 from surefoot.emulator.serial.line import Line
 from surefoot.emulator.serial.pty_port import PtyPort
+from surefoot.emulator.serial.socket_server_port import SocketServerPort
 from surefoot.seeding import generator
+
+HostPort = PtyPort | SocketServerPort
 
 
 class SerialHostLink:
@@ -29,7 +32,7 @@ class SerialHostLink:
 
     def __init__(
         self,
-        port: PtyPort,
+        port: HostPort,
         motors: int,
         faults: Mapping[str, InjectedFault] | None = None,
         baud: float = 0.0,

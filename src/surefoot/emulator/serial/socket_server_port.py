@@ -1,0 +1,92 @@
+"""The robot's end of a Unix socket, which hosts open in place of a serial port.
+
+Bytes of a pseudo-terminal wait for a worker of the kernel (`deploy.serial.terminal_input`), those of a socket do not.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+from pathlib import Path
+
+from surefoot.deploy.dds.socket_port import GREETING, SocketPort
+from surefoot.deploy.robot_link import LinkLostError
+from surefoot.errors import SurefootError
+
+
+class SocketServerPort:
+    """A socket that one host at a time connects to; a second one is turned away. It blocks only with a timeout.
+
+    Args:
+        path: of the socket; it is removed when the port is closed.
+
+    Raises:
+        SurefootError: the path exists, or no socket can be made there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.unread = str(path), 0
+        """Frames dropped because the host did not read what came before them."""
+        self._listener = socket.socket(socket.AF_UNIX)
+        if path.is_socket() and self._listener.connect_ex(self.path):
+            path.unlink()  # left behind by an emulator that was killed
+        try:
+            self._listener.bind(self.path)
+        except OSError as error:
+            self._listener.close()
+            raise SurefootError(f"socket {path}: {error.strerror or error}; give another name") from None
+        self._listener.listen(1)
+        self._listener.setblocking(False)
+        self._host: SocketPort | None = None
+
+    def _accept(self) -> None:
+        try:
+            end, _ = self._listener.accept()
+        except BlockingIOError:
+            return
+        if self._host is not None:
+            end.close()
+            return
+        self._host = SocketPort(end, "the host")
+        self.write(GREETING)
+
+    def deserted(self) -> bool:
+        """Return whether no host is connected."""
+        self._accept()
+        return self._host is None
+
+    def read(self) -> bytes:
+        """Return what the host has written."""
+        self._accept()
+        try:
+            return self._host.read() if self._host is not None else b""
+        except LinkLostError:
+            self._leave()
+            return b""
+
+    def _leave(self) -> None:
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until something can be read or a host comes or goes, at most `timeout` [s]; return whether it is so."""
+        files = [self._listener.fileno(), *([self._host.fileno()] if self._host is not None else [])]
+        return bool(select.select(files, [], [], max(timeout, 0.0))[0])
+
+    def write(self, data: bytes, patience: float = 0.0) -> None:
+        """Write to the host; drop what it does not read within `patience` [s]."""
+        try:
+            while data and self._host is not None:
+                data = data[self._host.write(data) :]
+                if data and (patience <= 0 or not select.select([], [self._host], [], patience)[1]):
+                    self.unread += 1
+                    return
+        except LinkLostError:
+            self._leave()
+
+    def close(self) -> None:
+        """Hang up, and remove the socket."""
+        self._leave()
+        self._listener.close()
+        Path(self.path).unlink(missing_ok=True)

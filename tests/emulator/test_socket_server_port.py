@@ -1,0 +1,109 @@
+"""A robot behind a Unix socket: bytes both ways, one host at a time, nothing left behind."""
+
+from __future__ import annotations
+
+import re
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from surefoot.deploy.dds.socket_port import SocketPort, connect
+from surefoot.deploy.robot_link import LinkLostError
+from surefoot.emulator.serial.socket_server_port import SocketServerPort
+from surefoot.errors import SurefootError
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Any:
+    port = SocketServerPort(tmp_path / "robot")
+    yield port
+    port.close()
+
+
+def host(robot: SocketServerPort) -> SocketPort:
+    """A host that is connected; the robot has one thread here, so its greeting is awaited by hand."""
+    end = socket.socket(socket.AF_UNIX)
+    end.connect(robot.path)
+    assert robot.wait(1.0)
+    robot.read()
+    port = SocketPort(end, "robot")
+    port.wait(1.0)
+    return port
+
+
+def test_bytes_go_both_ways_and_a_host_may_come_back(robot: SocketServerPort) -> None:
+    assert robot.deserted()
+    for _ in range(2):
+        port = host(robot)
+        assert port.read() == b"\0"
+        assert not robot.deserted()
+        assert not robot.wait(0.0)
+        port.write(b"command")
+        assert robot.wait(1.0)
+        assert robot.read() == b"command"
+        robot.write(b"state")
+        port.wait(1.0)
+        assert port.read() == b"state"
+        port.close()
+        assert robot.wait(1.0)
+        assert robot.read() == b""
+        assert robot.deserted()
+        robot.write(b"to nobody")
+
+
+def read_on(port: SocketPort) -> None:
+    """Read until the port is lost."""
+    while True:
+        port.read()
+
+
+def test_a_second_host_is_turned_away_and_the_first_one_stays(robot: SocketServerPort) -> None:
+    first, second = host(robot), socket.socket(socket.AF_UNIX)
+    second.connect(robot.path)
+    robot.read()
+    assert second.recv(1) == b""
+    second.close()
+    first.write(b"still here")
+    assert robot.wait(1.0)
+    assert robot.read() == b"still here"
+    robot.close()
+    with pytest.raises(LinkLostError, match="robot is gone"):
+        read_on(first)
+
+
+def test_a_host_that_does_not_read_loses_frames_and_does_not_block(robot: SocketServerPort) -> None:
+    port = host(robot)
+    for _ in range(1000):
+        robot.write(bytes(1000))
+    assert robot.unread > 100
+    port.close()
+
+
+def test_hosts_are_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "robot"
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(path))
+    with pytest.raises(SurefootError, match=f"port {re.escape(str(path))}: can't be opened: Connection refused"):
+        connect(str(path))
+    listener.listen()
+    monkeypatch.setattr("surefoot.deploy.dds.socket_port._PATIENCE", 0.05)
+    with pytest.raises(SurefootError, match="can't be opened: timed out"):
+        connect(str(path))
+    listener.close()
+
+
+def test_a_socket_that_a_killed_emulator_left_is_replaced_and_others_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "robot"
+    dead = socket.socket(socket.AF_UNIX)
+    dead.bind(str(path))
+    dead.close()
+    robot = SocketServerPort(path)
+    with pytest.raises(SurefootError, match="Address already in use; give another name"):
+        SocketServerPort(path)
+    robot.close()
+    assert not path.exists()
+    path.touch()
+    with pytest.raises(SurefootError, match="Address already in use; give another name"):
+        SocketServerPort(path)
