@@ -69,7 +69,7 @@ def run(policy: str, world: str, line: str, options: argparse.Namespace) -> dict
     """Both loops beside an emulator in one world: the deployment's report of its run, and what the emulator says."""
     runtime, robot = open_policy(find_policy(policy))
     with tempfile.TemporaryDirectory() as folder:
-        words = ["--robot", robot.folder, "--world", world, *([] if options.ground else ["--rack"])]
+        words = ["--robot", str(robot.folder), "--world", world, *([] if options.ground else ["--rack"])]
         emulator = subprocess.Popen(
             [*SUREFOOT, "emulate", *words, *(["--socket", f"{folder}/robot"] if line == "socket" else [])],
             stdout=subprocess.PIPE,
