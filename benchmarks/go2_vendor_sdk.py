@@ -4,7 +4,7 @@
 
 Needs far-unitree-sdk and unitree-sdk2py-dimos, installed with --no-deps. The first knows DDS domain 0 alone, so no
 other robot may run on the loopback meanwhile. It keeps the last state only: states that come while this computer does
-not let the reader run are not counted.
+not let the reader run are not counted. So the reader has a real-time priority, where the system gives it one.
 """
 
 from __future__ import annotations
