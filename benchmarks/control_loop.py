@@ -41,14 +41,15 @@ from surefoot.tables import write_csv
 
 @contextlib.contextmanager
 def busy_programs(count: int) -> Iterator[None]:
-    """Run programs that compute without end."""
-    programs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    """Run programs that compute all the while; they end by themselves if this one is killed."""
+    program = "import os\nparent = os.getppid()\nwhile os.getppid() == parent:\n    sum(range(100_000))"
+    programs = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(count)]
     try:
         yield
     finally:
-        for program in programs:
-            program.kill()
-            program.wait()
+        for process in programs:
+            process.kill()
+            process.wait()
 
 
 def bare_loop(seconds: float, step: float) -> dict[str, float]:
