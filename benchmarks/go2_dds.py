@@ -83,7 +83,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
             actions = [(UP + 0.5, read_loads), (UP + duration - 0.5, read_loads)]
             watch(deploy, witness, actions, PATIENCE + duration)
             code, report, errors = deploy.result()
-            about, commands, _ = robot.end()
+            _, commands, _ = robot.end()
         finally:
             deploy.kill()
             robot.kill()
@@ -104,9 +104,6 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
             row[f"{who}_load"] = (after - before) / (now - then)
         timing = run.get("timing", {})
         row |= {"missed": timing.get("missed"), "lateness_p99_9_ms": timing.get("lateness_p99_9_ms")}
-        row["robot_says"] = (
-            about if kind == "emulated" else f"{about['rate']:.2f} Hz, late {about['late_max_ms']:.1f} ms"
-        )
     return row
 
 
