@@ -41,14 +41,15 @@ from surefoot.tables import write_csv
 
 @contextlib.contextmanager
 def busy_programs(count: int) -> Iterator[None]:
-    """Run programs that compute without end."""
-    programs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    """Run programs that compute all the while; they end by themselves if this one is killed."""
+    program = "import os\nparent = os.getppid()\nwhile os.getppid() == parent:\n    sum(range(100_000))"
+    programs = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(count)]
     try:
         yield
     finally:
-        for program in programs:
-            program.kill()
-            program.wait()
+        for process in programs:
+            process.kill()
+            process.wait()
 
 
 def bare_loop(seconds: float, step: float) -> dict[str, float]:
@@ -69,7 +70,7 @@ def run(policy: str, world: str, line: str, options: argparse.Namespace) -> dict
     """Both loops beside an emulator in one world: the deployment's report of its run, and what the emulator says."""
     runtime, robot = open_policy(find_policy(policy))
     with tempfile.TemporaryDirectory() as folder:
-        words = ["--robot", robot.folder, "--world", world, *([] if options.ground else ["--rack"])]
+        words = ["--robot", str(robot.folder), "--world", world, *([] if options.ground else ["--rack"])]
         emulator = subprocess.Popen(
             [*SUREFOOT, "emulate", *words, *(["--socket", f"{folder}/robot"] if line == "socket" else [])],
             stdout=subprocess.PIPE,

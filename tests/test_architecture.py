@@ -26,6 +26,7 @@ ALLOWED: dict[str, set[str]] = {
     },
     "emulator": {"deploy", "world", "actuator", "robot"},
     "report": {"evaluation", "task", "robot", "world.ground", "identify.result", "identify.logs.errors"},
+    "adopt": {"policy", "task", "robot", "deploy.checks"},
     "studies": {"report", "learn", "evaluation", "task", "policy", "world", "robot"},
 }
 """What each package may import besides itself and the modules at the top: packages, or modules of one

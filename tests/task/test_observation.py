@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,13 +18,13 @@ from surefoot.policy.contract import Contract
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.observation import IMU_AND_MOTORS_12D, PARTS, Observer, phase
+from surefoot.task.observation import IMU_AND_MOTORS_12D, PARTS, Observer, gravity, phase
 from surefoot.task.reference import ReferenceConfig, WaveConfig
 from surefoot.world.interface import Readings
 
 WIDTHS = {
     **dict.fromkeys(("roll", "pitch", "roll_rate", "pitch_rate"), 1),
-    **{"motor_angles": 8, "motor_speeds": 8, "yaw_rate": 1, "reference_phase": 2, "last_action": 8},
+    **{"motor_angles": 8, "motor_speeds": 8, "yaw_rate": 1, "reference_phase": 2, "last_action": 8, "gravity": 3},
 }
 choices_of_parts = st.permutations(sorted(WIDTHS)).flatmap(
     lambda names: st.integers(1, len(names)).map(lambda count: tuple(names[:count]))
@@ -69,6 +71,11 @@ def expected(name: str, robot: int, steps: int) -> list[float]:
         "motor_speeds": [start + 20 + k for k in range(8)],
         "reference_phase": list(quarter),
         "last_action": [0.25 if steps else 0.0] * 8,
+        "gravity": [
+            math.sin(start + 2),
+            -math.sin(start + 1) * math.cos(start + 2),
+            -math.cos(start + 1) * math.cos(start + 2),
+        ],
     }[name]
 
 
@@ -91,7 +98,7 @@ def check(env: LocomotionEnv, names: tuple[str, ...], history: int) -> Contract:
 
 
 def test_every_part_of_an_observation_is_tested():
-    assert set(PARTS) == {*WIDTHS, "command"}
+    assert set(PARTS) == {*WIDTHS, "command", "memory"}
     assert (PARTS["roll_rate"].unit, PARTS["roll_rate"].frame) == ("rad/s", "base, about x")
 
 
@@ -110,6 +117,27 @@ def test_the_papers_twelve_numbers(make_env):
         *("angle.back_right_1_motor", "angle.back_right_2_motor"),
     )
     assert TaskConfig().observations == IMU_AND_MOTORS_12D
+
+
+def test_gravity_is_the_direction_down_in_the_base_frame():
+    level, nose_down, left_up = np.array([[0, 0, 1], [0, 0.3, 1], [0.3, 0, 1]], float)
+    np.testing.assert_allclose(gravity(level[None]), [[0, 0, -1]], atol=1e-12)
+    np.testing.assert_allclose(gravity(nose_down[None]), [[math.sin(0.3), 0, -math.cos(0.3)]], atol=1e-12)
+    np.testing.assert_allclose(gravity(left_up[None]), [[0, -math.sin(0.3), -math.cos(0.3)]], atol=1e-12)
+
+
+def test_memory_is_what_the_policy_gave_last_and_moves_nothing():
+    task = TaskConfig(robot="go2", observations=("memory", "last_action"), action="angle", memory=2)
+    env = LocomotionEnv(task, 2, ScriptedWorld)
+    feedback = np.concatenate([np.tile(env.robot.resting_angles, (2, 1)), [[1.5, -300.0], [2.5, 40.0]]], axis=1)
+    observation, *_ = env.step(env.gait.action(feedback))
+    np.testing.assert_allclose(observation, np.roll(feedback, 2, axis=1), rtol=1e-6)
+    np.testing.assert_allclose(env.target, feedback[:, :-2], atol=1e-12)
+    observation, _ = env.reset()
+    assert not observation.any()
+    contract = make_contract(env)
+    assert contract.columns[:3] == ("memory.0", "memory.1", "last_angle.FR_hip_joint")
+    assert contract.action_names[-3:] == ("angle.RL_calf_joint", "memory.0", "memory.1")
 
 
 def test_another_order_is_another_contract(make_env):

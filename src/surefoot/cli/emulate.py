@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,7 +14,7 @@ from surefoot.cli.helpers.options import Repeated, Settings, World, files_by_suf
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
-from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
+from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription, parse_settings
 from surefoot.robot.params_file import load_params, write_params
 
 if TYPE_CHECKING:
@@ -199,6 +199,10 @@ def make_loop(
     plant = make_plant(command, robot, servo_every=_servo_every(robot, faults.get("slow-servo")))
     limits = Limits.from_robot(robot)
     handshake = make_handshake(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
+    # Gains that are set are the firmware's own, such as those that a policy was trained with.
+    given = parse_settings([word for group in command.settings for word in group])
+    gains = {name: getattr(plant.params, name)[0] for name in ("servo_kp", "servo_kd") if name in given}
+    handshake = replace(handshake, **gains)
     if command.lockstep:
         link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=PATIENCE)
         return Lockstep(Board(plant, handshake, link, limits, faults), link, port, summary)

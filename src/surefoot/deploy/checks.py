@@ -59,10 +59,11 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
         for (name, (low, high)), unit, value in zip(
             robot.leg_space.items(), robot.leg_geometry.units, contract.rest, strict=True
         ):
-            if not low - 1e-9 <= value <= high + 1e-9:
-                raise SurefootError(
-                    f"{name} at rest is {value:g} {unit}; a leg of {robot.name} allows {low:g} to {high:g}"
-                )
+            for number in np.atleast_1d(value):
+                if not low - 1e-9 <= number <= high + 1e-9:
+                    raise SurefootError(
+                        f"{name} at rest is {number:g} {unit}; a leg of {robot.name} allows {low:g} to {high:g}"
+                    )
 
 
 def check_handshake(handshake: Handshake, robot: RobotDescription) -> list[CheckResult]:

@@ -86,7 +86,7 @@ class Controller:
             else:
                 step = np.array([self.contract.control_step * (missed + 1)])
                 self._filter.advance(self.command[None], step, yaw)
-        inputs = ObservationInputs(readings, self.gait.reference, self.feedback[None], self._state())
+        inputs = ObservationInputs(readings, self.gait.reference, self.feedback[None], self._state(), self.gait.memory)
         self.observation = self.observer.observe(inputs)[0]
         check_finite("observation", self.contract.columns, self.observation)
         if self._history is None:

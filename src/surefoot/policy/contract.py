@@ -21,7 +21,13 @@ METADATA_KEY = "surefoot"
 """Property of the ONNX file that holds the contract."""
 ASSUMED_PARAMS = ("control_step", "servo_latency", "control_latency", "servo_kp", "servo_kd", "voltage")
 """Physical parameters that the contract states."""
-Angle = Annotated[float, Within(-2 * math.pi, 2 * math.pi)]
+MEMORY = "memory"
+"""Prefix of the names of numbers that a policy keeps from one control step to the next."""
+MAX_MEMORY = 4096
+MEMORY_RANGE = 1e6
+"""Greatest number that a policy keeps."""
+_TURN = Within(-2 * math.pi, 2 * math.pi)
+Angle = Annotated[float, _TURN]
 Latency = Annotated[float, Within(0, 1)]
 Gain = Annotated[float | tuple[float, ...], Within(0, 1e4)]
 
@@ -75,15 +81,17 @@ class Contract:
     history: Annotated[int, Within(1, 100)]
     """Number of last observations in the policy's input, the newest first."""
     action_names: tuple[str, ...]
-    """Names of the feedback's A numbers: COORDINATE.LEG for each coordinate of leg space in turn, or joint.MOTOR."""
-    low: tuple[Angle, ...]
+    """Names of the feedback's A numbers: COORDINATE.LEG for each coordinate of leg space in turn, joint.MOTOR, or
+    angle.MOTOR for the motors' angles themselves. After them memory.K: numbers that move nothing, which the next
+    observation has, such as the last action in the network's own units or a hidden state; 0 at first."""
+    low: Annotated[tuple[float, ...], Within(-MEMORY_RANGE, MEMORY_RANGE)]
     """Least feedback, one an action: rad; extension of serial legs in lengths of the straight leg."""
-    high: tuple[Angle, ...]
+    high: Annotated[tuple[float, ...], Within(-MEMORY_RANGE, MEMORY_RANGE)]
     """Greatest feedback, one an action."""
     reference: dict[str, Any] | None
     """The open loop part of the gait, as `ReferenceConfig` reads it; None: zero at all times."""
-    rest: tuple[Angle, ...]
-    """Pose of all legs in leg space in which an episode starts."""
+    rest: tuple[Angle | tuple[Angle, ...], ...]
+    """Pose of the legs in leg space in which an episode starts: each coordinate of all legs or of each."""
     control_step: Annotated[float, Within(1e-4, 1)]
     """Time between two commands [s]."""
     servo_latency: Latency
@@ -115,6 +123,12 @@ class Contract:
         """Refuse numbers out of bounds; keep only what JSON can hold."""
         for name in ("task", "figures", "reference"):
             object.__setattr__(self, name, plain(getattr(self, name)))
+        for k, name in enumerate(self.action_names):
+            if not name.startswith(f"{MEMORY}."):
+                for end in ("low", "high"):
+                    numbers = getattr(self, end)
+                    if k < len(numbers):
+                        _TURN.check(f"contract.{end}[{k}]", numbers[k])
         check_bounds(self, "contract")
         motors, actions = len(self.motor_names), len(self.action_names)
         lengths = {"motor_signs": motors, "low": actions, "high": actions, "servo_kp": motors, "servo_kd": motors}
@@ -127,6 +141,9 @@ class Contract:
                 raise SurefootError(
                     f"contract: bounds of {name} are [{low:g}, {high:g}]; the lower bound must come first"
                 )
+        for numbers in self.rest:
+            if isinstance(numbers, tuple) and len(numbers) != len(self.leg_names):
+                raise SurefootError(f"contract.rest has {len(numbers)} numbers in one; it must have one or one a leg")
         if "file" in (self.reference or {}):
             raise SurefootError("contract.reference names a file; a policy holds the rows of its table itself")
 

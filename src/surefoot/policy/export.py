@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import base64
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import onnx
 import torch
-from onnx import TensorProto, helper
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.files import atomic_write
-from surefoot.policy.contract import METADATA_KEY, Contract
-from surefoot.policy.digest import ROBOT_KEY, add_digest, read_parts
-from surefoot.policy.network import INPUT, OPSET, OUTPUT, check_network
+from surefoot.policy.contract import Contract
+from surefoot.policy.digest import add_digest, read_parts
+from surefoot.policy.graph import Graph
+from surefoot.policy.network import INPUT, OUTPUT, check_network
 from surefoot.policy.runtime import PolicyRuntime
-from surefoot.policy.torch_graph import Graph, trace_module
+from surefoot.policy.torch_graph import trace_module
 
 if TYPE_CHECKING:
     from torch import nn
 
-IR_VERSION = 8
 _SAMPLES = 64
 _TOLERANCE = 1e-4
 """Greatest difference between network and file, in half widths of the bounds."""
@@ -77,7 +74,7 @@ def _build_model(network: nn.Module, contract: Contract, output: str, robot: byt
     low, high = np.array(contract.low), np.array(contract.high)
     half, middle = (high - low)[None] / 2, (high + low)[None] / 2
     graph = Graph()
-    value = trace_module(network, graph, INPUT, contract.width, len(contract.action_names))
+    value = trace_module(network, graph, INPUT, contract.width, len(contract.action_names)).name
     offset = graph.constant(middle, "middle")
     if output == "feedback":
         value = graph.apply("Sub", value, offset)
@@ -85,26 +82,7 @@ def _build_model(network: nn.Module, contract: Contract, output: str, robot: byt
     value = graph.apply("Clip", value, graph.constant(-1.0, "minus_one"), graph.constant(1.0, "one"))
     value = graph.apply("Mul", value, graph.constant(half, "half_width"))
     graph.apply("Add", value, offset, result=OUTPUT)
-    model = helper.make_model(
-        helper.make_graph(
-            graph.nodes,
-            "policy",
-            [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["N", contract.width])],
-            [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["N", len(contract.action_names)])],
-            graph.constants,
-        ),
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=IR_VERSION,
-        producer_name="surefoot",
-        producer_version=contract.version,
-    )
-    properties = {METADATA_KEY: contract.to_json()}
-    if robot:
-        properties[ROBOT_KEY] = base64.b64encode(robot).decode()
-    helper.set_model_props(model, properties)
-    onnx.checker.check_model(model, full_check=True)
-    data: bytes = model.SerializeToString()
-    return data
+    return graph.to_model(contract, robot)
 
 
 def _compare(network: nn.Module, policy: PolicyRuntime, output: str) -> None:

@@ -20,12 +20,12 @@ INPUT, OUTPUT = "observation", "feedback"
 OPERATORS = {
     **{"Sub": 2, "Div": 2, "Mul": 2, "Add": 2, "Gemm": 3, "Clip": 3},
     **{"Elu": 1, "Relu": 1, "Tanh": 1, "Selu": 1, "Sigmoid": 1},
-    "LayerNormalization": 3,
+    **{"Min": 2, "Max": 2, "Sqrt": 1, "LayerNormalization": 3},
 }
 """Operators that a network may have, and how many inputs each takes."""
 MAX_BYTES = 64 * 2**20
 """Size of a policy file; those of the gaits that ship have some 90 kB."""
-MAX_NODES = 128
+MAX_NODES = 512
 MAX_WIDTH = 16384
 """Rows or columns of a constant."""
 _CONSTANT_OPERANDS = ("Gemm", "LayerNormalization")

@@ -46,6 +46,9 @@ _HERE = Path(__file__).parent
 
 DEFAULT_ROBOT = "minitaur"
 """The robot of tasks that name none: the paper's."""
+ANGLE_ROOM = 1.0
+"""Range [rad] beyond the angles of leg space that a command may request. Legs of a damped robot on its belly fold
+further than a gait may, and standing up begins at their angles."""
 _VOLTAGE = 24.0
 """Nominal battery voltage [V] of joint actuators, where the sheet does not say."""
 
@@ -241,6 +244,20 @@ class RobotDescription:
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates of leg space: (abduction,) swing, extension."""
         return tuple(self.leg_space)
+
+    @property
+    def command_range(self) -> tuple[Array, Array]:
+        """Least and greatest motor angles (M,) [rad] that a command may request, of a pose or on the way to one."""
+        least, greatest = self.angle_extent(*self.leg_space.values())
+        return least - ANGLE_ROOM, greatest + ANGLE_ROOM
+
+    @property
+    def motor_limits(self) -> tuple[Array, Array]:
+        """Least and greatest motor angles (M,) [rad] that the joints and `command_range` allow."""
+        turn = (-2 * np.pi, 2 * np.pi)
+        limits = np.array([self.urdf.joints[name].limits or turn for name in self.motor_names])
+        ends, (least, greatest) = np.sort(self.motor_sign[:, None] * limits, axis=1), self.command_range
+        return np.maximum(ends[:, 0], least), np.minimum(ends[:, 1], greatest)
 
     def _split_legs(self, angles: Array) -> Array:
         """Return the angles (..., L, m) of each leg's motors for those of all motors (..., M)."""

@@ -58,6 +58,8 @@ class Timing:
     control_step: Positive = 0.010
     servo_latency: NotNegative = 0.002
     control_latency: NotNegative = 0.010
+    command_timeout: Positive = 0.050
+    """Silence after which the armed robot's board damps the motors [s]: three control steps or more."""
 
 
 @dataclass(frozen=True)

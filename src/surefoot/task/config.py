@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from surefoot.configuration import NoOption, Within, check_bounds, from_mapping, read_yaml
 from surefoot.errors import SurefootError, check_name, prefix_errors, quote, suggest
+from surefoot.policy.contract import MAX_MEMORY
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges, check_ranges, resolve_table
@@ -69,9 +70,13 @@ class TaskConfig:
     feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
     """Bounds of the policy's part."""
     action: ActionKind = "leg"
-    """What the policy's part is added to: the legs' poses in leg space, or the motors' angles."""
-    rest: tuple[float, ...] | None = None
-    """Pose of all legs in leg space in which the robot settles first; the middle of commands if not given."""
+    """What the policy's part is added to: the legs' poses in leg space, or the motors' angles. angle: to nothing; it is
+    the motors' angles themselves, without a reference."""
+    memory: Annotated[int, Within(0, MAX_MEMORY)] = 0
+    """Numbers beside the motion that the policy keeps from one control step to the next, by observation `memory`."""
+    rest: tuple[float | tuple[float, ...], ...] | None = None
+    """Pose of the legs in leg space in which the robot settles first, each coordinate of all legs or of each; the
+    middle of commands if not given."""
     fall_angle: Annotated[float, Within(1e-3, math.pi)] = 0.5
     """Roll or pitch [rad] beyond which an episode ends."""
     fall_height: Annotated[float, Within(0, 10)] = 0.0
@@ -126,11 +131,11 @@ class TaskConfig:
         Beside a `relative` reference, which serves any robot, bounds are narrowed to what the legs allow.
         """
         reference = make_reference(self.reference, robot, self.commands.limits(robot), self.nominal(robot))
-        names = ("joint",) if self.action == "joint" else robot.coordinates
+        names = {"leg": robot.coordinates, "joint": ("joint",), "angle": ()}[self.action]
         bounds = self.feedback.bounds(names)
         if self.reference.relative and self.action == "leg":
             bounds = narrowed_bounds(bounds, reference, robot)
-        return HybridGait(robot, reference, *bounds, action=self.action)
+        return HybridGait(robot, reference, *bounds, action=self.action, memory=self.memory)
 
     def return_meta(self, robot: RobotDescription) -> dict[str, float | None]:
         """Return what a trace's meta has to compute the return: `energy_weight` and `progress_limit` of `TraceMeta`."""

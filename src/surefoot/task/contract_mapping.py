@@ -15,14 +15,14 @@ import numpy as np
 from surefoot import __version__
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError, choices, quote
-from surefoot.policy.contract import ASSUMED_PARAMS, Contract, ObservationPart, config_hash
+from surefoot.policy.contract import ASSUMED_PARAMS, MEMORY, Contract, ObservationPart, config_hash
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.robot.params_file import ParamValue, param_values
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.gait import ActionKind, action_names
-from surefoot.task.observation import PARTS
+from surefoot.task.observation import PARTS, Observer
 from surefoot.task.plugins import changed_plugins, used_plugins
 from surefoot.task.reference import ReferenceConfig
 from surefoot.task.reward import TERMS
@@ -30,7 +30,7 @@ from surefoot.task.reward import TERMS
 if TYPE_CHECKING:
     from surefoot.task.env import LocomotionEnv
 
-_STATED = ("robot", "observations", "history", "reference", "feedback", "action", "rest")
+_STATED = ("robot", "observations", "history", "reference", "feedback", "action", "memory", "rest")
 """Fields of the task that the contract states itself."""
 _LIMITS = (*COMMANDS, "relative", "acceleration", "heading_gain")
 """Fields of the task's commands that the contract states as limits."""
@@ -52,18 +52,43 @@ def make_contract(
         figures: figures of the run.
         created: when the policy was made, ISO 8601.
     """
-    robot, gait, task, config = env.robot, env.gait, env.task, config or env.task
+    config = config or env.task
+    return contract_from_task(
+        env.task, env.robot, config_hash(_without_path(to_mapping(config), env.robot)), config.name, figures, created
+    )
+
+
+def contract_from_task(
+    task: TaskConfig,
+    robot: RobotDescription,
+    whole_hash: str = "",
+    name: str = "",
+    figures: Mapping[str, Any] | None = None,
+    created: str = "",
+) -> Contract:
+    """Return the contract of a policy for a task on its robot.
+
+    Args:
+        task: the task.
+        robot: the task's.
+        whole_hash: `config_hash` of the configuration of the run; the task's, if empty.
+        name: of the policy; the task's, if empty.
+        figures: figures of the run.
+        created: when the policy was made, ISO 8601.
+    """
+    gait = task.gait(robot)
+    observer = Observer(robot, task.observations, gait.action_names)
     assumed: dict[str, Any] = param_values(task.nominal(robot), ASSUMED_PARAMS)
     assumed |= {name: None for name in assumed if name not in PhysicalParams.names(robot)}
     return Contract(
-        name=config.name,
+        name=name or task.name,
         robot=robot.name,
         description=robot.location if robot.ships else "",
         motor_names=robot.motor_names,
         motor_signs=tuple(float(sign) for sign in robot.motor_sign),
         leg_names=robot.leg_names,
-        observation=tuple(ObservationPart(**part) for part in env.observer.describe()),
-        columns=tuple(env.observer.columns),
+        observation=tuple(ObservationPart(**part) for part in observer.describe()),
+        columns=tuple(observer.columns),
         history=task.history,
         action_names=tuple(gait.action_names),
         low=tuple(gait.low.tolist()),
@@ -72,7 +97,7 @@ def make_contract(
         rest=task.rest or gait.rest,
         **assumed,
         task=_task_mapping(task),
-        config_hash=config_hash(_without_path(to_mapping(config), robot)),
+        config_hash=whole_hash or config_hash(_without_path(to_mapping(task), robot)),
         figures=dict(figures or {}),
         commands=task.commands.limits(robot),
         plugins=used_plugins(task.reward, task.observations),
@@ -159,7 +184,7 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
     if stated := keys & _STATED_KEYS:
         raise SurefootError(f"{min(stated)} is not a key; the contract states it outside the task")
     task = from_mapping(TaskConfig, _task_without_skipped(contract), "task")
-    kind, feedback = _feedback(contract, robot)
+    kind, memory, feedback = _feedback(contract, robot)
     return replace(
         task,
         robot=robot.location,
@@ -168,24 +193,37 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         reference=from_mapping(ReferenceConfig, contract.reference or {}, "reference"),
         feedback=feedback,
         action=kind,
+        memory=memory,
         rest=contract.rest,
         commands=_commands(contract, task.commands),
         params=task.params | _assumed_params(contract, robot),
     )
 
 
-def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, FeedbackConfig]:
-    """Return what the feedback is added to, and its bounds on each coordinate."""
-    kind: ActionKind = "joint" if contract.action_names[:1] == (f"joint.{robot.motor_names[0]}",) else "leg"
-    names = action_names(robot, kind)
+def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, int, FeedbackConfig]:
+    """Return what the feedback is added to, how many of its numbers are memory, and bounds on each coordinate."""
+    prefix = contract.action_names[0].partition(".")[0] if contract.action_names else ""
+    kind: ActionKind = "joint" if prefix == "joint" else "angle" if prefix == "angle" else "leg"
+    memory = sum(name.startswith(f"{MEMORY}.") for name in contract.action_names)
+    names = action_names(robot, kind, memory)
     if list(contract.action_names) != names:
         raise SurefootError(
             f"its actions are {choices(contract.action_names)}; on {robot.name} they must be {choices(names)}"
         )
+    ends = np.array([contract.low, contract.high])[:, : len(names) - memory]
+    if kind == "angle":
+        least, greatest = robot.motor_limits
+        if wrong := np.flatnonzero((ends[0] < least - 1e-9) | (ends[1] > greatest + 1e-9)).tolist():
+            one = wrong[0]
+            raise SurefootError(
+                f"bounds of {names[one]} are {ends[0, one]:g} to {ends[1, one]:g} rad; the joint of {robot.name} "
+                f"allows {least[one]:g} to {greatest[one]:g}"
+            )
+        return kind, memory, FeedbackConfig()
     coordinates = ("joint",) if kind == "joint" else robot.coordinates
-    low, high = (np.reshape(bound, (len(coordinates), -1)) for bound in (contract.low, contract.high))
+    low, high = (np.reshape(bound, (len(coordinates), -1)) for bound in ends)
     bounds = zip(coordinates, low.min(axis=1).tolist(), high.max(axis=1).tolist(), strict=True)
-    return kind, FeedbackConfig(**{name: (least, most) for name, least, most in bounds})
+    return kind, memory, FeedbackConfig(**{name: (least, most) for name, least, most in bounds})
 
 
 def _commands(contract: Contract, config: CommandConfig) -> CommandConfig:

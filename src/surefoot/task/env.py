@@ -150,7 +150,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         return self.observer.observe(self._observation_inputs())
 
     def _observation_inputs(self) -> ObservationInputs:
-        return ObservationInputs(self.readings, self.gait.reference, self.feedback, self.command_state)
+        return ObservationInputs(
+            self.readings, self.gait.reference, self.feedback, self.command_state, self.gait.memory
+        )
 
     @property
     def command_state(self) -> CommandState | None:

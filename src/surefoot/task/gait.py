@@ -10,20 +10,25 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
+from surefoot.policy.contract import MEMORY, MEMORY_RANGE
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.foot_references import FollowingReference, FootReference
 from surefoot.task.reference import Reference
 
 Range = tuple[float, float]
-ActionKind = Literal["leg", "joint"]
+ActionKind = Literal["leg", "joint", "angle"]
 
 
-def action_names(robot: RobotDescription, kind: ActionKind) -> list[str]:
-    """Return the names of the feedback's numbers: of every leg for each coordinate in turn, or of every motor."""
-    if kind == "joint":
-        return [f"joint.{motor}" for motor in robot.motor_names]
-    return [f"{part}.{leg}" for part in robot.coordinates for leg in robot.leg_names]
+def action_names(robot: RobotDescription, kind: ActionKind, memory: int = 0) -> list[str]:
+    """Return the names of the feedback's numbers: of every leg for each coordinate in turn, or of every motor.
+
+    Those of the policy's memory come last.
+    """
+    names = [f"{part}.{leg}" for part in robot.coordinates for leg in robot.leg_names]
+    if kind != "leg":
+        names = [f"{kind}.{motor}" for motor in robot.motor_names]
+    return [*names, *(f"{MEMORY}.{k}" for k in range(memory))]
 
 
 def narrowed_bounds(bounds: Sequence[Range], reference: Reference, robot: RobotDescription) -> list[Range]:
@@ -41,23 +46,31 @@ class HybridGait:
     With `velocity_feedforward` T of the reference, commands are T dq/dt ahead of it, as far as legs allow: an actuator
     with T = k_d / k_p then damps the difference to the reference's velocity, not the velocity.
 
-    Feedback is in leg space, C numbers a leg, or, with `action` joint, an angle for each of the M motors; A = C L or M.
+    Feedback is in leg space, C numbers a leg, or, with `action` joint, an angle for each of the M motors. With `action`
+    angle there is no reference and no leg space: feedback is the motors' angles themselves, within the joints' limits.
+    `memory` numbers more move nothing; the next observation has them. A = C L or M, and these.
 
     Args:
         robot: legs, their order and range.
         reference: the open loop part, in leg space.
         bounds: bounds of the feedback on each leg's coordinates, in the robot's order; one range [rad] for all motors
-            with `action` joint.
-        action: what feedback is added to: poses of legs, or motor angles.
+            with `action` joint; none with `action` angle.
+        action: what feedback is added to: poses of legs, motor angles, or nothing.
+        memory: numbers that a policy keeps from one control step to the next.
 
     Raises:
         SurefootError: a command could leave the leg's range.
     """
 
     def __init__(
-        self, robot: RobotDescription, reference: Reference, *bounds: Range, action: ActionKind = "leg"
+        self,
+        robot: RobotDescription,
+        reference: Reference,
+        *bounds: Range,
+        action: ActionKind = "leg",
+        memory: int = 0,
     ) -> None:
-        self.robot, self.reference, self.action_kind = robot, reference, action
+        self.robot, self.reference, self.action_kind, self.memory = robot, reference, action, memory
         self._leading: FootReference | FollowingReference | None = None
         if isinstance(reference, FootReference | FollowingReference) and reference.velocity_feedforward:
             self._leading = reference
@@ -71,10 +84,22 @@ class HybridGait:
         legs, coordinates = len(robot.legs), robot.coordinates
         self._shape = (len(coordinates), legs)
         self._space = np.array(list(robot.leg_space.values())).T[..., None]
-        count = robot.num_motors if action == "joint" else legs
-        self.low, self.high = np.repeat(np.array(bounds, float).T, count, axis=1)
-        feedback = bounds if action == "leg" else [(0.0, 0.0)] * len(coordinates)
         self._ranges: list[Range] = []
+        if action == "angle":
+            if np.any(reference.extent()):
+                raise SurefootError("action is angle: feedback is the motors' angles; the reference must be none")
+            self.low, self.high = robot.motor_limits
+        else:
+            count = robot.num_motors if action == "joint" else legs
+            self.low, self.high = np.repeat(np.array(bounds, float).T, count, axis=1)
+            self._add_ranges(bounds)
+        self.low = np.append(self.low, np.full(memory, -MEMORY_RANGE))
+        self.high = np.append(self.high, np.full(memory, MEMORY_RANGE))
+
+    def _add_ranges(self, bounds: Sequence[Range]) -> None:
+        """Set the range of each coordinate of leg space that commands may have, which the robot must allow."""
+        robot, reference, action, coordinates = self.robot, self.reference, self.action_kind, self.robot.coordinates
+        feedback = bounds if action == "leg" else [(0.0, 0.0)] * len(coordinates)
         spans = zip(robot.leg_space.items(), robot.leg_geometry.units, reference.extent(), feedback, strict=True)
         for (name, (allowed_low, allowed_high)), unit, (least, most), (low, high) in spans:
             self._ranges.append((least + low, most + high))
@@ -88,20 +113,29 @@ class HybridGait:
 
     @property
     def action_names(self) -> list[str]:
-        """Names of the feedback's numbers: of every leg for each coordinate in turn, or of every motor."""
-        return action_names(self.robot, self.action_kind)
+        """Names of the feedback's numbers: see `action_names`."""
+        return action_names(self.robot, self.action_kind, self.memory)
 
     @property
     def rest(self) -> tuple[float, ...]:
-        """Pose in leg space in the middle of the range of commands."""
+        """Pose in leg space in the middle of the range of commands; the robot's own, where commands are angles."""
+        if self.action_kind == "angle":
+            return self.robot.rest
         return tuple(float(low + high) / 2 for low, high in self._ranges)
 
     def angle_extent(self) -> tuple[Array, Array]:
         """Return the least and greatest motor angles (M,) [rad] that a command may have."""
+        motors = self.robot.num_motors
+        if self.action_kind == "angle":
+            return self.low[:motors], self.high[:motors]
         ahead = self._leading or self._carrying
         ranges = self._ranges if ahead is None else list(self.robot.leg_space.values())
         least, greatest = self.robot.angle_extent(*ranges)
-        return (least + self.low, greatest + self.high) if self.action_kind == "joint" else (least, greatest)
+        return (
+            (least + self.low[:motors], greatest + self.high[:motors])
+            if self.action_kind == "joint"
+            else (least, greatest)
+        )
 
     def feedback(self, action: ArrayLike) -> Array:
         """Return feedback (N, A) for actions in [-1, 1], clipped: -1 is the lower bound, 1 the upper one."""
@@ -117,6 +151,9 @@ class HybridGait:
 
     def motor_targets(self, time: ArrayLike, feedback: Array, state: CommandState | None = None) -> Array:
         """Return the motor angles (N, M) [rad] for feedback (N, A) at times (N,) [s], with what is followed."""
+        feedback = feedback[:, : len(self.low) - self.memory]
+        if self.action_kind == "angle":
+            return feedback
         pose = self.reference.pose(time, state)
         joint = self.action_kind == "joint"
         if not joint:

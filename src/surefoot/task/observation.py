@@ -9,6 +9,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices, suggest
+from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.commands import CommandState
@@ -26,6 +27,8 @@ class ObservationInputs:
     """Feedback of the last control step (N, A), see `HybridGait`; zero before the first."""
     commands: CommandState | None = None
     """What the gait follows, of a task with commands."""
+    memory: int = 0
+    """How many of the last numbers of the feedback are the policy's memory."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,12 @@ def gait_phase(inputs: ObservationInputs) -> Array:
     return inputs.commands.activity[:, None] * phase(inputs.commands.phase, 1.0)
 
 
+def gravity(roll_pitch_yaw: Array) -> Array:
+    """Return the direction of gravity in the base frame (N, 3), a unit vector; (0, 0, -1) of a level base."""
+    roll, pitch, _ = roll_pitch_yaw.T
+    return np.stack([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)], axis=-1)
+
+
 def _command(inputs: ObservationInputs) -> Array:
     """Return the commands (N, 3) that are followed; the task must have commands."""
     if inputs.commands is None:
@@ -75,6 +84,9 @@ def _angular_velocity(axis: int) -> Callable[[ObservationInputs], Array]:
 PARTS: dict[str, Part] = {
     "roll": Part("rad", "base in world", lambda _: ["roll"], lambda m: m.readings.roll_pitch_yaw[:, 0:1]),
     "pitch": Part("rad", "base in world", lambda _: ["pitch"], lambda m: m.readings.roll_pitch_yaw[:, 1:2]),
+    "gravity": Part(
+        "1", "base", lambda _: ["gravity_x", "gravity_y", "gravity_z"], lambda m: gravity(m.readings.roll_pitch_yaw)
+    ),
     "roll_rate": Part("rad/s", "base, about x", lambda _: ["roll_rate"], _angular_velocity(0)),
     "pitch_rate": Part("rad/s", "base, about y", lambda _: ["pitch_rate"], _angular_velocity(1)),
     "motor_angles": Part("rad", "motor", _motor_columns("angle"), lambda m: m.readings.motor_angle),
@@ -88,7 +100,13 @@ PARTS: dict[str, Part] = {
         "rad",
         "leg space",
         lambda robot: [f"last_{part}.{leg}" for part in robot.coordinates for leg in robot.leg_names],
-        lambda m: m.last_feedback,
+        lambda m: m.last_feedback[:, : m.last_feedback.shape[1] - m.memory],
+    ),
+    "memory": Part(
+        "as the policy gave it",
+        "policy",
+        lambda _: [],
+        lambda m: m.last_feedback[:, m.last_feedback.shape[1] - m.memory :],
     ),
 }
 """Every part that an observation can have."""
@@ -115,8 +133,11 @@ class Observer:
             raise SurefootError(f"observations are {choices(names)}; names must not repeat")
         self.names = names
         columns = {name: PARTS[name].columns(robot) for name in names}
+        kept = [action for action in actions or () if action.startswith(f"{MEMORY}.")]
         if actions is not None and "last_action" in columns:
-            columns["last_action"] = [f"last_{action}" for action in actions]
+            columns["last_action"] = [f"last_{action}" for action in actions if action not in kept]
+        if "memory" in columns:
+            columns["memory"] = kept
         self.columns = [column for name in names for column in columns[name]]
         if len(set(self.columns)) != len(self.columns):
             raise SurefootError(f"columns of the observation are {choices(self.columns)}; names must not repeat")

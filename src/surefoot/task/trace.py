@@ -18,6 +18,7 @@ from surefoot.arrays import Array
 from surefoot.configuration import Within, from_mapping, to_mapping
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
+from surefoot.policy.contract import MEMORY
 from surefoot.robot import ROBOT, RobotDescription, carried_robot
 
 ENERGY_WEIGHT = 0.008  # w of the paper's reward, the same in all its experiments
@@ -98,7 +99,8 @@ class EpisodeTrace:
     """(T, O) inputs of the policy, in the units of its contract."""
     feedback: Array
     """(T, A), the policy's part of the action: each coordinate of leg space in turn, of every leg (A = 2L or 3L; rad,
-    extension of serial legs in lengths of the straight leg), or an angle [rad] of every motor."""
+    extension of serial legs in lengths of the straight leg), or an angle [rad] of every motor; then what the policy
+    keeps, one number for each observation `memory`."""
     target: Array
     """(T, M) rad motor angles sent to the servos."""
     energy: Array
@@ -214,7 +216,8 @@ class EpisodeTrace:
 def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
     """Return the shape of each array of a trace of `steps` control steps, whose `feedback` has that shape."""
     legs, motors = len(meta["leg_names"]), len(meta["motor_names"])
-    actions = feedback[-1] if feedback and feedback[-1] in (3 * legs, motors) else 2 * legs
+    memory = sum(str(name).startswith(f"{MEMORY}.") for name in meta["observation_names"])
+    actions = feedback[-1] if feedback and feedback[-1] - memory in (3 * legs, motors) else 2 * legs + memory
     return {
         "time": (steps,),
         "base_position_world": (steps + 1, 3),

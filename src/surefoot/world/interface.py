@@ -73,8 +73,9 @@ class Truth:
 class WorldConfig:
     """Configuration of a simulated world."""
 
-    rest: tuple[float, ...] | None = None
-    """Pose of all legs in leg space in which robots settle before an episode; the description's, if not given."""
+    rest: tuple[float | tuple[float, ...], ...] | None = None
+    """Pose of the legs in leg space in which robots settle before an episode, each coordinate of all legs or of each;
+    the description's, if not given."""
     actuator: Literal["dc", "constraint"] = "dc"
     """dc: servo and DC motor; constraint: the position motor of physics engines, without a servo or a motor model."""
     rack: bool = False

@@ -148,7 +148,7 @@ def test_a_hello_is_answered_by_the_handshake_and_frames_are_counted_from_one(be
 
 @pytest.mark.parametrize("room", [1.0, 1.01, 1.02, 1.03])
 def test_a_command_at_the_limits_of_the_handshake_is_obeyed(robot, monkeypatch, room):
-    monkeypatch.setattr("surefoot.deploy.board.limits.ANGLE_ROOM", room)
+    monkeypatch.setattr("surefoot.robot.description.ANGLE_ROOM", room)
     bench = Bench(robot, "serial line")
     (sent,) = bench.send(Hello(ME, 0.010))
     bench.arm()

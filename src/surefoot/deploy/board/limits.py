@@ -13,10 +13,6 @@ from surefoot.deploy.messages import Handshake
 if TYPE_CHECKING:
     from surefoot.robot import RobotDescription  # and with it URDF and sheets, which a board does not need
 
-ANGLE_ROOM = 1.0
-"""Range [rad] beyond the angles of leg space that a command may request. Legs of a damped robot on its belly fold
-further than a gait may, and standing up begins at their angles."""
-
 
 @dataclass(frozen=True)
 class Limits:
@@ -55,19 +51,18 @@ class Limits:
 
     @classmethod
     def from_robot(cls, robot: RobotDescription) -> Limits:
-        """Return the limits of a robot; those of battery and motors are its data sheet's."""
-        return cls(robot.battery.empty, robot.heat.limit)
+        """Return the limits of a robot; those of battery, motors and silence are its data sheet's."""
+        return cls(robot.battery.empty, robot.heat.limit, command_timeout=robot.timing.command_timeout)
 
 
 def make_handshake(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:
     """Return the handshake of a robot; the session is filled in when an operator connects.
 
-    A command may request the extremes of leg space and `ANGLE_ROOM` more. Gains are the data sheet's, whatever
+    A command may request the robot's `command_range`. Gains are the data sheet's, whatever
     an emulated robot's motors have. `firmware` is its name and version; the servo steps every `servo_period` [s].
     """
-    least, greatest = robot.angle_extent(*robot.leg_space.values())
     # Rounded as on the wire, so that a command of exactly these angles is within them.
-    low, high = (angles.astype(np.float32).astype(np.float64) for angles in (least - ANGLE_ROOM, greatest + ANGLE_ROOM))
+    low, high = (angles.astype(np.float32).astype(np.float64) for angles in robot.command_range)
     return Handshake(
         session=0,
         robot=robot.name,

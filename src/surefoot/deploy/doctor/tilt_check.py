@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge, skipped
@@ -91,9 +92,10 @@ def tilt_robot(
     return check_tilts(*tilts)
 
 
-def _tilted_angles(robot: RobotDescription, stand: tuple[float, ...], side: str) -> Array:
+def _tilted_angles(robot: RobotDescription, stand: Sequence[ArrayLike], side: str) -> Array:
     """Return the motor angles (M,) [rad] with shorter legs on one side and longer ones on the other."""
-    settings, (*lateral, extension) = robot.experiments, stand
+    settings = robot.experiments
+    *lateral, extension = (np.asarray(part, float) for part in stand)
     low, high = robot.leg_space["extension"]
     shorter = np.array([side in leg for leg in robot.leg_names])
     extensions = np.clip(np.where(shorter, extension - settings.shorter, extension + settings.longer), low, high)

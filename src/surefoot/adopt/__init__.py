@@ -1,0 +1,1 @@
+"""Policies that others trained, brought in as policy files of surefoot."""

@@ -1,0 +1,373 @@
+"""A policy file of surefoot from a foreign policy's specification and network.
+
+The file takes raw readings and gives motor angles: order, signs, offsets, scales, clips and histories of the
+specification become nodes of its graph. What the policy remembers is memory of the contract: the last action as the
+network gave it, clocks, and hidden states.
+
+A clock of period T is a rotation by the control step's angle: (sin, cos - 1), so that memory starts at 0. Its length is
+brought back to 1 in each step, since 32-bit numbers would let it drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from surefoot.adopt.specification import PerJoint, PolicySpecification, Range, Term
+from surefoot.arrays import Array
+from surefoot.deploy.checks import check_policy
+from surefoot.errors import SurefootError, choices, quote
+from surefoot.policy.contract import Contract
+from surefoot.policy.digest import add_digest, read_parts
+from surefoot.policy.graph import LARGEST, Graph, Value
+from surefoot.policy.network import INPUT, OUTPUT, check_network
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
+from surefoot.robot.params_file import ParamValue
+from surefoot.task.commands import CommandConfig
+from surefoot.task.config import TaskConfig
+from surefoot.task.contract_mapping import contract_from_task
+from surefoot.task.observation import Observer
+
+_REWARD = {"track_velocity": 1.0, "track_yaw_rate": 0.5}
+"""Reward of the task in a contract: how well commands are followed; the policy's own is not known."""
+_EPISODE = 20.0
+"""Length of an episode [s]."""
+_PARTS = {
+    "command": ("command",),
+    "gravity": ("gravity",),
+    "angular_velocity": ("roll_rate", "pitch_rate", "yaw_rate"),
+    "roll_pitch": ("roll", "pitch"),
+    "joint_positions": ("motor_angles",),
+    "joint_speeds": ("motor_speeds",),
+    "last_action": (),
+    "clock": (),
+    "constant": (),
+}
+"""Parts of surefoot's observation that each term takes."""
+_COLUMNS = {
+    "command": ("command_forward", "command_sideways", "command_yaw_rate"),
+    "gravity": ("gravity_x", "gravity_y", "gravity_z"),
+    "angular_velocity": ("roll_rate", "pitch_rate", "yaw_rate"),
+    "roll_pitch": ("roll", "pitch"),
+}
+
+
+class ForeignNetwork(Protocol):
+    """A network as nodes that a policy file may have."""
+
+    @property
+    def inputs(self) -> int:
+        """Numbers of an observation."""
+
+    @property
+    def outputs(self) -> int:
+        """Numbers of an action."""
+
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Widths of the hidden states, which begin at 0."""
+
+    def add(self, graph: Graph, observation: Value, hidden: list[Value]) -> tuple[Value, list[Value]]:
+        """Add its nodes to a graph; return the action and the next hidden states."""
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A number of the network's observation: clip(clip(sum of weights * raw columns + offset) * scale)."""
+
+    weights: dict[int, float]
+    offset: float
+    clip: Range | None
+    scale: float
+    clip_after: Range | None
+
+
+def build_policy(
+    specification: PolicySpecification,
+    network: ForeignNetwork,
+    robot: RobotDescription,
+    name: str,
+    source: Mapping[str, Any],
+) -> bytes:
+    """Return the bytes of a policy file.
+
+    Args:
+        specification: of the policy.
+        network: of the policy.
+        robot: that it runs on.
+        name: its name, where the specification has none.
+        source: where it comes from, for the contract's figures.
+
+    Raises:
+        SurefootError: a specification that does not fit the network or the robot.
+    """
+    maker = _Maker(specification, network, robot)
+    contract = maker.contract(specification.name or name, source)
+    check_policy(contract, robot)
+    model = maker.graph(contract).to_model(contract, robot.archive)
+    check_network(read_parts(model).graph)
+    data = add_digest(model)
+    PolicyRuntime.parse(data)
+    return data
+
+
+@dataclass(frozen=True)
+class _Absent:
+    """The sizes of a network that is still to be loaded."""
+
+    inputs: int
+    outputs: int
+    hidden: tuple[int, ...] = ()
+
+    def add(self, graph: Graph, observation: Value, hidden: list[Value]) -> tuple[Value, list[Value]]:
+        raise NotImplementedError
+
+
+def check_specification(specification: PolicySpecification, robot: RobotDescription) -> int:
+    """Refuse a specification that does not fit the robot; return how many numbers the network must take.
+
+    Raises:
+        SurefootError: other joints, a default pose that legs can't have, numbers that do not fit a term.
+    """
+    width = sum(_width(term, robot.num_motors) * len(term.steps) for term in specification.observations)
+    maker = _Maker(specification, _Absent(width, len(specification.joints)), robot)
+    check_policy(maker.contract("policy", {}), robot)
+    return width
+
+
+def _width(term: Term, joints: int) -> int:
+    """Return the numbers of a term of one age."""
+    if term.columns is not None:
+        return len(term.columns)
+    counts = {"clock": 2 * len(term.phases), "constant": len(term.values)}
+    return counts.get(term.term, len(_COLUMNS[term.term]) if term.term in _COLUMNS else joints)
+
+
+class _Maker:
+    """Contract and graph of one policy."""
+
+    def __init__(self, specification: PolicySpecification, network: ForeignNetwork, robot: RobotDescription) -> None:
+        self.specification, self.network, self.robot = spec, net, _ = specification, network, robot
+        self._motors = self._find_motors()
+        count = len(spec.joints)
+        if net.outputs != count:
+            raise SurefootError(f"the network gives {net.outputs} numbers; there are {count} joints")
+        self._clocks = [term for term in spec.observations if term.term == "clock"]
+        self._has_last = any(term.term == "last_action" for term in spec.observations)
+        self._hidden_start = count * self._has_last + 2 * len(self._clocks)
+        self.memory = self._hidden_start + sum(net.hidden)
+        parts = {part for term in spec.observations for part in _PARTS[term.term]}
+        order = [part for parts_of in _PARTS.values() for part in parts_of if part in parts]
+        if self.memory:
+            order.append("memory")
+        self.task = self._task(tuple(order))
+        self.gait = self.task.gait(robot)
+        self.observer = Observer(robot, self.task.observations, self.gait.action_names)
+        self._index = {column: place for place, column in enumerate(self.observer.columns)}
+        self._rows = self._find_rows()
+        if len(self._rows) != net.inputs:
+            sizes = ", ".join(f"{term.term} {_width(term, count)} x {len(term.steps)}" for term in spec.observations)
+            raise SurefootError(
+                f"the network takes {net.inputs} numbers; the observations are {len(self._rows)}: {sizes}"
+            )
+
+    def _find_motors(self) -> list[int]:
+        """Return the motor of each joint."""
+        robot, joints = self.robot, self.specification.joints
+        if sorted(joints) != sorted(robot.motor_names):
+            raise SurefootError(f"joints are {choices(joints)}; {robot.name} has {choices(robot.motor_names)}")
+        return [robot.motor_names.index(joint) for joint in joints]
+
+    @property
+    def _signs(self) -> Array:
+        """Motor angle over joint angle (J,), 1 or -1."""
+        own = np.array(self.specification.joint_signs or np.ones(len(self._motors)))
+        return own * self.robot.motor_sign[self._motors]
+
+    def _per_motor(self, numbers: PerJoint) -> ParamValue:
+        """Return numbers of joints as those of motors."""
+        if not isinstance(numbers, tuple):
+            return numbers
+        values = np.empty(len(self._motors))
+        values[self._motors] = numbers
+        return tuple(values.tolist()) if np.ptp(values) else float(values[0])
+
+    def _task(self, observations: tuple[str, ...]) -> TaskConfig:
+        spec, robot = self.specification, self.robot
+        stand = np.empty(robot.num_motors)
+        stand[self._motors] = self._signs * spec.default_pose
+        rest = tuple(tuple(row) for row in robot.to_pose(stand).tolist())
+        with np.errstate(invalid="ignore"):
+            wrong = np.abs(robot.pose_angles(*rest) - stand) > 1e-6
+        if not np.isfinite(rest).all() or wrong.any():
+            motor = int(np.argmax(wrong))
+            raise SurefootError(
+                f"default_pose can't be one of {robot.name}: see {robot.motor_names[motor]}, {stand[motor]:g} rad; do "
+                "the knees bend the other way, or are order or signs of the joints others?"
+            )
+        params: dict[str, Any] = {"control_step": spec.control_step}
+        params |= {"servo_kp": self._per_motor(spec.kp), "servo_kd": self._per_motor(spec.kd)}
+        if spec.latency is not None:
+            params["control_latency"] = spec.latency
+        follows = any(term.term == "command" for term in spec.observations)
+        ranges = {name: getattr(spec, name) for name in ("forward", "sideways", "yaw_rate")} if follows else {}
+        return TaskConfig(
+            name="adopted",
+            robot=robot.location,
+            observations=observations,
+            history=max(age for term in spec.observations for age in term.steps) + 1,
+            action="angle",
+            memory=self.memory,
+            rest=rest,
+            fall_angle=spec.fall_angle,
+            max_steps=round(_EPISODE / spec.control_step),
+            commands=CommandConfig(**ranges),
+            reward=_REWARD if follows else {"progress": 1.0},
+            params=params,
+        )
+
+    def contract(self, name: str, source: Mapping[str, Any]) -> Contract:
+        """Return the policy's contract."""
+        return contract_from_task(self.task, self.robot, figures={"adopted": dict(source)}, name=name)
+
+    def _find_rows(self) -> list[_Row]:
+        """Return the rows of the network's observation, in its order."""
+        spec = self.specification
+        terms = {k: {age: self._term_rows(k, age) for age in term.steps} for k, term in enumerate(spec.observations)}
+        if spec.history_by == "term":
+            return [row for ages in terms.values() for rows in ages.values() for row in rows]
+        steps = spec.observations[0].steps
+        return [row for age in steps for ages in terms.values() for row in ages[age]]
+
+    def _term_rows(self, number: int, age: int) -> list[_Row]:
+        """Return the rows of a term of an age in control steps."""
+        term = self.specification.observations[number]
+        start = age * len(self.observer.columns)
+        rows = [
+            ({start + self._index[column]: weight for column, weight in weights.items()}, offset)
+            for weights, offset in self._columns(term)
+        ]
+        if term.columns is not None:
+            if max(term.columns, default=0) >= len(rows):
+                raise SurefootError(f"observation {term.term}: columns are {list(term.columns)}; it has {len(rows)}")
+            rows = [rows[column] for column in term.columns]
+        scale = np.atleast_1d(term.scale)
+        if len(scale) not in (1, len(rows)):
+            raise SurefootError(f"observation {term.term}: scale has {len(scale)} numbers; the term has {len(rows)}")
+        scales = np.broadcast_to(scale, len(rows))
+        return [_Row(*row, term.clip, float(factor), term.clip_after) for row, factor in zip(rows, scales, strict=True)]
+
+    def _columns(self, term: Term) -> list[tuple[dict[str, float], float]]:
+        """Return what each number of a term is made of: weights of columns, and an offset."""
+        spec, names = self.specification, self.robot.motor_names
+        if term.term in _COLUMNS:
+            return [({column: 1.0}, 0.0) for column in _COLUMNS[term.term]]
+        if term.term in ("joint_positions", "joint_speeds"):
+            prefix, zero = ("angle", spec.default_pose) if term.term == "joint_positions" else ("speed", None)
+            zeros = zero if zero is not None and term.relative else np.zeros(len(names))
+            joints = zip(self._motors, self._signs, zeros, strict=True)
+            return [({f"{prefix}.{names[motor]}": float(sign)}, -float(middle)) for motor, sign, middle in joints]
+        if term.term == "last_action":
+            return [({f"memory.{k}": 1.0}, 0.0) for k in range(len(spec.joints))]
+        if term.term == "constant":
+            return [({}, value) for value in term.values]
+        sine, cosine = (f"memory.{self._clock_place(term) + k}" for k in range(2))
+        rows = []
+        for phase in term.phases:
+            angle = 2 * np.pi * (phase + term.start)
+            sin, cos = float(np.sin(angle)), float(np.cos(angle))
+            # cosine holds cos - 1.
+            rows += [({sine: cos, cosine: sin}, sin), ({sine: -sin, cosine: cos}, cos)]
+        return rows
+
+    def _clock_place(self, term: Term) -> int:
+        number = next(k for k, clock in enumerate(self._clocks) if clock is term)
+        return len(self.specification.joints) * self._has_last + 2 * number
+
+    def graph(self, contract: Contract) -> Graph:
+        """Return the graph of the policy file."""
+        graph, spec = Graph(), self.specification
+        raw = Value(INPUT, contract.width)
+        hidden, start = [], self._index["memory.0"] + self._hidden_start if self.memory else 0
+        for width in self.network.hidden:
+            hidden.append(graph.select(raw, range(start, start + width)))
+            start += width
+        action, after = self.network.add(graph, self._observation(graph, raw), hidden)
+        if spec.action_clip is not None:
+            action = self._bounded(graph, action, *spec.action_clip)
+        count = len(spec.joints)
+        scale, signs = np.broadcast_to(spec.action_scale, count), self._signs
+        offset = np.array(spec.default_pose if spec.action_offset is None else spec.action_offset)
+        to_motors = np.zeros((count, count))
+        to_motors[np.arange(count), self._motors] = signs
+        if spec.target_clip is not None:
+            joints = graph.linear(action.name, np.diag(scale), offset)
+            target = graph.linear(self._bounded(graph, joints, *spec.target_clip).name, to_motors)
+        else:
+            target = graph.linear(action.name, scale[:, None] * to_motors, offset @ to_motors)
+        parts = [target, *([action] if self._has_last else []), *self._next_clocks(graph, raw), *after]
+        output = self._bounded(graph, graph.join(parts), contract.low, contract.high)
+        graph.nodes[-1].output[0] = OUTPUT
+        assert output.width == len(contract.action_names)
+        return graph
+
+    def _bounded(self, graph: Graph, value: Value, low: PerJoint, high: PerJoint) -> Value:
+        """Return a value within bounds, of all numbers or of each."""
+        ends = (graph.constant(np.broadcast_to(end, (1, value.width))) for end in (low, high))
+        return Value(graph.apply("Min", graph.apply("Max", value.name, next(ends)), next(ends)), value.width)
+
+    def _clipped(self, graph: Graph, value: Value, clips: list[Range | None]) -> Value:
+        """Return a value with those of its numbers clipped that have bounds."""
+        low, high = np.array([clip or (-LARGEST, LARGEST) for clip in clips]).T
+        return self._bounded(graph, value, tuple(low), tuple(high))
+
+    def _observation(self, graph: Graph, raw: Value) -> Value:
+        """Return the network's observation of a raw one."""
+        rows = self._rows
+        weight, offset = np.zeros((raw.width, len(rows))), np.array([row.offset for row in rows])
+        scale = np.array([row.scale for row in rows])
+        for k, row in enumerate(rows):
+            for column, factor in row.weights.items():
+                weight[column, k] = factor
+        if any(row.clip for row in rows):
+            value = self._clipped(graph, graph.linear(raw.name, weight, offset), [row.clip for row in rows])
+            value = Value(graph.apply("Mul", value.name, graph.constant(scale[None])), value.width)
+        else:
+            value = graph.linear(raw.name, weight * scale, offset * scale)
+        if any(row.clip_after for row in rows):
+            value = self._clipped(graph, value, [row.clip_after for row in rows])
+        limit = self.specification.observation_clip
+        return value if limit is None else Value(graph.clip(value.name, -limit, limit), value.width)
+
+    def _next_clocks(self, graph: Graph, raw: Value) -> list[Value]:
+        """Return the clocks of the next control step."""
+        values = []
+        for term in self._clocks:
+            place = self._index["memory.0"] + self._clock_place(term)
+            angle = 2 * np.pi * self.specification.control_step / term.period
+            sin, cos = np.sin(angle), np.cos(angle)
+            weight = np.zeros((raw.width, 2))
+            weight[place : place + 2] = [[cos, -sin], [sin, cos]]
+            turned = graph.linear(raw.name, weight, [sin, cos]).name
+            # A step of Newton's method for 1 / length: (3 - length^2) / 2.
+            factor = graph.linear(graph.apply("Mul", turned, turned), np.full((2, 2), -0.5), [1.5, 1.5]).name
+            unit = graph.apply("Mul", turned, factor)
+            values.append(Value(graph.apply("Sub", unit, graph.constant([[0.0, 1.0]])), 2))
+        return values
+
+
+def unknown_term(name: object, known: Mapping[str, Any], unmeasured: Mapping[str, str]) -> SurefootError:
+    """Return the error of an observation that can't be adopted.
+
+    Args:
+        name: its name.
+        known: what can be.
+        unmeasured: why others can't be, by name.
+    """
+    if str(name) in unmeasured:
+        return SurefootError(f"observation {quote(name)} {unmeasured[str(name)]}; such a policy can't be adopted")
+    return SurefootError(f"observation {quote(name)} is unknown; known are {choices(known)}")

@@ -1,0 +1,50 @@
+"""Observations as Isaac Lab's managers make them, which mjlab and unitree_rl_lab share.
+
+A term is clipped, then scaled, then kept; its history is flattened with the oldest first, term after term. A history is
+full from the start: the first value fills it.
+"""
+
+from __future__ import annotations
+
+from surefoot.adopt.builder import unknown_term
+from surefoot.adopt.specification import PerJoint, Range, Term, TermName
+
+TERMS: dict[str, TermName] = {
+    **dict.fromkeys(("base_ang_vel", "imu_ang_vel", "angular_velocity"), "angular_velocity"),
+    **dict.fromkeys(("projected_gravity", "gravity"), "gravity"),
+    **dict.fromkeys(("velocity_commands", "keyboard_velocity_commands", "command", "commands"), "command"),
+    **dict.fromkeys(("joint_pos_rel", "joint_pos"), "joint_positions"),
+    **dict.fromkeys(("joint_vel_rel", "joint_vel"), "joint_speeds"),
+    **dict.fromkeys(("last_action", "actions", "prev_actions"), "last_action"),
+    "gait_phase": "clock",
+}
+"""Terms by the names that they usually have."""
+UNMEASURED = {
+    "base_lin_vel": "is the speed of the base, which no sensor of a robot gives",
+    "height_scan": "is the height of the ground, which the robot does not see",
+    "base_height": "is the height of the base, which no sensor of a robot gives",
+    "feet_contact": "is the contact of the feet, which contracts do not have",
+}
+
+
+def make_term(
+    name: str, scale: PerJoint, clip: Range | None, length: int, newest_first: bool = False, period: float | None = None
+) -> Term:
+    """Return a term of Isaac Lab.
+
+    Args:
+        name: its name.
+        scale: its scale.
+        clip: bounds before the scale.
+        length: steps of its history; 0 and 1 mean none.
+        newest_first: the newest step comes first.
+        period: of a gait's phase [s].
+
+    Raises:
+        SurefootError: a term that is not known or not measured.
+    """
+    if name not in TERMS:
+        raise unknown_term(name, TERMS, UNMEASURED)
+    ages = range(max(length, 1))
+    steps = tuple(ages if newest_first else reversed(ages))
+    return Term(TERMS[name], scale=scale, clip=clip, steps=steps, period=period or 1.0)

@@ -1,0 +1,133 @@
+"""unitree_rl_lab (github.com/unitreerobotics/unitree_rl_lab): `deploy.yaml`, which its trainings write.
+
+Joint k of the policy is motor `joint_ids_map[k]` of the vendor's order. Gains stand in the vendor's order; default
+pose, scale and offset of actions in the policy's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surefoot.adopt.formats.isaac_lab import make_term
+from surefoot.adopt.formats.reading import pick
+from surefoot.adopt.specification import PolicySpecification, Range, Term
+from surefoot.configuration import read_yaml
+from surefoot.errors import SurefootError, choices, prefix_errors, quote
+from surefoot.robot import RobotDescription
+
+_ACTION = "JointPositionAction"
+_SWITCHES = ("use_gym_history", "scale_first")
+
+
+@dataclass(frozen=True)
+class _Ranges:
+    lin_vel_x: Range = (0.0, 0.0)
+    lin_vel_y: Range = (0.0, 0.0)
+    ang_vel_z: Range = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class _Action:
+    scale: tuple[float, ...] | float
+    offset: tuple[float, ...] | None = None
+    clip: tuple[Range, ...] | None = None
+
+
+@dataclass(frozen=True)
+class _Observation:
+    scale: tuple[float, ...] | float = 1.0
+    clip: Range | None = None
+    history_length: int = 1
+    params: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Config:
+    joint_ids_map: tuple[int, ...]
+    step_dt: float
+    stiffness: tuple[float, ...]
+    damping: tuple[float, ...]
+    default_joint_pos: tuple[float, ...]
+    actions: dict[str, Any]
+    observations: dict[str, Any]
+    commands: dict[str, Any] = field(default_factory=dict)
+
+
+def read(config: Path, robot: RobotDescription) -> PolicySpecification:
+    """Read the specification of a policy; the robot's motors are in the vendor's order.
+
+    Raises:
+        SurefootError: a file without what is needed, or an observation that is not known.
+    """
+    data = read_yaml(config)
+    with prefix_errors(config):
+        table = pick(_Config, data)
+        count = robot.num_motors
+        if sorted(table.joint_ids_map) != [*range(count)]:
+            raise SurefootError(f"joint_ids_map is {list(table.joint_ids_map)}; each of {count} motors must be in it")
+        for name in ("stiffness", "damping"):
+            if len(getattr(table, name)) != count:
+                raise SurefootError(f"{name} has {len(getattr(table, name))} numbers; {robot.name} has {count} motors")
+        if list(table.actions) != [_ACTION]:
+            raise SurefootError(f"actions are {choices(table.actions) or 'none'}; {_ACTION} alone can be adopted")
+        action = pick(_Action, table.actions[_ACTION] or {})
+        terms, by_step = _terms(table)
+        ranges = _command_ranges(table)
+        silent = {} if ranges else {"forward": "commands: the file states no ranges; --forward and others set them"}
+        low_high = np.array(action.clip or [], float).T
+        specification = PolicySpecification(
+            joints=tuple(robot.motor_names[motor] for motor in table.joint_ids_map),
+            default_pose=table.default_joint_pos,
+            kp=tuple(table.stiffness[motor] for motor in table.joint_ids_map),
+            kd=tuple(table.damping[motor] for motor in table.joint_ids_map),
+            control_step=table.step_dt,
+            observations=terms,
+            action_scale=action.scale,
+            action_offset=action.offset,
+            target_clip=(tuple(low_high[0].tolist()), tuple(low_high[1].tolist())) if action.clip else None,
+            history_by="step" if by_step else "term",
+            notes=silent,
+        )
+        return replace(specification, **ranges)
+
+
+def _terms(table: _Config) -> tuple[tuple[Term, ...], bool]:
+    """Return the terms, and whether their histories are in order of steps."""
+    group = table.observations
+    names = [name for name in group if name not in _SWITCHES]
+    if names and all(isinstance(group[name], Mapping) and "params" not in group[name] for name in names):
+        # Terms have params; else there is a group for each input of the network.
+        if len(names) > 1:
+            raise SurefootError(f"observations are for {len(names)} inputs ({choices(names)}); one can be adopted")
+        group = group[names[0]]
+        names = [name for name in group if name not in _SWITCHES]
+    terms = []
+    for name in names:
+        if not isinstance(group[name], Mapping):
+            raise SurefootError(f"observations.{name} is {quote(group[name])}; it must be a table")
+        one = pick(_Observation, group[name])
+        period = one.params.get("period")
+        if not isinstance(period, int | float):
+            period = None
+        if period is None and name == "gait_phase":
+            raise SurefootError("observations.gait_phase.params.period is missing; it must be given")
+        term = make_term(name, one.scale, one.clip, one.history_length, period=period)
+        if group.get("scale_first"):
+            term = replace(term, clip=None, clip_after=one.clip)
+        # The phase counts a control step before it is first observed.
+        terms.append(replace(term, start=table.step_dt / period) if period else term)
+    return tuple(terms), bool(group.get("use_gym_history"))
+
+
+def _command_ranges(table: _Config) -> dict[str, Any]:
+    """Return the ranges of commands that the file states, by field of the specification."""
+    stated = table.commands.get("base_velocity")
+    if not isinstance(stated, Mapping) or not isinstance(stated.get("ranges"), Mapping):
+        return {}
+    ranges = pick(_Ranges, stated["ranges"])
+    return {"forward": ranges.lin_vel_x, "sideways": ranges.lin_vel_y, "yaw_rate": ranges.ang_vel_z}

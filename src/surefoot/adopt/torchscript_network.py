@@ -1,0 +1,103 @@
+"""A network of a TorchScript file, which torch loads in a process without rights (`sandbox.py`).
+
+That process traces the module into the operators that policy files may have and sends it back as ONNX, with samples of
+inputs and outputs. What comes back is read as any other ONNX file: as data that may be hostile.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+
+from surefoot.adopt import sandbox
+from surefoot.adopt.onnx_network import OnnxNetwork, run_model
+from surefoot.errors import SurefootError
+from surefoot.policy.network import MAX_BYTES
+
+_TIMEOUT = 180
+"""Longest time of the process [s]; torch takes some seconds to load."""
+_SAMPLES = 16
+_TOLERANCE = 1e-4
+_TRUSTED = "trusted"
+
+
+def load(data: bytes, width: int, trusted: bool = False) -> OnnxNetwork:
+    """Return the network of a TorchScript file.
+
+    Args:
+        data: the file.
+        width: numbers of an observation.
+        trusted: load it with all rights, where a process without rights can't be made.
+
+    Raises:
+        SurefootError: no torch, no TorchScript, or a network that can't be adopted.
+    """
+    if len(data) > MAX_BYTES:
+        raise SurefootError(f"has over {MAX_BYTES >> 20} MiB; a policy is smaller")
+    if not data.startswith(b"PK"):
+        raise SurefootError("is no TorchScript file; a checkpoint (model_1000.pt) holds no network: export the policy")
+    if not trusted and not sandbox.is_supported():
+        raise SurefootError(
+            "is TorchScript, which this machine can't load without rights to files and network; if you trust it, "
+            "give --trust"
+        )
+    words = [sys.executable, "-m", __name__, str(width), *([_TRUSTED] if trusted else [])]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"}
+    try:
+        process = subprocess.run(words, input=data, capture_output=True, timeout=_TIMEOUT, env=environment, check=False)
+    except subprocess.TimeoutExpired:
+        raise SurefootError(f"torch did not load it within {_TIMEOUT} s") from None
+    message = process.stderr[-2000:].decode(errors="replace").strip().splitlines()
+    if process.returncode:
+        raise SurefootError(message[-1] if message else f"torch ended with code {process.returncode} as it loaded it")
+    sizes = np.frombuffer(process.stdout[:16], "<u8").tolist()
+    if len(sizes) != 2 or sum(sizes) + 16 != len(process.stdout):
+        raise SurefootError("torch gave no network")
+    network = OnnxNetwork(process.stdout[16 : 16 + sizes[0]])
+    samples = np.frombuffer(process.stdout[16 + sizes[0] :], "<f4")
+    _check_samples(network, samples, process.stdout[16 : 16 + sizes[0]])
+    return network
+
+
+def _check_samples(network: OnnxNetwork, samples: Any, model: bytes) -> None:
+    """Refuse a network that computes something else than the module did."""
+    ends, names = [network.inputs, *network.hidden], [one.name for one in network.model.graph.input]
+    widths = [*ends, network.outputs, *network.hidden]
+    if samples.size % sum(widths) or not np.isfinite(samples).all():
+        raise SurefootError("the network gives numbers that are not finite")
+    columns = np.split(samples.reshape(-1, sum(widths)), np.cumsum(widths)[:-1], axis=1)
+    results = run_model(model, dict(zip(names, columns, strict=False)))
+    for mine, theirs in zip(results, columns[len(ends) :], strict=True):
+        difference = np.abs(mine - theirs) / np.maximum(1.0, np.abs(theirs))
+        if not difference.max() <= _TOLERANCE:
+            raise SurefootError(f"the network was not understood: its translation differs by {difference.max():.2g}")
+
+
+def main(words: list[str]) -> int:
+    """Read TorchScript from standard input, and write ONNX and samples to standard output."""
+    from surefoot.adopt.torchscript_tracing import trace, warm_up
+
+    data, width = sys.stdin.buffer.read(), int(words[0])
+    output = os.dup(1)
+    os.dup2(2, 1)  # what torch prints is no result
+    warm_up()
+    try:
+        if _TRUSTED not in words:
+            sandbox.enter()
+        model, samples = trace(io.BytesIO(data), width, _SAMPLES)
+    except SurefootError as error:
+        print(error, file=sys.stderr)
+        return 2
+    sizes = np.array([len(model), len(samples)], "<u8").tobytes()
+    with os.fdopen(output, "wb") as file:
+        file.write(sizes + model + samples)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

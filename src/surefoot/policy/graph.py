@@ -1,0 +1,130 @@
+"""The graph of a policy file while it is made, and the file's bytes: the few operators that `network.py` allows."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import onnx
+from numpy.typing import ArrayLike
+from onnx import TensorProto, helper, numpy_helper
+
+from surefoot.policy.contract import METADATA_KEY, Contract
+from surefoot.policy.digest import ROBOT_KEY
+from surefoot.policy.network import INPUT, OPSET, OUTPUT
+
+IR_VERSION = 8
+LARGEST = float(np.finfo(np.float32).max)
+
+
+class Value(NamedTuple):
+    """A value (N, width) that depends on the observation, by name."""
+
+    name: str
+    width: int
+
+
+class Graph:
+    """Nodes and constants of a graph."""
+
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: list[onnx.TensorProto] = []
+
+    def constant(self, array: Any, name: str = "") -> str:
+        """Add a constant of 32-bit numbers; return its name."""
+        name = name or f"constant_{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array, np.float32), name))
+        return name
+
+    def apply(self, kind: str, *values: str, result: str = "", **attributes: Any) -> str:
+        """Apply an operator to values; return the name of its result."""
+        result = result or f"{kind.lower()}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, values, [result], **attributes))
+        return result
+
+    def linear(self, value: str, weight: ArrayLike, offset: ArrayLike | None = None) -> Value:
+        """Apply a linear layer with a weight (in, out) and an offset (out,)."""
+        transposed = np.asarray(weight, np.float64).T
+        bias = np.zeros(len(transposed)) if offset is None else offset
+        name = self.apply("Gemm", value, self.constant(transposed), self.constant(bias), transB=1)
+        return Value(name, len(transposed))
+
+    def select(self, value: Value, columns: Sequence[int]) -> Value:
+        """Return columns of a value, in that order."""
+        weight = np.zeros((value.width, len(columns)))
+        weight[columns, np.arange(len(columns))] = 1.0
+        return self.linear(value.name, weight)
+
+    def join(self, values: Sequence[Value]) -> Value:
+        """Return values side by side: the sum of each in its own columns, zero in the others."""
+        if len(values) == 1:
+            return values[0]
+        width, start = sum(value.width for value in values), 0
+        names = []
+        for value in values:
+            names.append(self.linear(value.name, np.eye(value.width, width, start)).name)
+            start += value.width
+        total = names[0]
+        for name in names[1:]:
+            total = self.apply("Add", total, name)
+        return Value(total, width)
+
+    def norm(self, value: Value) -> Value:
+        """Return the length (N, 1) of each row."""
+        squares = self.apply("Mul", value.name, value.name)
+        return Value(self.apply("Sqrt", self.linear(squares, np.ones((value.width, 1))).name), 1)
+
+    def leaky_relu(self, value: str, slope: float) -> str:
+        """Apply a leaky ReLU with a slope below zero."""
+        above = self.apply("Mul", self.apply("Relu", value), self.constant(1.0 - slope))
+        return self.apply("Add", self.apply("Mul", value, self.constant(slope)), above)
+
+    def elu(self, value: str, alpha: float) -> str:
+        """Apply an ELU."""
+        result = self.apply("Elu", value)
+        if alpha == 1:
+            return result
+        # The part above zero has no alpha.
+        above = self.apply("Mul", self.apply("Relu", value), self.constant(1.0 - alpha))
+        return self.apply("Add", self.apply("Mul", result, self.constant(alpha)), above)
+
+    def clip(self, value: str, low: float, high: float) -> str:
+        """Clip to numbers that may be infinite."""
+        bounds = (self.constant(float(np.clip(bound, -LARGEST, LARGEST))) for bound in (low, high))
+        return self.apply("Clip", value, *bounds)
+
+    def to_onnx(
+        self, inputs: Sequence[Value], outputs: Sequence[Value], name: str = "", version: str = ""
+    ) -> onnx.ModelProto:
+        """Return the graph as a model of ONNX with these inputs and outputs."""
+        ends = [
+            [helper.make_tensor_value_info(one.name, TensorProto.FLOAT, ["N", one.width]) for one in values]
+            for values in (inputs, outputs)
+        ]
+        return helper.make_model(
+            helper.make_graph(self.nodes, name, ends[0], ends[1], self.constants),
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            ir_version=IR_VERSION,
+            producer_name="surefoot",
+            producer_version=version,
+        )
+
+    def to_model(self, contract: Contract, robot: bytes) -> bytes:
+        """Return the policy file whose output is `OUTPUT`, without digest.
+
+        Args:
+            contract: the policy's.
+            robot: archive of a robot that does not ship, which the file is to carry.
+        """
+        inputs, outputs = [Value(INPUT, contract.width)], [Value(OUTPUT, len(contract.action_names))]
+        model = self.to_onnx(inputs, outputs, "policy", contract.version)
+        properties = {METADATA_KEY: contract.to_json()}
+        if robot:
+            properties[ROBOT_KEY] = base64.b64encode(robot).decode()
+        helper.set_model_props(model, properties)
+        onnx.checker.check_model(model, full_check=True)
+        data: bytes = model.SerializeToString()
+        return data
