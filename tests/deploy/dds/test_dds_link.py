@@ -19,7 +19,6 @@ pytest.importorskip("cyclonedds")
 from go2_robot import Go2, worker_domain
 
 from surefoot.deploy.dds.dds_link import FIRST_TORQUE, DdsLink, check_priority, make_config
-from surefoot.deploy.dds.keeper import WATCHER_SILENCE
 from surefoot.deploy.pacer import undisturbed
 
 DOMAIN = worker_domain(60)
@@ -129,6 +128,7 @@ def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, 
     assert len(body.read()) == len(frames)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("which", ["keeper", "watcher"])
 def test_a_process_that_is_killed(operator: Operator, body: Go2, which: str) -> None:
     operator.arm()
@@ -149,6 +149,7 @@ def test_a_process_that_is_killed(operator: Operator, body: Go2, which: str) -> 
         assert operator.link.last_state().reason == Reason.WATCHER
 
 
+@pytest.mark.realtime
 def test_a_keeper_that_stands_still(operator: Operator, body: Go2) -> None:
     operator.arm()
     operator.hold(lambda: False, 0.1)
@@ -161,6 +162,7 @@ def test_a_keeper_that_stands_still(operator: Operator, body: Go2) -> None:
     assert all(later.damps for later in body.read() if later.time > frame.time)
 
 
+@pytest.mark.realtime
 def test_a_watcher_that_stands_still(operator: Operator, body: Go2) -> None:
     operator.arm()
     stopped = time.monotonic()
@@ -168,7 +170,7 @@ def test_a_watcher_that_stands_still(operator: Operator, body: Go2) -> None:
     assert operator.hold(lambda: operator.link.last_state().mode == Mode.FAULT, 4.0)
     frame = body.wait_for(lambda frame: frame.damps, stopped)
     os.kill(operator.watcher, signal.SIGCONT)
-    assert frame.time - stopped < 1e-6 * WATCHER_SILENCE + REACTION
+    assert frame.time - stopped < REACTION
     assert operator.link.last_state().reason == Reason.WATCHER
 
 
@@ -187,6 +189,7 @@ def test_duties_are_refused(again: Operator) -> None:
     assert again.link.faults[0].reason == Reason.MODE
 
 
+@pytest.mark.realtime
 def test_a_loop_that_falls_silent(again: Operator, body: Go2) -> None:
     again.arm()
     again.hold(lambda: False, 0.1)
@@ -198,6 +201,7 @@ def test_a_loop_that_falls_silent(again: Operator, body: Go2) -> None:
     assert again.link.last_state().reason == Reason.TIMEOUT
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -227,6 +231,7 @@ def test_a_fault_damps(again: Operator, body: Go2, change: dict[str, Any], reaso
     assert again.link.fault_text(reason)
 
 
+@pytest.mark.realtime
 def test_another_program_that_commands_the_motors(again: Operator, body: Go2) -> None:
     from surefoot.deploy.dds import bus, types
     from surefoot.deploy.dds.low_level import encode, new_command

@@ -257,7 +257,8 @@ class Firmware:
         if self._fresh:
             # Nothing was commanded yet: servos hold the present angles, motors get no duty.
             self._fresh = False
-            held = vitals.motor_angle.copy() if self.mode == Mode.POSITION else np.zeros_like(vitals.motor_angle)
+            angle = np.array(vitals.motor_angle, float)
+            held = angle if self.mode == Mode.POSITION else np.zeros_like(angle)
             self._order = MotorOrder(self.mode, held)
         return self._order
 

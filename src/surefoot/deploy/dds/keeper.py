@@ -12,6 +12,7 @@ import math
 import select
 import sys
 import time
+from functools import partial
 from typing import Any
 
 from surefoot.arrays import Array
@@ -33,10 +34,12 @@ DAMPING = 3.0
 """Gain [N m s/rad] of damped motors, as in the vendor's programs."""
 DAMPED = 500_000
 """Time [us] for which the keeper damps the motors after the loop has gone."""
-WATCHER_SILENCE = 2_000_000
-"""Silence of the watcher [us] after which it counts as gone; it reports twice a second."""
 IDLE, ACTIVE, DONE = b"\0", b"\1", b"\2"
-"""What the keeper tells the watcher in every cycle: no command was written yet; commands are written; the end."""
+"""What the keeper tells the watcher: no command was written yet; commands are written; the end."""
+_BEAT_EVERY = 2
+"""Cycles between two of these."""
+WATCHER_SILENCE = 30_000
+"""Time [us] of this process's own work without an answer of the watcher, after which that counts as gone."""
 _FIRST_STATE = 100
 """Time [ms] within which a state must come, so that time is the robot's."""
 _EVERY = 5
@@ -76,7 +79,7 @@ class Keeper:
         """Commands written to the robot."""
         self._gains = config.handshake.servo_kp, config.handshake.servo_kd
         self._host, self._frames = host, HostFrames(MOTORS)
-        self._watcher, self._watched = watcher, 0
+        self._watcher, self._unanswered = watcher, 0
         self._watcher_text = ""
         self._state_reader = bus.reader(LOW_STATE_TOPIC, types.LowState, 4)
         # The robot's own controller also commands the motors: it is named first.
@@ -94,6 +97,7 @@ class Keeper:
         self._damping = self._frame = damping_frame()
         self._order: MotorOrder | None = None
         self._seen = [-math.inf] * len(self._strangers)
+        self._stranger: Hazard | None = None
         self._controller = ""
         self._cycles = 0
         self._ends: float = math.inf
@@ -106,19 +110,20 @@ class Keeper:
         robot by others, such as motion capture, has its ticks.
         """
         start = time.monotonic_ns() - 1000 * self._robot_time()
-        due = now = self._watched = (time.monotonic_ns() - start) // 1000
+        due = now = (time.monotonic_ns() - start) // 1000
         while now < self._ends:
-            pause = min(due, self.firmware.next_state if self._ends == math.inf else due) - now
-            ports = [port for port in (self._host, self._watcher) if port.is_open]
-            select.select(ports, [], [], max(pause, 0) / 1e6)
+            going = self._ends == math.inf
+            pause = (min(due, self.firmware.next_state) if going else due) - now
+            heard = select.select([self._host] if going else (), (), (), pause / 1e6 if pause > 0 else 0)[0]
             now = (time.monotonic_ns() - start) // 1000
-            self._hear_watcher(now)
-            self._hear_host(now)
+            if heard:
+                self._hear_host(now)
             if now >= due:
                 self._cycle(now)
                 # A cycle that comes late is not made up for: the robot takes the last command anyway.
                 due = due + PERIOD if now - due < PERIOD else now + PERIOD
-            self._answer(now)
+            if self._ends == math.inf:
+                self._answer(now)
         with contextlib.suppress(LinkLostError):
             self._watcher.write(DONE)
 
@@ -133,8 +138,6 @@ class Keeper:
         return 0
 
     def _hear_host(self, now: int) -> None:
-        if self._ends < math.inf:
-            return
         try:
             if data := self._host.read():
                 self._frames.receive(now, data, self.firmware)
@@ -146,23 +149,23 @@ class Keeper:
         self._host.close()
         self._ends = now + DAMPED if self._active else now
 
-    def _hear_watcher(self, now: int) -> None:
-        if not self._watcher.is_open:
-            return
+    def _exchange_beats(self) -> None:
+        """Take the watcher's answers, and tell it that this process goes on."""
         try:
-            data = self._watcher.read()
+            if data := self._watcher.read():
+                self._unanswered = 0
+                *lines, self._watcher_text = (self._watcher_text + data.decode(errors="replace")).split("\n")
+                if lines:
+                    self._controller = lines[-1]
+            self._watcher.write(ACTIVE if self._active else IDLE)
+            # Beats are counted, not time: if all processes of the computer stood still, the watcher has not hung.
+            self._unanswered += 1
         except LinkLostError:
             self._watcher.close()
-            return
-        if data:
-            self._watched = now
-            *lines, self._watcher_text = (self._watcher_text + data.decode(errors="replace")).split("\n")
-            if lines:
-                self._controller = lines[-1]
 
     def _outside(self, now: int) -> Hazard | None:
         """Return what beside the robot's states must stop the motors."""
-        if not self._watcher.is_open or now - self._watched > WATCHER_SILENCE:
+        if not self._watcher.is_open or self._unanswered * _BEAT_EVERY * PERIOD > WATCHER_SILENCE:
             return Reason.WATCHER, "the watcher process has ended or hangs"
         if self._controller:
             return Reason.OWN_CONTROLLER, f"the robot's own controller '{self._controller}' is active"
@@ -170,23 +173,21 @@ class Keeper:
             for k, (reader, _) in enumerate(self._strangers):
                 if reader.take():
                     self._seen[k] = now
-        return next(
-            (hazard for at, (_, hazard) in zip(self._seen, self._strangers, strict=True) if now - at < SHOWN), None
-        )
+            seen = zip(self._seen, self._strangers, strict=True)
+            self._stranger = next((hazard for at, (_, hazard) in seen if now - at < SHOWN), None)
+        return self._stranger
 
     def _cycle(self, now: int) -> None:
         """Take the robot's newest state, and write the motors' order."""
+        if self._cycles % _BEAT_EVERY == 0 and self._watcher.is_open:
+            self._exchange_beats()
         self.states.take(now, self._state_reader.take())
         order = self.firmware.tick(now, self.states.vitals(now, self._outside(now)))
         self._cycles += 1
-        self._active = self._active or self.firmware.armed
-        if self._active:
-            ended = self._ends < math.inf
-            self.writer.write(self._damping if ended else self._encode(order))
+        if self._active or self.firmware.armed:
+            self._active = True
+            self.writer.write(self._damping if self._ends < math.inf else self._encode(order))
             self.writes += 1
-        if self._watcher.is_open:
-            with contextlib.suppress(LinkLostError):
-                self._watcher.write(ACTIVE if self._active else IDLE)
 
     def _encode(self, order: MotorOrder) -> bytes:
         if order is not self._order:
@@ -194,15 +195,12 @@ class Keeper:
             self._order, self._frame = order, position_frame(order.values, *self._gains) if held else self._damping
         return self._frame
 
+    def _read_sensors(self, now: int) -> Sensors:
+        self.states.take(now, self._state_reader.take())
+        return self.states.sensors()
+
     def _answer(self, now: int) -> None:
-        if self._ends < math.inf:
-            return
-
-        def read() -> Sensors:
-            self.states.take(now, self._state_reader.take())
-            return self.states.sensors()
-
-        self.firmware.report(now, read)
+        self.firmware.report(now, partial(self._read_sensors, now))
         try:
             for packet in self.firmware.take():
                 self._host.write(self._frames.encode(packet))

@@ -6,7 +6,6 @@ participant and a writer of its own that are made before the motors are armed, w
 
 from __future__ import annotations
 
-import contextlib
 import select
 import sys
 import time
@@ -19,8 +18,9 @@ from surefoot.deploy.dds.processes import LinkConfig, await_readers, serve
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.robot_link import LinkLostError
 
-SILENCE = 0.020
-"""Silence of a keeper that writes commands [s] after which this process damps the motors."""
+SILENCE, LOOKS = 0.020, 2
+"""Silence of a keeper that writes commands [s] after which this process damps the motors, and how often it must have
+looked meanwhile: if all processes of the computer stood still, the keeper has not hung."""
 DAMPED = 3.0
 """Time [s] for which it does so, at 500 Hz."""
 _CHECK_EVERY, _LOOK_EVERY = 0.5, 0.02
@@ -34,33 +34,31 @@ class Watcher:
         self.writer = bus.writer(LOW_COMMAND_TOPIC, types.LowCmd)
         self._keeper, self._frame = keeper, damping_frame()
         self._client = services.Client(bus, services.MOTION_SWITCHER)
-        self._controller = ""
+        self._answer = b"\n"
+        """To each of the keeper's beats: the name of the active controller."""
 
     def run(self) -> None:
         """Run until the keeper says goodbye, or until the motors have been damped after it has stopped."""
-        last, look, check = ACTIVE[:0], 0.0, 0.0
-        while True:
-            heard = select.select([self._keeper], [], [], SILENCE)[0]
+        last, look, check, silent = ACTIVE[:0], 0.0, 0.0, 0
+        while last != DONE and silent < LOOKS:
+            heard = select.select([self._keeper], (), (), SILENCE / LOOKS)[0]
             try:
-                data = self._keeper.read()
+                if heard and (data := self._keeper.read()):
+                    last, silent = data[-1:], 0
+                    self._keeper.write(self._answer)
+                elif last == ACTIVE:
+                    silent += 1
             except LinkLostError:
                 break
-            if data:
-                last = data[-1:]
-            elif not heard and last == ACTIVE:
-                break
-            if last == DONE:
-                return
             now = time.monotonic()
             if now >= look:
                 look = now + _LOOK_EVERY
                 for code, answer in self._client.responses().values():
-                    self._controller = self._controller if code else services.mode_name(answer)
+                    if not code:
+                        self._answer = f"{services.mode_name(answer)}\n".encode()
             if now >= check:
                 check = now + _CHECK_EVERY
                 self._client.send(services.CHECK_MODE)
-                with contextlib.suppress(LinkLostError):
-                    self._keeper.write(f"{self._controller}\n".encode())
         if last == ACTIVE:
             self._damp()
 
