@@ -18,6 +18,7 @@ from surefoot.adopt.builder import NetworkSizes, PolicyMaker
 from surefoot.adopt.mistakes import Correction
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.arrays import Array
+from surefoot.check_result import CheckResult, judge
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import Progress, run_to_end
@@ -27,6 +28,7 @@ from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.reward import base_rates
 from surefoot.world.registry import find_world
 
 DURATION, SETTLE = 4.0, 1.5
@@ -177,13 +179,7 @@ def examine(
     names, rows = _commands(limits is not None, limits)
     robots = len(names) * len(tried)
     commands = replace(task.commands, each=tuple(map(tuple, rows.tolist()))) if limits else CommandConfig()
-    task = replace(
-        task,
-        commands=commands,
-        randomize={},
-        pushes=replace(task.pushes, enabled=False),
-        max_steps=10**6,
-    )
+    task = replace(task, commands=commands, randomize={}, pushes=replace(task.pushes, enabled=False), max_steps=10**6)
     env = LocomotionEnv(task, robots, find_world(world), seed, autoreset=False, threads=threads, step_info=True)
     nominal = env.world.params
     changed = {
@@ -202,8 +198,6 @@ def examine(
 
     def record(start: Array, seen: NDArray[np.float32]) -> None:
         nonlocal before
-        from surefoot.task.reward import base_rates
-
         velocity, rates = base_rates(before, env.truth, env.world.params.control_step[:, None])
         before = env.truth
         counted = (start >= SETTLE) & (env.readings.time > start)
@@ -223,6 +217,23 @@ def examine(
     return answers
 
 
+def run_task(task: TaskConfig, maker: PolicyMaker, answer: Answer) -> TaskConfig:
+    """Return the task of a run in which one robot with a specification is given all commands, one after another."""
+    each = DURATION / 2
+    rows = [(each * k, *row) for k, row in enumerate(answer.command.tolist())]
+    step = maker.specification.control_step
+    params = {"control_step": step, "servo_kp": maker.per_motor(maker.specification.kp)}
+    params["servo_kd"] = maker.per_motor(maker.specification.kd)
+    return replace(
+        task,
+        commands=replace(task.commands, schedule=tuple(rows)),
+        randomize={},
+        pushes=replace(task.pushes, enabled=False),
+        params={**task.params, **params},
+        max_steps=max(round(each * len(rows) / step), 1),
+    )
+
+
 def _per_motor(maker: PolicyMaker, field: str) -> Array:
     """Return gains of all motors (M,)."""
     values: Any = maker.per_motor(getattr(maker.specification, field))
@@ -240,3 +251,82 @@ def _commands(follows: bool, limits: Any) -> tuple[tuple[str, ...], Array]:
     kept = [k for k, row in enumerate(rows) if k == 0 or np.abs(row).max() > 0]
     names = tuple(SHARES)
     return tuple(names[k] for k in kept), np.array([rows[k] for k in kept])
+
+
+MARGIN = 0.1
+"""How much better a robot must answer after a change for the change to be named."""
+ALIKE = 0.03
+"""Difference of scores within which two changes can't be told apart."""
+UNUSUAL = 0.05
+"""What the score of a change with unusual numbers is reduced by when changes are ranked."""
+GOOD = 0.4
+"""Score of a command that a robot answers."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What an examination says of a policy."""
+
+    own: Answer
+    """The policy as it is."""
+    ranked: tuple[Answer, ...]
+    """All changes that were tried, the most likely one first."""
+
+    @classmethod
+    def from_answers(cls, answers: Sequence[Answer]) -> Diagnosis:
+        """Return the diagnosis of answers, the first of which is the policy's as it is."""
+        own, *others = answers
+        return cls(own, tuple(sorted(others, key=lambda answer: -_likelihood(answer))))
+
+    @property
+    def mistake(self) -> Answer | None:
+        """The change that makes it walk, or walk clearly better; None: there is none."""
+        best = self.ranked[0] if self.ranked else None
+        if best is None or _likelihood(best) < self.own.score + MARGIN or best.score < GOOD:
+            return None
+        return best
+
+    @property
+    def alike(self) -> tuple[Answer, ...]:
+        """Other changes that are as likely."""
+        best = self.mistake
+        if best is None:
+            return ()
+        return tuple(one for one in self.ranked[1:] if _likelihood(one) >= _likelihood(best) - ALIKE)
+
+
+def _likelihood(answer: Answer) -> float:
+    unusual = answer.correction is not None and not answer.correction.usual
+    return answer.score - UNUSUAL * unusual
+
+
+def check_answers(diagnosis: Diagnosis) -> list[CheckResult]:
+    """Judge a policy's answers to commands and its specification; one result a rule."""
+    own, mistake = diagnosis.own, diagnosis.mistake
+    remedy = "see the line 'specification'" if mistake else "train or export it again"
+    results = []
+    for name, command, velocity, score, time in zip(
+        own.commands, own.command, own.velocity, own.scores, own.time, strict=True
+    ):
+        asked, went = (", ".join(f"{number:+.2f}" for number in np.nan_to_num(row)) for row in (command, velocity))
+        message = f"asked {asked} (m/s, m/s, rad/s), went {went}"
+        if time < DURATION - 1e-6:
+            message = f"asked {asked} (m/s, m/s, rad/s), fell after {time:.1f} s"
+        results.append(judge(name, bool(score >= GOOD), message, "", remedy, float(score)))
+    tried = f"{len(diagnosis.ranked)} usual mistakes tried"
+    if mistake is None:
+        message = f"{tried}; without any of them it does not walk clearly better (score {own.score:.2f}"
+        message += f", best {diagnosis.ranked[0].score:.2f})" if diagnosis.ranked else ")"
+        fails = any(result.passed is False for result in results)
+        rule = "; so what is wrong is another thing, or several things"
+        what = "compare with the training, field by field"
+        results.append(judge("specification", not fails, message, rule, what, own.score))
+        return results
+    assert mistake.correction is not None
+    message = f"{tried}; {mistake.correction.text} (score {own.score:.2f}, then {mistake.score:.2f})"
+    others = [one.correction.text for one in diagnosis.alike if one.correction is not None]
+    what = f"correct {mistake.correction.field} and adopt it again"
+    if others:
+        what += f"; as likely: {'; '.join(others[:3])}"
+    results.append(CheckResult("specification", False, message, what, mistake.score))
+    return results

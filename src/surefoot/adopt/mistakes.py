@@ -10,12 +10,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surefoot.adopt.builder import check_specification
 from surefoot.adopt.specification import PolicySpecification, Term
+from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
 _FACTORS = (0.05, 0.25, 0.5, 2.0, 4.0, 20.0, math.pi / 180, 180 / math.pi)
 """Usual scales, and what may have been forgotten or applied twice: .05, .25, .5, 2 and degrees."""
 _GAINS = (0.25, 0.5, 2.0, 4.0)
+_USUAL_SCALES = {
+    "command": (1.0, 2.0, 0.25),
+    "angular_velocity": (1.0, 0.25, 0.2),
+    "joint_positions": (1.0,),
+    "joint_speeds": (1.0, 0.05),
+    "last_action": (1.0,),
+}
+_USUAL_ACTIONS = (0.1, 0.125, 0.2, 0.25, 0.3, 0.5)
+_USUAL_DAMPING = (0.015, 0.06)
+"""Range of derivative over proportional gain [s]."""
+_USUAL_STEP = 0.02
 
 
 class Correction(NamedTuple):
@@ -27,16 +40,26 @@ class Correction(NamedTuple):
     """The mistake, in words."""
     specification: PolicySpecification
     """With the change."""
+    usual: bool = True
+    """Whether its numbers are usual ones: of changes after which a robot walks alike, these are believed first."""
 
 
 def corrections(specification: PolicySpecification, robot: RobotDescription) -> list[Correction]:
-    """Return the specification with each of the usual mistakes corrected, none twice."""
+    """Return the specification with each of the usual mistakes corrected that fits the robot, none twice."""
     found: dict[str, Correction] = {}
     for part in (_orders, _signs, _scales, _frames, _histories, _actions, _timing):
         for correction in part(specification, robot):
-            if correction.specification != specification:
+            if correction.specification != specification and _fits(correction.specification, robot):
                 found.setdefault(repr(correction.specification), correction)
     return list(found.values())
+
+
+def _fits(specification: PolicySpecification, robot: RobotDescription) -> bool:
+    try:
+        check_specification(specification, robot)
+    except SurefootError:
+        return False
+    return True
 
 
 def joint_orders(robot: RobotDescription) -> dict[str, tuple[str, ...]]:
@@ -135,13 +158,14 @@ def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
         what = term.term.replace("_", " ")
         for factor in _FACTORS:
             text = f"scale of {what}: it should be {_scale_text(term, factor)}, {factor:.3g} times as large"
-            yield Correction("observations", text, _with_term(spec, place, _scaled(term, factor)))
+            scaled = _scaled(term, factor)
+            yield Correction("observations", text, _with_term(spec, place, scaled), _is_usual(scaled))
         if term.term == "command":
             for factor in _FACTORS[1:5]:
                 for part, chosen in (("speeds", (0, 1)), ("yaw rate", (2,))):
                     text = f"scale of command's {part}: it should be {factor:g} times as large"
                     scaled = _scaled(term, factor, lambda k, chosen=chosen: k in chosen)
-                    yield Correction("observations", text, _with_term(spec, place, scaled))
+                    yield Correction("observations", text, _with_term(spec, place, scaled), _is_usual(scaled))
         if term.term == "joint_positions":
             text = "joint positions: they should be " + (
                 "angles themselves" if term.relative else "less the default pose"
@@ -150,7 +174,12 @@ def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
         if term.term == "last_action" and spec.action_scale != 1.0:
             scale = spec.action_scale
             text = "last action: it should be the scaled one, in rad"
-            yield Correction("observations", text, _with_term(spec, place, replace(term, scale=scale)))
+            yield Correction("observations", text, _with_term(spec, place, replace(term, scale=scale)), False)
+
+
+def _is_usual(term: Term) -> bool:
+    """Return whether the scales of a term are usual ones."""
+    return bool(np.isclose(np.abs(np.atleast_1d(term.scale))[:, None], _USUAL_SCALES[term.term]).any(axis=1).all())
 
 
 def _scale_text(term: Term, factor: float) -> str:
@@ -233,7 +262,8 @@ def _actions(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Cor
         value = scale[0] if len(scale) == 1 else scale
         numbers = " and ".join(f"{number:.3g}" for number in np.unique(scale))
         text = f"scale of actions: it should be {numbers}, {factor:g} times as large"
-        yield Correction("action_scale", text, replace(spec, action_scale=value))
+        usual = bool(np.isclose(np.array(scale)[:, None], _USUAL_ACTIONS).any(axis=1).all())
+        yield Correction("action_scale", text, replace(spec, action_scale=value), usual)
     yield Correction("action_scale", "sign of actions: it should be the other one", _negated(spec))
 
 
@@ -251,16 +281,23 @@ def _timing(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
             value = times(getattr(spec, name), factor)
             shown = " and ".join(f"{number:.3g}" for number in np.unique(value))
             text = f"{what}: they should be {shown} {unit}, {factor:g} times as large"
-            yield Correction(name, text, replace(spec, **{name: value}))
+            changed = replace(spec, **{name: value})
+            yield Correction(name, text, changed, _is_damped_as_usual(changed))
     for factor in _GAINS:
         kp, kd = times(spec.kp, factor), times(spec.kd, factor)
         text = f"gains: kp should be {_span(kp)} and kd {_span(kd)}, {factor:g} times as large"
-        yield Correction("kp", text, replace(spec, kp=kp, kd=kd))
+        changed = replace(spec, kp=kp, kd=kd)
+        yield Correction("kp", text, changed, _is_damped_as_usual(changed))
     for factor in (0.25, 0.5, 2.0, 4.0):
         step = spec.control_step * factor
         if 0.004 <= step <= 0.05:
             text = f"control step: it should be {1e3 * step:g} ms"
-            yield Correction("control_step", text, replace(spec, control_step=step))
+            yield Correction("control_step", text, replace(spec, control_step=step), math.isclose(step, _USUAL_STEP))
+
+
+def _is_damped_as_usual(spec: PolicySpecification) -> bool:
+    ratio = np.asarray(spec.kd) / np.maximum(spec.kp, 1e-6)
+    return bool(np.all((ratio >= _USUAL_DAMPING[0]) & (ratio <= _USUAL_DAMPING[1])) and 15 <= np.max(spec.kp) <= 100)
 
 
 def _span(value: Any) -> str:

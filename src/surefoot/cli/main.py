@@ -32,6 +32,7 @@ COMMANDS = {
     "deploy": ("surefoot.cli.deploy", "run a policy on a robot, or on an emulated one"),
     "paper": ("surefoot.cli.paper", "write one page: the paper and surefoot's results side by side"),
     "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
+    "compare": ("surefoot.cli.compare", "measure policies side by side: same commands, same robots"),
     "gap": ("surefoot.cli.gap", "measure what policies lose in another world, or on a robot"),
 }
 _USAGE = """usage: surefoot COMMAND ...
