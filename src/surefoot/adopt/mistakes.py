@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations, permutations
 from typing import Any, NamedTuple
@@ -49,12 +49,13 @@ def corrections(specification: PolicySpecification, robot: RobotDescription) -> 
     found: dict[str, Correction] = {}
     for part in (_orders, _signs, _scales, _frames, _histories, _actions, _timing):
         for correction in part(specification, robot):
-            if correction.specification != specification and _fits(correction.specification, robot):
+            if correction.specification != specification and fits(correction.specification, robot):
                 found.setdefault(repr(correction.specification), correction)
     return list(found.values())
 
 
-def _fits(specification: PolicySpecification, robot: RobotDescription) -> bool:
+def fits(specification: PolicySpecification, robot: RobotDescription) -> bool:
+    """Return whether the robot can have a specification."""
     try:
         check_specification(specification, robot)
     except SurefootError:
@@ -139,12 +140,12 @@ def _with_term(spec: PolicySpecification, place: int, term: Term) -> PolicySpeci
     return replace(spec, observations=tuple(terms))
 
 
-def _scaled(term: Term, factor: float, columns: Callable[[int], bool] = lambda k: True) -> Term:
+def _scaled(term: Term, factor: float, columns: Sequence[int] = (0, 1, 2)) -> Term:
     """Return a term with some of its numbers scaled by a factor."""
     width = len(term.scale) if isinstance(term.scale, tuple) else 3 if term.term in _VECTORS else 0
     if not width:
         return replace(term, scale=float(np.asarray(term.scale)) * factor)
-    scales = np.broadcast_to(term.scale, width) * [factor if columns(k) else 1.0 for k in range(width)]
+    scales = np.broadcast_to(term.scale, width) * [factor if k in columns or width > 3 else 1.0 for k in range(width)]
     return replace(term, scale=tuple(scales.tolist()))
 
 
@@ -164,7 +165,7 @@ def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
             for factor in _FACTORS[1:5]:
                 for part, chosen in (("speeds", (0, 1)), ("yaw rate", (2,))):
                     text = f"scale of command's {part}: it should be {factor:g} times as large"
-                    scaled = _scaled(term, factor, lambda k, chosen=chosen: k in chosen)
+                    scaled = _scaled(term, factor, chosen)
                     yield Correction("observations", text, _with_term(spec, place, scaled), _is_usual(scaled))
         if term.term == "joint_positions":
             text = "joint positions: they should be " + (
@@ -199,7 +200,7 @@ def _frames(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
         names = ("forward", "sideways", "yaw rate") if term.term == "command" else ("x", "y", "z")
         for chosen in ((0, 1, 2), (0, 1), (1, 2), (0,), (1,), (2,)):
             parts = " and ".join(names[k] for k in chosen)
-            flipped = _scaled(term, -1.0, lambda k, chosen=chosen: k in chosen)
+            flipped = _scaled(term, -1.0, chosen)
             text = f"sign of {what} ({parts}): it should be the other one"
             yield Correction("observations", text, _with_term(spec, place, flipped))
         own = term.columns or (0, 1, 2)
@@ -227,7 +228,7 @@ _TERM_ORDERS = {
 
 def _term_orders(spec: PolicySpecification) -> Iterator[Correction]:
     terms = spec.observations
-    kinds = [term.term for term in terms]
+    kinds: list[str] = [term.term for term in terms]
     for name, order in _TERM_ORDERS.items():
         if sorted(order) == sorted(kinds):
             chosen = tuple(terms[kinds.index(kind)] for kind in order)

@@ -43,7 +43,7 @@ def examine_policy(
         SurefootError: a policy that was not adopted, or a world that does not exist.
     """
     from surefoot.adopt.examination import Diagnosis, check_answers, examine, stated_specification
-    from surefoot.adopt.mistakes import corrections
+    from surefoot.adopt.mistakes import Correction, corrections
     from surefoot.world.registry import find_world
 
     find_world(world)
@@ -63,7 +63,7 @@ def examine_policy(
 
         out.mkdir(parents=True, exist_ok=True)
         videos = []
-        shown = [("as it is", None)]
+        shown: list[tuple[str, Correction | None]] = [("as it is", None)]
         if diagnosis.mistake is not None and diagnosis.mistake.correction is not None:
             shown.append((diagnosis.mistake.correction.text, diagnosis.mistake.correction))
         for k, (title, correction) in enumerate(shown):

@@ -17,6 +17,7 @@ COMMANDS = {
     "train": ("surefoot.cli.train", "learn a gait in simulation"),
     "robot": ("surefoot.cli.robot", "take any quadruped from its URDF or MJCF, and check its description"),
     "adopt": ("surefoot.cli.adopt", "bring in a policy that others trained"),
+    "export": ("surefoot.cli.export", "write a policy for another deployer"),
     "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
     "drive": ("surefoot.cli.drive", "steer, push and change a simulated robot, on a page in the browser"),
