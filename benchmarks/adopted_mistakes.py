@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -76,14 +77,10 @@ def times(factor: float, *names: str) -> Change:
     """Return a change in which numbers of the specification are multiplied."""
 
     def change(spec: PolicySpecification) -> PolicySpecification:
-        values = {name: getattr(spec, name) for name in names}
-        return replace(
-            spec,
-            **{
-                name: tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
-                for name, value in values.items()
-            },
-        )
+        values: dict[str, Any] = {name: getattr(spec, name) for name in names}
+        for name, value in values.items():
+            values[name] = tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
+        return replace(spec, **values)
 
     return change
 
@@ -179,9 +176,11 @@ def main() -> None:
         tried = corrections(stated_specification(policy.contract), robot)
         diagnosis = Diagnosis.from_answers(examine(policy, robot, task, [None, *tried], threads=options.threads))
 
-        def is_right(answer: Answer | None, name: str = name) -> bool:
-            correction = None if answer is None else answer.correction
-            return correction is not None and same(correction.specification, right[name], robot)
+        # An order of joints is tried with and without the numbers of each joint: the same text for both.
+        right_texts = {one.text for one in tried if same(one.specification, right[name], robot)}
+
+        def is_right(answer: Answer | None, texts: set[str] = right_texts) -> bool:
+            return answer is not None and answer.correction is not None and answer.correction.text in texts
 
         mistake = diagnosis.mistake
         first, among = is_right(mistake), any(map(is_right, diagnosis.alike))

@@ -47,7 +47,7 @@ class Correction(NamedTuple):
 def corrections(specification: PolicySpecification, robot: RobotDescription) -> list[Correction]:
     """Return the specification with each of the usual mistakes corrected that fits the robot, none twice."""
     found: dict[str, Correction] = {}
-    for part in (_orders, _signs, _scales, _frames, _histories, _actions, _timing):
+    for part in _PARTS:
         for correction in part(specification, robot):
             if correction.specification != specification and fits(correction.specification, robot):
                 found.setdefault(repr(correction.specification), correction)
@@ -303,3 +303,7 @@ def _is_damped_as_usual(spec: PolicySpecification) -> bool:
 
 def _span(value: Any) -> str:
     return " and ".join(f"{number:.3g}" for number in np.unique(value))
+
+
+_PARTS = (_orders, _signs, _scales, _frames, _histories, _actions, _timing)
+"""What the mistakes are about."""
