@@ -3,12 +3,13 @@
 Twenty configurations are made from those of two policies of rl_sar (`data/rl_sar`), each wrong in one way, drawn with a
 seed. Each is adopted and examined in simulation. Prints a line a configuration and the count.
 
-    python benchmarks/adopted_mistakes.py [--count 20] [--seed 1]
+    python benchmarks/adopted_mistakes.py [--count 20] [--seed 1] [--out results/adopted_mistakes.json]
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import time
 from collections.abc import Callable
@@ -158,6 +159,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--out", type=Path, help="file (.json) for the results")
     options = parser.parse_args()
     robot = RobotDescription.load("go2")
     cases = []
@@ -169,6 +171,7 @@ def main() -> None:
         cases += [(name, what, spec) for what, spec in changes.items() if not same(spec, right[name], robot)]
     chosen = np.random.default_rng(options.seed).permutation(len(cases))[: options.count]
     named = likely = 0
+    rows = []
     for name, what, wrong in (cases[k] for k in sorted(chosen)):
         started = time.monotonic()
         policy = PolicyRuntime.parse(build_policy(wrong, networks[name], robot, name, {}))
@@ -188,8 +191,13 @@ def main() -> None:
         result = "named" if first else "as likely as another" if among else "not named"
         text = mistake.correction.text if mistake is not None and mistake.correction is not None else "nothing found"
         score = diagnosis.own.score
+        rows.append({"policy": name, "mistake": what, "result": result, "answer": text, "score": round(score, 3)})
         print(f"{name}: {what}: {result}: {text} (score {score:.2f}; {time.monotonic() - started:.0f} s)", flush=True)
     print(f"named: {named} of {len(chosen)}; with those that are as likely: {likely}")
+    if options.out is not None:
+        counts = {"kinds": len(mistakes(robot)), "named": named, "likely": likely, "configurations": len(chosen)}
+        text = json.dumps({**counts, "seed": options.seed, "rows": rows}, indent=1)
+        options.out.write_text(text + "\n")
 
 
 if __name__ == "__main__":
