@@ -34,14 +34,7 @@ def foot_clearance(motion: StepMotion) -> Array:
     return np.asarray(((height - CLEARANCE) ** 2 * speed).mean(axis=1))
 
 
-@observation(
-    "gravity",
-    unit="1",
-    frame="base",
-    columns=("gravity_x", "gravity_y", "gravity_z"),
-    flipped=("gravity_y",),
-)
-def gravity(inputs: ObservationInputs) -> Array:
-    """Return the direction of gravity in the base's frame (N, 3), from the IMU's roll and pitch."""
-    roll, pitch, _ = inputs.readings.roll_pitch_yaw.T
-    return np.stack([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)], axis=1)
+@observation("lean", unit="1", frame="world", columns=("lean_roll", "lean_pitch"), flipped=("lean_roll",))
+def lean(inputs: ObservationInputs) -> Array:
+    """Return the sines of the IMU's roll and pitch (N, 2)."""
+    return np.sin(inputs.readings.roll_pitch_yaw[:, :2])

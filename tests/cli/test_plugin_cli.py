@@ -52,7 +52,7 @@ def run(repository: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory
 
 def test_evaluation_needs_the_observation_and_skips_the_reward_term(run: Path, plugin: Path, tmp_path: Path) -> None:
     policy, words = run / "policy.onnx", ("--episodes", "1", "--json")
-    refused(surefoot("evaluate", policy, *words), "needs observation 'gravity' of a plug-in", "--plugin 'plugin.py'")
+    refused(surefoot("evaluate", policy, *words), "needs observation 'lean' of a plug-in", "--plugin 'plugin.py'")
     whole = surefoot("evaluate", policy, *words, "--plugin", plugin)
     assert (whole.returncode, whole.stderr) == (0, "")
     remove_plugins()
@@ -67,9 +67,9 @@ def test_evaluation_needs_the_observation_and_skips_the_reward_term(run: Path, p
 
 
 def test_a_run_is_resumed_with_the_plugin_that_is_named_again(run: Path, plugin: Path) -> None:
-    refused(surefoot("train", "--resume", run), "was trained with 'foot_clearance', 'gravity' of a plug-in; name the")
+    refused(surefoot("train", "--resume", run), "was trained with 'foot_clearance', 'lean' of a plug-in; name the")
     load_plugins([plugin])
-    assert RunFolder.open(run)[1].task.observations[0] == "gravity"
+    assert RunFolder.open(run)[1].task.observations[0] == "lean"
 
 
 def test_the_drive_page_answers(run: Path, plugin: Path) -> None:
@@ -89,7 +89,7 @@ def emulate() -> Iterator[Callable[..., Any]]:
 
 def test_a_robot_runs_the_policy(run: Path, plugin: Path, emulate: Callable[..., Any], tmp_path: Path) -> None:
     words = ("deploy", run / "policy.onnx", "--port", emulate("--lockstep").port, "--lockstep", "--duration", "0.3")
-    refused(surefoot(*words, cwd=tmp_path), "needs observation 'gravity' of a plug-in")
+    refused(surefoot(*words, cwd=tmp_path), "needs observation 'lean' of a plug-in")
     done = surefoot(*words, "--json", "--plugin", plugin, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     (result,) = json.loads(done.stdout)["runs"]

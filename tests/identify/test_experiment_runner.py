@@ -129,7 +129,10 @@ def test_a_damped_robot_ends_the_experiment(healthy: Any, robot: RobotDescriptio
     link.connect()
     recording = run_plan(link, make_plan(), robot, Doing("sweep", link.damp))
     link.close()
-    assert recording.meta["ended"] == "the robot has damped its motors (host) (in phase 'sweep')"
+    assert (
+        recording.meta["ended"]
+        == "the robot has damped its motors (host): the operator asked for it (in phase 'sweep')"
+    )
 
 
 def test_a_closed_port_ends_the_experiment(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):

@@ -21,7 +21,7 @@ from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
 
 _FLIPPED = (
-    *("roll", "roll_rate", "yaw", "yaw_rate", "velocity_y", "push_y", "imu_bias.roll"),
+    *("roll", "roll_rate", "yaw", "yaw_rate", "velocity_y", "gravity_y", "push_y", "imu_bias.roll"),
     *("command_sideways", "command_yaw_rate", "heading_error"),
 )
 """Columns that change their sign in the mirror; all others keep it."""

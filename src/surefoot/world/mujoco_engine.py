@@ -142,12 +142,16 @@ class MujocoEngine:
         if self._pool is None:
             work(0, counter)
             return
-        others = [self._pool.submit(work, worker, counter) for worker in range(1, self.threads)]
         try:
+            others = [self._pool.submit(work, worker, counter) for worker in range(1, self.threads)]
             work(0, counter)
             wait(others)
-        finally:
-            wait(others)  # An interrupt must not leave them behind: they use memory that goes with this engine.
+        except BaseException:
+            # An interrupt must not leave a thread behind, not even one that has just started: they use memory that goes
+            # with this engine.
+            self._pool.shutdown()
+            self._pool = ThreadPoolExecutor(self.threads - 1)
+            raise
         for other in others:
             other.result()
 
