@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from typing import get_args, get_type_hints
 
 import pytest
 
@@ -12,6 +13,10 @@ pytest.importorskip("mujoco")
 
 from foreign import perceptron
 
+from surefoot.adopt.adoption import FORMATS
+from surefoot.adopt.exporting import EXPORTERS
+from surefoot.cli.adopt import AdoptCommand
+from surefoot.cli.export import ExportCommand
 from surefoot.cli.main import main
 from surefoot.policy.runtime import PolicyRuntime
 
@@ -38,6 +43,11 @@ def adopted(network, tmp_path):
     path = tmp_path / "mine.onnx"
     assert main(["adopt", str(network), "--from", "mjlab", "--robot", "go2", "--out", str(path)]) == 0
     return path
+
+
+def test_every_format_can_be_given():
+    assert set(get_args(get_type_hints(AdoptCommand)["format"])) == set(FORMATS)
+    assert set(get_args(get_type_hints(ExportCommand)["to"])) == set(EXPORTERS)
 
 
 def test_adopt_writes_a_policy_and_says_what_it_assumed(network, tmp_path, capsys):
