@@ -25,8 +25,16 @@ ALLOWED: dict[str, set[str]] = {
         *("task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot"},
-    "report": {"evaluation", "task", "robot", "world.ground", "identify.result", "identify.logs.errors"},
-    "adopt": {"policy", "task", "robot", "deploy.checks"},
+    "report": {
+        "evaluation",
+        "task",
+        "robot",
+        "world.ground",
+        "identify.result",
+        "identify.logs.errors",
+        "adopt.examination",
+    },
+    "adopt": {"policy", "task", "robot", "deploy.checks", "evaluation", "world"},
     "studies": {"report", "learn", "evaluation", "task", "policy", "world", "robot"},
 }
 """What each package may import besides itself and the modules at the top: packages, or modules of one

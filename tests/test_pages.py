@@ -21,7 +21,7 @@ RESULTS = [
         f"docs/{name}.md"
         for name in (
             *("results", "robustness", "reality-gap", "study", "handcrafted", "robots", "steer"),
-            *("speed", "identification", "real-robot", "search"),
+            *("speed", "adopt", "identification", "real-robot", "search"),
         )
     ),
 ]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pytest
 
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from foreign import Probe, Readings
+from foreign import DATA, Probe, Readings
 
 from surefoot.adopt.builder import build_policy, check_specification
 from surefoot.deploy.controller import Controller
@@ -93,3 +95,20 @@ def probe_observations(go2, run_controller):
         return feedback[:, -width:], commands
 
     return probe
+
+
+@pytest.fixture(scope="session")
+def robot_lab(go2, tmp_path_factory):
+    """The policy robot_lab of rl_sar, adopted from an ONNX file: path of the policy file."""
+    from surefoot.adopt.adoption import adopt
+    from surefoot.adopt.torchscript_tracing import trace
+
+    folder = tmp_path_factory.mktemp("robot_lab") / "robot_lab"
+    folder.mkdir()
+    model, _ = trace(io.BytesIO((DATA / "robot_lab" / "policy.pt").read_bytes()), 45, 3)
+    (folder / "policy.onnx").write_bytes(model)
+    (folder / "config.yaml").write_text((DATA / "robot_lab" / "config.yaml").read_text())
+    (folder.parent / "base.yaml").write_text((DATA / "base.yaml").read_text())
+    path = folder.parent / "robot_lab.onnx"
+    path.write_bytes(adopt(folder / "policy.onnx", "rl_sar", go2, "robot_lab").data)
+    return path

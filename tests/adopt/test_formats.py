@@ -6,7 +6,10 @@ from the first value on.
 
 from __future__ import annotations
 
+import re
 from collections import deque
+from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +17,8 @@ import yaml
 from foreign import Readings, perceptron
 
 from surefoot.adopt.adoption import FORMATS, adopt
+from surefoot.adopt.builder import check_specification
+from surefoot.adopt.specification import PolicySpecification, Term
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 
@@ -317,3 +322,16 @@ def test_configurations_that_do_not_fit_are_refused(go2, write, name, file, chan
         adopt(network, name, go2, "x")
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_the_page_of_adopted_policies_explains_every_field_and_its_example_is_read(go2, tmp_path, random_readings):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "adopt.md").read_text()
+    (example,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    path = tmp_path / "policy.yaml"
+    path.write_text(example)
+    # Histories of one part alone go with an order by term.
+    specification = FORMATS["manual"].read(path, go2)
+    assert check_specification(specification, go2) == 3 + 15 + 3 + 12 + 12 + 12 + 2 + 4 + 2
+    for kind in (PolicySpecification, Term):
+        for item in fields(kind):
+            assert f"{item.name}:" in example

@@ -11,6 +11,7 @@ from typing import Any
 from surefoot.adopt import torchscript_network
 from surefoot.adopt.builder import ForeignNetwork, build_policy, check_specification
 from surefoot.adopt.formats import legged_gym, manual, mjlab, rl_sar, unitree_rl_lab
+from surefoot.adopt.mistakes import fits, joint_orders
 from surefoot.adopt.onnx_network import OnnxNetwork
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
@@ -76,7 +77,7 @@ def adopt(
     with prefix_errors(config):
         notes = {name: note for name, note in read.notes.items() if name not in changes}
         specification = replace(read, **changes, notes=notes)
-        width = check_specification(specification, robot)
+        width = _check(specification, robot)
     with describe_os_errors(path), path.open("rb") as file:
         data = file.read(MAX_BYTES + 1)
     source = {"format": format_name}
@@ -85,6 +86,17 @@ def adopt(
     with prefix_errors(path):
         network = load_network(path, data, width, trusted)
         return AdoptedPolicy(build_policy(specification, network, robot, name, source), specification)
+
+
+def _check(specification: PolicySpecification, robot: RobotDescription) -> int:
+    """Return how many numbers the network must take; an error says which usual order of joints would fit."""
+    try:
+        return check_specification(specification, robot)
+    except SurefootError as error:
+        orders = joint_orders(robot) if "default_pose" in str(error) else {}
+        fitting = [name for name, order in orders.items() if fits(replace(specification, joints=order), robot)]
+        hint = f"; it fits with the joints in the order {' or '.join(fitting[:2])}" if fitting else ""
+        raise SurefootError(f"{error}{hint}") from error
 
 
 def load_network(path: Path, data: bytes, width: int, trusted: bool = False) -> ForeignNetwork:

@@ -18,6 +18,7 @@ import numpy as np
 
 from surefoot.adopt.specification import PerJoint, PolicySpecification, Range, Term
 from surefoot.arrays import Array
+from surefoot.configuration import to_mapping
 from surefoot.deploy.checks import check_policy
 from surefoot.errors import SurefootError, choices, quote
 from surefoot.policy.contract import Contract
@@ -60,7 +61,7 @@ class ForeignNetwork(Protocol):
     """A network as nodes that a policy file may have."""
 
     @property
-    def inputs(self) -> int:
+    def inputs(self) -> int | None:
         """Numbers of an observation."""
 
     @property
@@ -105,7 +106,7 @@ def build_policy(
     Raises:
         SurefootError: a specification that does not fit the network or the robot.
     """
-    maker = _Maker(specification, network, robot)
+    maker = PolicyMaker(specification, network, robot)
     contract = maker.contract(specification.name or name, source)
     check_policy(contract, robot)
     model = maker.graph(contract).to_model(contract, robot.archive)
@@ -116,14 +117,16 @@ def build_policy(
 
 
 @dataclass(frozen=True)
-class _Absent:
-    """The sizes of a network that is still to be loaded."""
+class NetworkSizes:
+    """The sizes of a network that is not there, or not yet."""
 
-    inputs: int
+    inputs: int | None
+    """None: as many as the specification says."""
     outputs: int
     hidden: tuple[int, ...] = ()
 
     def add(self, graph: Graph, observation: Value, hidden: list[Value]) -> tuple[Value, list[Value]]:
+        """Refuse: there is no network."""
         raise NotImplementedError
 
 
@@ -134,7 +137,7 @@ def check_specification(specification: PolicySpecification, robot: RobotDescript
         SurefootError: other joints, a default pose that legs can't have, numbers that do not fit a term.
     """
     width = sum(_width(term, robot.num_motors) * len(term.steps) for term in specification.observations)
-    maker = _Maker(specification, _Absent(width, len(specification.joints)), robot)
+    maker = PolicyMaker(specification, NetworkSizes(width, len(specification.joints)), robot)
     check_policy(maker.contract("policy", {}), robot)
     return width
 
@@ -147,8 +150,17 @@ def _width(term: Term, joints: int) -> int:
     return counts.get(term.term, len(_COLUMNS[term.term]) if term.term in _COLUMNS else joints)
 
 
-class _Maker:
-    """Contract and graph of one policy."""
+class PolicyMaker:
+    """Contract and graph of one policy.
+
+    Args:
+        specification: of the policy.
+        network: of the policy, or its sizes.
+        robot: that it runs on.
+
+    Raises:
+        SurefootError: a specification that does not fit the network or the robot.
+    """
 
     def __init__(self, specification: PolicySpecification, network: ForeignNetwork, robot: RobotDescription) -> None:
         self.specification, self.network, self.robot = spec, net, _ = specification, network, robot
@@ -169,7 +181,7 @@ class _Maker:
         self.observer = Observer(robot, self.task.observations, self.gait.action_names)
         self._index = {column: place for place, column in enumerate(self.observer.columns)}
         self._rows = self._find_rows()
-        if len(self._rows) != net.inputs:
+        if net.inputs is not None and len(self._rows) != net.inputs:
             sizes = ", ".join(f"{term.term} {_width(term, count)} x {len(term.steps)}" for term in spec.observations)
             raise SurefootError(
                 f"the network takes {net.inputs} numbers; the observations are {len(self._rows)}: {sizes}"
@@ -188,7 +200,7 @@ class _Maker:
         own = np.array(self.specification.joint_signs or np.ones(len(self._motors)))
         return own * self.robot.motor_sign[self._motors]
 
-    def _per_motor(self, numbers: PerJoint) -> ParamValue:
+    def per_motor(self, numbers: PerJoint) -> ParamValue:
         """Return numbers of joints as those of motors."""
         if not isinstance(numbers, tuple):
             return numbers
@@ -210,7 +222,7 @@ class _Maker:
                 "the knees bend the other way, or are order or signs of the joints others?"
             )
         params: dict[str, Any] = {"control_step": spec.control_step}
-        params |= {"servo_kp": self._per_motor(spec.kp), "servo_kd": self._per_motor(spec.kd)}
+        params |= {"servo_kp": self.per_motor(spec.kp), "servo_kd": self.per_motor(spec.kd)}
         if spec.latency is not None:
             params["control_latency"] = spec.latency
         follows = any(term.term == "command" for term in spec.observations)
@@ -231,8 +243,11 @@ class _Maker:
         )
 
     def contract(self, name: str, source: Mapping[str, Any]) -> Contract:
-        """Return the policy's contract."""
-        return contract_from_task(self.task, self.robot, figures={"adopted": dict(source)}, name=name)
+        """Return the policy's contract; its figures keep the specification, for whoever looks for mistakes in it."""
+        kept = {name: value for name, value in to_mapping(self.specification).items() if name != "notes"}
+        return contract_from_task(
+            self.task, self.robot, figures={"adopted": {**source, "specification": kept}}, name=name
+        )
 
     def _find_rows(self) -> list[_Row]:
         """Return the rows of the network's observation, in its order."""
@@ -299,11 +314,7 @@ class _Maker:
         action, after = self.network.add(graph, self._observation(graph, raw), hidden)
         if spec.action_clip is not None:
             action = self._bounded(graph, action, *spec.action_clip)
-        count = len(spec.joints)
-        scale, signs = np.broadcast_to(spec.action_scale, count), self._signs
-        offset = np.array(spec.default_pose if spec.action_offset is None else spec.action_offset)
-        to_motors = np.zeros((count, count))
-        to_motors[np.arange(count), self._motors] = signs
+        scale, offset, to_motors = self.target_map()
         if spec.target_clip is not None:
             joints = graph.linear(action.name, np.diag(scale), offset)
             target = graph.linear(self._bounded(graph, joints, *spec.target_clip).name, to_motors)
@@ -325,14 +336,26 @@ class _Maker:
         low, high = np.array([clip or (-LARGEST, LARGEST) for clip in clips]).T
         return self._bounded(graph, value, tuple(low), tuple(high))
 
-    def _observation(self, graph: Graph, raw: Value) -> Value:
-        """Return the network's observation of a raw one."""
+    def observation_map(self) -> tuple[Array, Array, Array]:
+        """Return weights (W, O), offsets (O,) and scales (O,): an observation is (raw @ weights + offsets) * scales."""
         rows = self._rows
-        weight, offset = np.zeros((raw.width, len(rows))), np.array([row.offset for row in rows])
-        scale = np.array([row.scale for row in rows])
+        weight = np.zeros((self.observer.width * self.task.history, len(rows)))
         for k, row in enumerate(rows):
             for column, factor in row.weights.items():
                 weight[column, k] = factor
+        return weight, np.array([row.offset for row in rows]), np.array([row.scale for row in rows])
+
+    def target_map(self) -> tuple[Array, Array, Array]:
+        """Return scales (J,) and offsets (J,) of actions, joint angles, and the motor angles of joints (J, M)."""
+        spec, count = self.specification, len(self.specification.joints)
+        offset = np.array(spec.default_pose if spec.action_offset is None else spec.action_offset)
+        to_motors = np.zeros((count, count))
+        to_motors[np.arange(count), self._motors] = self._signs
+        return np.broadcast_to(spec.action_scale, count), offset, to_motors
+
+    def _observation(self, graph: Graph, raw: Value) -> Value:
+        """Return the network's observation of a raw one."""
+        rows, (weight, offset, scale) = self._rows, self.observation_map()
         if any(row.clip for row in rows):
             value = self._clipped(graph, graph.linear(raw.name, weight, offset), [row.clip for row in rows])
             value = Value(graph.apply("Mul", value.name, graph.constant(scale[None])), value.width)

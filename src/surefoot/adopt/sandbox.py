@@ -19,6 +19,8 @@ MEMORY = 16 * 2**30
 """Address space [byte]; torch reserves some 5 GiB of it."""
 TIME = 60
 """Processor time [s]."""
+OUTPUT = 128 * 2**20
+"""Size of a file that it writes [byte]."""
 _ARCHITECTURES = {
     "x86_64": (
         0xC000003E,
@@ -57,6 +59,7 @@ def enter() -> None:
         raise SurefootError(f"{sys.platform} on {platform.machine()} has no filter of system calls that surefoot knows")
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (TIME, TIME))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (OUTPUT, OUTPUT))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     architecture, *allowed = _ARCHITECTURES[platform.machine()]
     program = [

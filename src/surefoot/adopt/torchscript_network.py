@@ -10,6 +10,8 @@ import io
 import os
 import subprocess
 import sys
+import tempfile
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -46,21 +48,29 @@ def load(data: bytes, width: int, trusted: bool = False) -> OnnxNetwork:
             "is TorchScript, which this machine can't load without rights to files and network; if you trust it, "
             "give --trust"
         )
+    if find_spec("torch") is None:
+        raise SurefootError("is TorchScript, which needs torch; export the policy to ONNX, or install torch")
     words = [sys.executable, "-m", __name__, str(width), *([_TRUSTED] if trusted else [])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"}
-    try:
-        process = subprocess.run(words, input=data, capture_output=True, timeout=_TIMEOUT, env=environment, check=False)
-    except subprocess.TimeoutExpired:
-        raise SurefootError(f"torch did not load it within {_TIMEOUT} s") from None
-    message = process.stderr[-2000:].decode(errors="replace").strip().splitlines()
+    # What it writes goes to files, whose size is limited.
+    with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
+        try:
+            process = subprocess.run(
+                words, input=data, stdout=output, stderr=errors, timeout=_TIMEOUT, env=environment, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise SurefootError(f"torch did not load it within {_TIMEOUT} s") from None
+        errors.seek(max(errors.seek(0, os.SEEK_END) - 2000, 0))
+        message = errors.read().decode(errors="replace").strip().splitlines()
+        output.seek(0)
+        result = output.read()
     if process.returncode:
         raise SurefootError(message[-1] if message else f"torch ended with code {process.returncode} as it loaded it")
-    sizes = np.frombuffer(process.stdout[:16], "<u8").tolist()
-    if len(sizes) != 2 or sum(sizes) + 16 != len(process.stdout):
+    sizes = np.frombuffer(result[:16], "<u8").tolist()
+    if len(sizes) != 2 or sum(sizes) + 16 != len(result):
         raise SurefootError("torch gave no network")
-    network = OnnxNetwork(process.stdout[16 : 16 + sizes[0]])
-    samples = np.frombuffer(process.stdout[16 + sizes[0] :], "<f4")
-    _check_samples(network, samples, process.stdout[16 : 16 + sizes[0]])
+    network = OnnxNetwork(result[16 : 16 + sizes[0]])
+    _check_samples(network, np.frombuffer(result[16 + sizes[0] :], "<f4"), result[16 : 16 + sizes[0]])
     return network
 
 

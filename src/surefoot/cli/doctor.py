@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Annotated
 
 from rich.console import Console
@@ -13,7 +14,17 @@ from rich.text import Text
 from surefoot.api.policies import find_policy, open_policy
 from surefoot.check_result import CheckResult
 from surefoot.cli.helpers.link_options import LinkOptions
-from surefoot.cli.helpers.options import Json, PluginNames, PolicyName, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.options import (
+    Json,
+    PluginNames,
+    PolicyName,
+    Seed,
+    Threads,
+    World,
+    Yes,
+    ask_to_move,
+    check_terminal,
+)
 from surefoot.cli.helpers.output import make_console, print_json
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
@@ -31,8 +42,9 @@ _LABELS = {True: ("pass", "green"), False: ("FAIL", "bold red"), None: ("not don
 class DoctorCommand(LinkOptions):
     """Check policy, link, robot and this computer, one line a check: pass, FAIL or not done, why, and what to do.
 
-    Nothing moves without --rack or --ground. Exit code 0: all that was done passed; 3: something failed; 2: it could
-    not begin, such as without a robot.
+    Nothing moves without --rack or --ground. An adopted policy without a robot (no --port) is simulated: does it stand
+    and answer commands, and which of the usual mistakes in its configuration explains it, if not? Exit code 0: all that
+    was done passed; 3: something failed; 2: it could not begin, such as without a robot.
     """
 
     policy: PolicyName
@@ -49,11 +61,20 @@ class DoctorCommand(LinkOptions):
     """Control steps and inferences that this computer is measured with."""
     json: Json = False
     plugin: PluginNames = ()
+    world: World = "mujoco"
+    seed: Seed = 0
+    threads: Threads = 0
+    out: Path | None = None
+    """Folder for a page of that simulation, with videos."""
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(DoctorCommand, argv, "surefoot doctor")
+    if command.port is None and command.link == "serial":
+        return _examine(command)
+    if command.out is not None:
+        raise SurefootError("--out is given; it is for an adopted policy's simulation, without a robot")
     command.check_link()
     if command.rack and command.ground:
         raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")
@@ -88,6 +109,29 @@ def main(argv: list[str]) -> int:
     else:
         console.print(f"{counts[True]} passed, {counts[False]} failed, {counts[None]} not done")
     return FAILED if counts[False] else 0
+
+
+def _examine(command: DoctorCommand) -> int:
+    """Examine an adopted policy in simulation."""
+    contract = open_policy(find_policy(command.policy), command.robot)[0].contract
+    if "adopted" not in contract.figures or command.rack or command.ground:
+        command.check_link()  # a policy that was trained here, or motions, need a robot
+    from surefoot.api.adopted import examine_policy
+
+    result = examine_policy(command.policy, command.robot, command.world, command.seed, command.threads, command.out)
+    failed = any(check.passed is False for check in result.checks)
+    if command.json:
+        files = [str(file) for file in result.files]
+        data = {"policy": result.name, "robot": result.robot.name, "world": command.world, "passed": not failed}
+        print_json({**data, "checks": [asdict(check) for check in result.checks], "files": files})
+        return FAILED if failed else 0
+    console = make_console()
+    console.print(f"policy '{result.name}' for {result.robot.name}, simulated in {command.world}")
+    for check in result.checks:
+        print_result(console, check)
+    for file in result.files:
+        console.print(f"wrote {file}", highlight=False, soft_wrap=True)
+    return FAILED if failed else 0
 
 
 def print_result(console: Console, result: CheckResult) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import datetime
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -138,7 +138,7 @@ def _identify_from_traces(argv: list[str]) -> int:
 
 def _identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     """Fit a whole robot with joint actuators to logs."""
-    from surefoot.identify.logs.robot_log import read_log
+    from surefoot.identify.logs.robot_log import common_gains, read_log
 
     paths = sorted(command.trace.glob("*.npz")) if command.trace.is_dir() else [command.trace]
     if not paths:
@@ -148,6 +148,8 @@ def _identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
         if bad := [name for name in names if name not in logs]:
             raise SurefootError(f"--{option} names '{bad[0]}', which is no log; {suggest(bad[0], logs)}")
     prior = read_prior(command.params, robot)
+    gains = {name: value for name, value in common_gains(logs.values()).items() if name not in prior.names}
+    prior = replace(prior, params=prior.params.with_values(robot, **gains))
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
 
     check_installed()

@@ -17,6 +17,7 @@ COMMANDS = {
     "train": ("surefoot.cli.train", "learn a gait in simulation"),
     "robot": ("surefoot.cli.robot", "take any quadruped from its URDF or MJCF, and check its description"),
     "adopt": ("surefoot.cli.adopt", "bring in a policy that others trained"),
+    "export": ("surefoot.cli.export", "write a policy for another deployer"),
     "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
     "drive": ("surefoot.cli.drive", "steer, push and change a simulated robot, on a page in the browser"),
@@ -32,6 +33,7 @@ COMMANDS = {
     "deploy": ("surefoot.cli.deploy", "run a policy on a robot, or on an emulated one"),
     "paper": ("surefoot.cli.paper", "write one page: the paper and surefoot's results side by side"),
     "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
+    "compare": ("surefoot.cli.compare", "measure policies side by side: same commands, same robots"),
     "gap": ("surefoot.cli.gap", "measure what policies lose in another world, or on a robot"),
 }
 _USAGE = """usage: surefoot COMMAND ...

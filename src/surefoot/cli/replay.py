@@ -55,7 +55,6 @@ def main(argv: list[str]) -> int:
         robot = load_robot(command.trace, EpisodeTrace.load(command.trace))
     else:
         robot = RobotDescription.load(command.robot)
-    params = load_params(robot, command.params, command.settings)
     from surefoot.identify.logs.errors import compare_logs, replay_log
     from surefoot.identify.logs.robot_log import read_log
     from surefoot.identify.replay import Replayer
@@ -63,6 +62,7 @@ def main(argv: list[str]) -> int:
 
     check_takes_params(command.world)
     log = read_log(command.trace, robot)
+    params = load_params(robot, command.params, command.settings, log.gains)
     other = None if command.beside is None else compare_logs(log, read_log(command.beside, robot))
     replayer = Replayer(robot, 1, command.rack, command.world, torques=False)
     errors = replay_log(log, robot, params, replayer)

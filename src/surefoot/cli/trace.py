@@ -19,7 +19,8 @@ from surefoot.robot import RobotDescription
 class ImportCommand:
     """Make a trace of somebody's log, row by row; what the log does not have is missing in the trace.
 
-    Without --map the log is an .npz file with arrays time, command, motor_angle and imu in the robot's own order.
+    Without --map the log is an .npz file with arrays time, command, motor_angle and imu in the robot's own order. Of a
+    Go2, it may be a bag with /lowstate and /lowcmd, or a CSV file of its states.
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
@@ -30,6 +31,10 @@ class ImportCommand:
     """Trace to write (.npz)."""
     map: Path | None = None
     """Which column is which motor, with units, signs and clock (.yaml)."""
+    between: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="START END")] = None
+    """Part of the log that becomes the trace [s], from its first row on."""
+    any_checksum: bool = False
+    """Take messages of a Go2 whose checksum is wrong, too."""
     json: Json = False
 
 
@@ -42,15 +47,21 @@ def _import(argv: list[str]) -> int:
     command = parse(ImportCommand, argv, "surefoot trace import")
     check_suffix("out", command.out, ".npz")
     robot = RobotDescription.load(command.robot)
-    from surefoot.identify.logs.importing import import_log, missing_columns
-    from surefoot.identify.logs.robot_log import log_from_trace
+    from surefoot.identify.logs.importing import import_log, missing_columns, part_of
+    from surefoot.identify.logs.robot_log import log_from_trace, measure_timing
 
-    trace = import_log(command.file, robot, command.map)
-    timing = log_from_trace(command.file.name, trace).timing()
+    trace = import_log(command.file, robot, command.map, command.any_checksum)
+    if command.between is not None:
+        trace = part_of(trace, *command.between)
+    if trace.meta.get("read_at_row"):
+        timing = measure_timing(trace.time, trace.time)  # with commands or without
+    else:
+        timing = log_from_trace(command.file.name, trace).timing()
+    notes = list(trace.meta.get("notes", []))
     missing = missing_columns(trace)
     trace.save(command.out)
     if command.json:
-        print_json({"trace": str(command.out), "missing": missing, "timing": timing})
+        print_json({"trace": str(command.out), "missing": missing, "timing": timing, "notes": notes})
         return 0
     steps = [1e3 * timing[f"{name}_step"] for name in ("least", "median", "greatest")]
     print(f"{timing['rows']} rows, {timing['seconds']:.2f} s; steps of {steps[0]:.2f} to {steps[2]:.2f} ms, ", end="")
@@ -59,6 +70,8 @@ def _import(argv: list[str]) -> int:
     print(f"{100 * timing['repeated_readings']:.1f} % of the readings repeat the row before; they are kept")
     if missing:
         print(f"missing: {choices(missing)}")
+    for note in notes:
+        print(note)
     print(f"wrote {command.out}")
     print(show_command([command.out]))
     return 0

@@ -79,7 +79,10 @@ def find_params(path_or_name: str | Path, robot: RobotDescription) -> Path:
 
 
 def load_params(
-    robot: RobotDescription, path_or_name: str | Path | None, settings: Iterable[Iterable[str]]
+    robot: RobotDescription,
+    path_or_name: str | Path | None,
+    settings: Iterable[Iterable[str]],
+    start: Mapping[str, ParamValue] | None = None,
 ) -> PhysicalParams:
     """Return the parameters of one robot, one row.
 
@@ -87,10 +90,11 @@ def load_params(
         robot: the robot's description.
         path_or_name: as of `find_params`; None: nominal parameters.
         settings: words NAME=VALUE that change some of them, a group for each `--set`.
+        start: parameters that differ from the nominal ones, unless the file names them.
     """
-    params = PhysicalParams.nominal(robot)
+    params = PhysicalParams.nominal(robot).with_values(robot, **(start or {}))
     if path_or_name is not None:
-        params = read_params(find_params(path_or_name, robot), robot).params
+        params = params.with_values(robot, **read_params(find_params(path_or_name, robot), robot).values)
     return params.with_values(robot, **parse_settings([word for group in settings for word in group]))
 
 
@@ -108,13 +112,22 @@ def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
             raise SurefootError("has no table [params]; it holds NAME = number or list")
         if data.get("robot", robot.name) != robot.name:
             raise SurefootError(f"has parameters of robot '{data['robot']}', not of '{robot.name}'")
-        for name, value in table.items():
-            numbers = value if isinstance(value, list) else [value]
-            if not numbers or not all(map(is_number, numbers)):
-                raise SurefootError(f"params.{name} is {quote(value)}; it must be a finite number or a list of such")
-        params = PhysicalParams.nominal(robot).with_values(robot, **table)
+        params = PhysicalParams.nominal(robot).with_values(robot, **param_table(table, "params"))
     source = {"file": path.name, "sha256": hashlib.sha256(content).hexdigest()}
     return ParamsFile(params, tuple(table), data, source)
+
+
+def param_table(table: Mapping[str, Any], label: str) -> dict[str, ParamValue]:
+    """Return the parameters in a table from a file.
+
+    Raises:
+        SurefootError: a value that is neither a finite number nor a list of such.
+    """
+    for name, value in table.items():
+        numbers = value if isinstance(value, list) else [value]
+        if not numbers or not all(map(is_number, numbers)):
+            raise SurefootError(f"{label}.{name} is {quote(value)}; it must be a finite number or a list of such")
+    return dict(table)
 
 
 def write_params(

@@ -58,7 +58,8 @@ class TraceMeta:
 
 LOG = "log"
 """World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
-time of their row, readings are taken right after, times may repeat, and everything but time and target may be NaN."""
+time of their row, readings are taken right after, times may repeat, and everything but time may be NaN. Its `params`
+are the gains that came with the commands, and with `read_at_row` readings were taken exactly at the times of rows."""
 _OPTIONAL = ("command", "push_force_world", "reward", "motor_saturation")
 """Arrays that are not in the file where all is NaN."""
 _NO_ARRAYS = {"meta", "robot_archive"}
@@ -134,7 +135,7 @@ class EpisodeTrace:
             value = getattr(self, name)
             if name in ("foot_position_world", "true_motor_angle", *_OPTIONAL) and np.size(value) == 0:
                 value = np.full(shape, np.nan)
-            may_be_nan = name in _MAY_BE_NAN or (self.imported and name not in ("time", "target"))
+            may_be_nan = name in _MAY_BE_NAN or (self.imported and name != "time")
             object.__setattr__(self, name, _checked_array(name, value, shape, may_be_nan))
         if self.imported:
             if np.any(np.diff(self.time) < 0.0):

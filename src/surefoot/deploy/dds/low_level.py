@@ -169,8 +169,10 @@ def encode(record: Record) -> bytes:
     return _CDR_HEADER + first + bytes(-len(first) % 4) + data[layout.c_mode + 4 :]
 
 
-def unpack(kind: np.dtype[Any], data: bytes) -> bytes:
-    """Return the bytes of a message's C struct, from those on the wire, after a check.
+def unpack(kind: np.dtype[Any], data: bytes, check: bool = True) -> bytes:
+    """Return the bytes of a message's C struct, with padding of zero, from those on the wire.
+
+    The checksum is checked, unless somebody may have left it out.
 
     Raises:
         BadMessageError: another length or encoding, or a wrong checksum.
@@ -182,22 +184,21 @@ def unpack(kind: np.dtype[Any], data: bytes) -> bytes:
     mode = 4 + layout.cdr_mode
     gap = bytes(layout.c_mode - layout.cdr_mode)
     raw = b"".join((data[4:mode], gap, data[mode : mode + 1], bytes(3), data[(mode + 4) // 4 * 4 :]))
-    # The checksum over a message with its own checksum has no remainder. Padding is zero, or not counted.
-    if _crc(raw) != 0xFFFFFFFF:
-        raw = (np.frombuffer(raw, np.uint8) & layout.used).tobytes()
-        if _crc(raw) != 0xFFFFFFFF:
-            record = np.frombuffer(raw, kind).reshape(())
-            raise BadMessageError(f"the checksum is {int(record['crc'])}; of these bytes it is {checksum(record)}")
+    raw = (np.frombuffer(raw, np.uint8) & layout.used).tobytes()
+    # A CRC over a message and its own checksum has no remainder.
+    if check and _crc(raw) != 0xFFFFFFFF:
+        record = np.frombuffer(raw, kind).reshape(())
+        raise BadMessageError(f"the checksum is {int(record['crc'])}; of these bytes it is {checksum(record)}")
     return raw
 
 
-def decode(kind: np.dtype[Any], data: bytes) -> Record:
-    """Return the message of bytes from the wire.
+def decode(kind: np.dtype[Any], data: bytes, check: bool = True) -> Record:
+    """Return the message of bytes from the wire, as `unpack` takes them.
 
     Raises:
         BadMessageError: another length or encoding, or a wrong checksum.
     """
-    return np.ndarray((), kind, bytearray(unpack(kind, data)))
+    return np.ndarray((), kind, bytearray(unpack(kind, data, check)))
 
 
 _BUTTONS = ("R1", "L1", "start", "select", "R2", "L2", "F1", "F2", "A", "B", "X", "Y", "up", "right", "down", "left")

@@ -29,7 +29,7 @@ STICK = 0.5
 """Deflection of a stick of the remote control, of 1, that asks to sit."""
 STOP_BUTTONS = frozenset(("L2", "B"))
 """Buttons of the remote control that together damp the motors, as in the vendor's own programs."""
-_QUATERNION = 0.05
+QUATERNION_ERROR = 0.05
 """Greatest difference of a quaternion's length from 1."""
 _CELL = (1.0, 5.0)
 """Least and greatest voltage [V] of a cell that is there."""
@@ -127,7 +127,7 @@ class StateMonitor:
         length = math.hypot(*numbers[:4])
         if not math.isfinite(sum(numbers[:-3]) + power):
             self._found = Reason.NOT_FINITE, "a reading of the robot is not finite"
-        elif not abs(length - 1) <= _QUATERNION:
+        elif not abs(length - 1) <= QUATERNION_ERROR:
             self._found = Reason.NOT_FINITE, f"the IMU's quaternion has length {length:.3g}; it must be 1"
         else:
             self._roll_pitch_yaw = quat_rpy(*numbers[:4])

@@ -13,7 +13,7 @@ without a column are NaN in the trace. Times and rows stay as they are, uneven a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,6 +22,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors
+from surefoot.identify.logs.go2 import import_go2, is_go2
 from surefoot.identify.logs.robot_log import check_rising
 from surefoot.identify.logs.table import ColumnTable, read_table
 from surefoot.robot import RobotDescription
@@ -85,19 +86,25 @@ def default_mapping(robot: RobotDescription) -> LogMapping:
     return LogMapping(motors, TimeColumn("time"), imu=ImuColumns("imu[0]", "imu[1]", None, "imu[2]", "imu[3]"))
 
 
-def import_log(path: Path, robot: RobotDescription, mapping: Path | None = None) -> EpisodeTrace:
+def import_log(
+    path: Path, robot: RobotDescription, mapping: Path | None = None, any_checksum: bool = False
+) -> EpisodeTrace:
     """Return a foreign log as a trace.
 
     Args:
         path: NPZ, CSV, pickle, MCAP, or folder or file of a ROS bag.
         robot: whose log it is.
-        mapping: YAML file; if not given, that of `default_mapping`.
+        mapping: YAML file; if not given, bags and CSV files of a Go2's messages are read as such, and others by
+            `default_mapping`.
+        any_checksum: take a Go2's messages with a wrong checksum too.
 
     Raises:
         SurefootError: a file that can't be read, a mapping that does not fit the robot or the file, time that goes
             backwards, or commands that are missing in a row.
     """
     columns = default_mapping(robot)
+    if mapping is None and is_go2(robot) and (trace := import_go2(path, robot, any_checksum)) is not None:
+        return trace
     if mapping is not None:
         data = read_yaml(mapping)
         with prefix_errors(mapping):
@@ -177,6 +184,23 @@ def _trace(table: ColumnTable, columns: LogMapping, robot: RobotDescription, def
         },
         robot_archive=robot.archive,
     )
+
+
+def part_of(trace: EpisodeTrace, start: float, end: float) -> EpisodeTrace:
+    """Return the rows of an imported trace from `start` to `end` [s] after its first row.
+
+    Raises:
+        SurefootError: fewer than two rows.
+    """
+    after = trace.time - trace.time[0]
+    rows = np.flatnonzero((after >= start) & (after <= end))
+    if len(rows) < 2:
+        raise SurefootError(f"--between {start:g} {end:g} has {len(rows)} rows; the log is {after[-1]:g} s long")
+    arrays = {f.name: getattr(trace, f.name) for f in fields(trace) if isinstance(getattr(trace, f.name), np.ndarray)}
+    states = np.append(rows, rows[-1] + 1)  # the base's rows begin with the start
+    parts = {name: value[states if len(value) > len(after) else rows] for name, value in arrays.items()}
+    steps = round(float(after[rows[-1]] - after[rows[0]]) / float(trace.meta["control_step"])) + 1
+    return replace(trace, **parts, meta={**trace.meta, "max_steps": steps})
 
 
 def missing_columns(trace: EpisodeTrace) -> list[str]:

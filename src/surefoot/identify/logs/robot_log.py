@@ -7,7 +7,8 @@ readings are apart; the middle of this interval is taken as its time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import read_npz
 from surefoot.robot import RobotDescription
+from surefoot.robot.params_file import ParamValue, param_table
 from surefoot.task.trace import EpisodeTrace
 
 MIN_MOTION = 0.02
@@ -46,6 +48,8 @@ class RobotLog:
     """(T, M) [rad]"""
     imu: Array
     """Channels of `IMU` (T, 4)."""
+    gains: dict[str, ParamValue] = field(default_factory=dict)
+    """Gains that came with the commands, as physical parameters; none, if commands have angles alone."""
 
     def __post_init__(self) -> None:
         """Refuse too few rows, time that goes backwards, and commands that never move."""
@@ -78,23 +82,28 @@ class RobotLog:
         return np.diff(self.read_time, prepend=-np.inf) > 0
 
     def timing(self) -> dict[str, float]:
-        """Return the regularity of its times: steps [s], and shares of repeated times and readings."""
-        steps = np.diff(self.time)
-        return {
-            "rows": len(self.time),
-            "seconds": float(self.time[-1] - self.time[0]),
-            "least_step": float(steps.min()),
-            "median_step": float(np.median(steps)),
-            "greatest_step": float(steps.max()),
-            "repeated_times": float(np.mean(steps == 0.0)),
-            "repeated_readings": float(1.0 - np.mean(self.fresh)),
-        }
+        """Return the regularity of its times, as `measure_timing` does."""
+        return measure_timing(self.time, self.read_time)
 
     def until(self, seconds: float) -> RobotLog:
         """Return the rows of the first seconds."""
         rows = self.time <= self.time[0] + seconds
         names = ("time", "command", "read_time", "motor_angle", "imu")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+
+def measure_timing(time: Array, read_time: Array) -> dict[str, float]:
+    """Return the regularity of rows' times (T,): steps [s], and shares of repeated times and readings."""
+    steps = np.diff(time)
+    return {
+        "rows": len(time),
+        "seconds": float(time[-1] - time[0]),
+        "least_step": float(steps.min()),
+        "median_step": float(np.median(steps)),
+        "greatest_step": float(steps.max()),
+        "repeated_times": float(np.mean(steps == 0.0)),
+        "repeated_readings": float(np.mean(np.diff(read_time, prepend=-np.inf) <= 0.0)),
+    }
 
 
 def check_rising(time: Array) -> None:
@@ -114,12 +123,44 @@ def log_from_rows(name: str, time: Array, command: Array, motor_angle: Array, im
 
 
 def log_from_trace(name: str, trace: EpisodeTrace) -> RobotLog:
-    """Return the log of a trace: imported ones row by row; of others each row's command was sent a row before."""
+    """Return the log of a trace: imported ones row by row; of others each row's command was sent a row before.
+
+    Of a trace in which targets are missing, it is the longest part with targets.
+
+    Raises:
+        SurefootError: fewer than two rows in a row with targets, or what `RobotLog` refuses.
+    """
     imu = np.concatenate([trace.roll_pitch_yaw[:, :2], trace.angular_velocity_base[:, :2]], axis=1)
-    if trace.imported:
-        return log_from_rows(name, trace.time, trace.target, trace.motor_angle, imu)
-    sent = np.concatenate([[max(trace.time[0] - trace.meta["control_step"], 0.0)], trace.time[:-1]])
-    return RobotLog(name, sent, trace.target, trace.time, trace.motor_angle, imu)
+    if not trace.imported:
+        sent = np.concatenate([[max(trace.time[0] - trace.meta["control_step"], 0.0)], trace.time[:-1]])
+        return RobotLog(name, sent, trace.target, trace.time, trace.motor_angle, imu)
+    rows = _longest(np.asarray(np.isfinite(trace.target).all(axis=1)))
+    time, target, angle, imu = trace.time[rows], trace.target[rows], trace.motor_angle[rows], imu[rows]
+    if len(time) < 2:
+        raise SurefootError("has no two rows in a row with commands; a log to replay or to identify from has commands")
+    log = log_from_rows(name, time, target, angle, imu)
+    read_time = time if trace.meta.get("read_at_row") else log.read_time
+    return replace(log, read_time=read_time, gains=param_table(trace.meta["params"], "meta.params"))
+
+
+def _longest(rows: NDArray[np.bool_]) -> slice:
+    """Return the longest run of rows (T,) that are true."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]]))).reshape(-1, 2)
+    first, last = max(ends.tolist(), key=lambda part: part[1] - part[0], default=(0, 0))
+    return slice(first, last)
+
+
+def common_gains(logs: Iterable[RobotLog]) -> dict[str, ParamValue]:
+    """Return the gains that came with the commands of logs.
+
+    Raises:
+        SurefootError: logs with different gains.
+    """
+    first, *others = logs
+    for log in others:
+        if log.gains != first.gains:
+            raise SurefootError(f"logs {first.name} and {log.name} have commands with different gains; fit each alone")
+    return first.gains
 
 
 def read_log(path: Path, robot: RobotDescription) -> RobotLog:

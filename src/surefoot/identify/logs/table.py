@@ -10,8 +10,8 @@ import csv
 import io
 import itertools
 import pickle
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -55,7 +55,7 @@ def read_table(path: Path) -> ColumnTable:
         SurefootError: no such file, another kind, or one that holds no table; without its path.
     """
     suffix = path.suffix.lower()
-    if path.is_dir() or suffix in (".mcap", ".bag", ".db3"):
+    if is_bag(path):
         return _read_bag(path)
     readers = {".npz": _read_npz, ".csv": read_csv, ".pkl": _read_pickle, ".pickle": _read_pickle}
     if suffix not in readers:
@@ -63,6 +63,11 @@ def read_table(path: Path) -> ColumnTable:
     with describe_os_errors("it"):
         check_readable(path, FILE_BYTES)
         return readers[suffix](path)
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path is that of a bag: by its suffix, or a folder."""
+    return path.is_dir() or path.suffix.lower() in (".mcap", ".bag", ".db3")
 
 
 def _read_npz(path: Path) -> ColumnTable:
@@ -92,11 +97,12 @@ def _place_name(name: str, place: tuple[int, ...]) -> str:
     return name + (f"[{','.join(map(str, place))}]" if place else "")
 
 
-def read_csv(path: Path) -> ColumnTable:
-    """Read a CSV file whose first line names the columns; texts that are no numbers are NaN."""
+def read_csv(path: Path, names: Sequence[str] | None = None) -> ColumnTable:
+    """Read a CSV file whose first line names the columns, if names are not given; texts that are no numbers are NaN."""
     lines = csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig", errors="replace")))
+    first, rule = (2, "the first line names") if names is None else (1, "it must have")
     try:
-        names = [name.strip() for name in next(lines, [])]
+        names = [name.strip() for name in next(lines, [])] if names is None else names
         rows = [line for line in lines if line]
     except csv.Error as error:
         raise SurefootError(f"is no CSV file: {error}") from error
@@ -104,9 +110,9 @@ def read_csv(path: Path) -> ColumnTable:
         raise SurefootError(f"has {len(names)} columns and {len(rows)} rows; the first line names 1 to {MAX_COLUMNS}")
     if len(set(names)) != len(names):
         raise SurefootError("has columns of one name; names must differ")
-    for number, row in enumerate(rows, 2):
+    for number, row in enumerate(rows, first):
         if len(row) != len(names):
-            raise SurefootError(f"line {number} has {len(row)} values; the first line names {len(names)}")
+            raise SurefootError(f"line {number} has {len(row)} values; {rule} {len(names)}")
     return ColumnTable({name: np.array([_number(row[k]) for row in rows]) for k, name in enumerate(names)})
 
 
@@ -218,12 +224,16 @@ def _flatten(data: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, f
             yield from _flatten(value, f"{name}.{key}" if name else str(key), depth + 1)
 
 
-def _read_bag(path: Path) -> ColumnTable:
-    """Read a bag: a row for each time of a message, each column with its newest value; NaN before its first message."""
+@contextmanager
+def open_bag(path: Path) -> Iterator[Any]:
+    """Open a bag: the folder of a ROS 2 bag, an MCAP file, or a file of ROS 1; yield an `AnyReader` of rosbags.
+
+    Raises:
+        SurefootError: no such file, or one that is no bag, wherever in it that shows; without its path.
+    """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    rows: list[tuple[float, dict[str, float]]] = []
     with describe_os_errors("it"):
         if not path.exists():
             raise SurefootError("does not exist")
@@ -233,16 +243,22 @@ def _read_bag(path: Path) -> ColumnTable:
         with ExitStack() as stack:
             folder = Path(stack.enter_context(TemporaryDirectory()))
             bag = _folder_of_mcap(path, folder) if path.suffix.lower() == ".mcap" else path
-            reader = stack.enter_context(AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
-            for connection, stamp, raw in reader.messages():
-                message = reader.deserialize(raw, connection.msgtype)
-                rows.append((stamp * 1e-9, dict(_flatten(message, connection.topic.strip("/")))))
-                if len(rows) * len(rows[-1][1]) > MAX_NUMBERS:
-                    raise SurefootError("has too many messages")
+            yield stack.enter_context(AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
     except SurefootError:
         raise
     except Exception as error:  # the reader has errors of many kinds, not all of them its own
         raise SurefootError(f"is no bag: {' '.join(str(error).split())}") from error
+
+
+def _read_bag(path: Path) -> ColumnTable:
+    """Read a bag: a row for each time of a message, each column with its newest value; NaN before its first message."""
+    rows: list[tuple[float, dict[str, float]]] = []
+    with open_bag(path) as reader:
+        for connection, stamp, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            rows.append((stamp * 1e-9, dict(_flatten(message, connection.topic.strip("/")))))
+            if len(rows) * len(rows[-1][1]) > MAX_NUMBERS:
+                raise SurefootError("has too many messages")
     names = list(dict.fromkeys(name for _, row in rows for name in row))
     if not names or len(names) > MAX_COLUMNS:
         raise SurefootError(f"has {len(names)} columns of numbers; 1 to {MAX_COLUMNS} are read")

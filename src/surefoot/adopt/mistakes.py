@@ -1,0 +1,309 @@
+"""The usual mistakes in what is known of a policy, each as a change that would correct it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations, permutations
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surefoot.adopt.builder import check_specification
+from surefoot.adopt.specification import PolicySpecification, Term
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+
+_FACTORS = (0.05, 0.25, 0.5, 2.0, 4.0, 20.0, math.pi / 180, 180 / math.pi)
+"""Usual scales, and what may have been forgotten or applied twice: .05, .25, .5, 2 and degrees."""
+_GAINS = (0.25, 0.5, 2.0, 4.0)
+_USUAL_SCALES = {
+    "command": (1.0, 2.0, 0.25),
+    "angular_velocity": (1.0, 0.25, 0.2),
+    "joint_positions": (1.0,),
+    "joint_speeds": (1.0, 0.05),
+    "last_action": (1.0,),
+}
+_USUAL_ACTIONS = (0.1, 0.125, 0.2, 0.25, 0.3, 0.5)
+_USUAL_DAMPING = (0.015, 0.06)
+"""Range of derivative over proportional gain [s]."""
+_USUAL_STEP = 0.02
+
+
+class Correction(NamedTuple):
+    """A change of a specification."""
+
+    field: str
+    """What it changes."""
+    text: str
+    """The mistake, in words."""
+    specification: PolicySpecification
+    """With the change."""
+    usual: bool = True
+    """Whether its numbers are usual ones: of changes after which a robot walks alike, these are believed first."""
+
+
+def corrections(specification: PolicySpecification, robot: RobotDescription) -> list[Correction]:
+    """Return the specification with each of the usual mistakes corrected that fits the robot, none twice."""
+    found: dict[str, Correction] = {}
+    for part in _PARTS:
+        for correction in part(specification, robot):
+            if correction.specification != specification and fits(correction.specification, robot):
+                found.setdefault(repr(correction.specification), correction)
+    return list(found.values())
+
+
+def fits(specification: PolicySpecification, robot: RobotDescription) -> bool:
+    """Return whether the robot can have a specification."""
+    try:
+        check_specification(specification, robot)
+    except SurefootError:
+        return False
+    return True
+
+
+def joint_orders(robot: RobotDescription) -> dict[str, tuple[str, ...]]:
+    """Return the usual orders of joints by name: legs in all orders that are in use, leg by leg or joint by joint."""
+    fronts = {leg.name: leg for leg in robot.legs}
+    sides = {}
+    for name, leg in fronts.items():
+        front = "F" if "front" in name else "R" if "back" in name else ""
+        side = "L" if "left" in name else "R" if "right" in name else ""
+        if front and side:
+            sides[front + side] = leg
+    if len(sides) != 4:
+        return {}
+    orders = {}
+    for legs in (
+        ("FR", "FL", "RR", "RL"),
+        ("FL", "FR", "RL", "RR"),
+        ("FL", "RL", "FR", "RR"),
+        ("FR", "RR", "FL", "RL"),
+        ("RL", "RR", "FL", "FR"),
+        ("RR", "RL", "FR", "FL"),
+        ("FL", "FR", "RR", "RL"),
+        ("FR", "FL", "RL", "RR"),
+    ):
+        chains = [sides[leg].motors for leg in legs]
+        orders[f"{' '.join(legs)}, leg by leg"] = tuple(joint for chain in chains for joint in chain)
+        orders[f"{' '.join(legs)}, joint by joint"] = tuple(
+            joint for kind in zip(*chains, strict=True) for joint in kind
+        )
+    return orders
+
+
+def _orders(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
+    """Yield other orders of joints: of the names alone, and of all that is stated for each joint."""
+    for name, order in joint_orders(robot).items():
+        text = f"order of joints: it should be {name}"
+        yield Correction("joints", text, replace(spec, joints=order))
+        places = [spec.joints.index(joint) for joint in order] if {*order} == {*spec.joints} else []
+        if places:
+            yield Correction("joints", text, _reordered(spec, order, places))
+
+
+def _reordered(spec: PolicySpecification, order: tuple[str, ...], places: Sequence[int]) -> PolicySpecification:
+    """Return a specification in another order of joints, whose numbers stay with the joints' names."""
+
+    def moved(value: Any) -> Any:
+        return tuple(value[place] for place in places) if isinstance(value, tuple) else value
+
+    changes = {
+        name: moved(getattr(spec, name)) for name in ("default_pose", "kp", "kd", "action_scale", "action_offset")
+    }
+    return replace(spec, joints=order, joint_signs=moved(spec.joint_signs), **changes)
+
+
+def _signs(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
+    own = np.array(spec.joint_signs or np.ones(len(spec.joints)))
+    kinds: dict[str, list[bool]] = {}
+    for leg in robot.legs:
+        names = ("hip", "knee") if len(leg.motors) == 2 else ("abduction", "hip", "knee")
+        for kind, motor in zip(names, leg.motors, strict=True):
+            side = "right" if "right" in leg.name else "left"
+            for group in (f"all {kind}s", f"{kind}s of the {side} legs"):
+                kinds.setdefault(group, [False] * len(spec.joints))[spec.joints.index(motor)] = True
+    kinds["all joints"] = [True] * len(spec.joints)
+    for group, chosen in kinds.items():
+        for keep in (False, True):
+            flip = np.where(chosen, -1.0, 1.0)
+            change: dict[str, Any] = {"joint_signs": tuple((own * flip).tolist())}
+            if keep:  # the pose is in the signs of the URDF already
+                change["default_pose"] = tuple((flip * spec.default_pose).tolist())
+            yield Correction("joint_signs", f"sign of {group}: it should be the other one", replace(spec, **change))
+
+
+def _with_term(spec: PolicySpecification, place: int, term: Term) -> PolicySpecification:
+    terms = list(spec.observations)
+    terms[place] = term
+    return replace(spec, observations=tuple(terms))
+
+
+def _scaled(term: Term, factor: float, columns: Sequence[int] = (0, 1, 2)) -> Term:
+    """Return a term with some of its numbers scaled by a factor."""
+    width = len(term.scale) if isinstance(term.scale, tuple) else 3 if term.term in _VECTORS else 0
+    if not width:
+        return replace(term, scale=float(np.asarray(term.scale)) * factor)
+    scales = np.broadcast_to(term.scale, width) * [factor if k in columns or width > 3 else 1.0 for k in range(width)]
+    return replace(term, scale=tuple(scales.tolist()))
+
+
+_VECTORS = ("command", "gravity", "angular_velocity")
+
+
+def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
+    for place, term in enumerate(spec.observations):
+        if term.term in ("gravity", "clock", "constant"):
+            continue
+        what = term.term.replace("_", " ")
+        for factor in _FACTORS:
+            text = f"scale of {what}: it should be {_scale_text(term, factor)}, {factor:.3g} times as large"
+            scaled = _scaled(term, factor)
+            yield Correction("observations", text, _with_term(spec, place, scaled), _is_usual(scaled))
+        if term.term == "command":
+            for factor in _FACTORS[1:5]:
+                for part, chosen in (("speeds", (0, 1)), ("yaw rate", (2,))):
+                    text = f"scale of command's {part}: it should be {factor:g} times as large"
+                    scaled = _scaled(term, factor, chosen)
+                    yield Correction("observations", text, _with_term(spec, place, scaled), _is_usual(scaled))
+        if term.term == "joint_positions":
+            text = "joint positions: they should be " + (
+                "angles themselves" if term.relative else "less the default pose"
+            )
+            yield Correction("observations", text, _with_term(spec, place, replace(term, relative=not term.relative)))
+        if term.term == "last_action" and spec.action_scale != 1.0:
+            scale = spec.action_scale
+            text = "last action: it should be the scaled one, in rad"
+            yield Correction("observations", text, _with_term(spec, place, replace(term, scale=scale)), False)
+
+
+def _is_usual(term: Term) -> bool:
+    """Return whether the scales of a term are usual ones."""
+    return bool(np.isclose(np.abs(np.atleast_1d(term.scale))[:, None], _USUAL_SCALES[term.term]).any(axis=1).all())
+
+
+def _scale_text(term: Term, factor: float) -> str:
+    numbers = np.unique(np.atleast_1d(term.scale) * factor)
+    return " and ".join(f"{number:.3g}" for number in numbers)
+
+
+def _frames(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
+    """Yield other signs, orders and places of the vectors."""
+    for place, term in enumerate(spec.observations):
+        what = term.term.replace("_", " ")
+        if term.term not in _VECTORS:
+            if term.term in ("joint_positions", "joint_speeds", "last_action"):
+                text = f"sign of {what}: it should be the other one"
+                yield Correction("observations", text, _with_term(spec, place, _scaled(term, -1.0)))
+            continue
+        names = ("forward", "sideways", "yaw rate") if term.term == "command" else ("x", "y", "z")
+        for chosen in ((0, 1, 2), (0, 1), (1, 2), (0,), (1,), (2,)):
+            parts = " and ".join(names[k] for k in chosen)
+            flipped = _scaled(term, -1.0, chosen)
+            text = f"sign of {what} ({parts}): it should be the other one"
+            yield Correction("observations", text, _with_term(spec, place, flipped))
+        own = term.columns or (0, 1, 2)
+        scales = np.broadcast_to(term.scale, len(own))
+        for order in permutations(range(len(own))):
+            if order == tuple(range(len(own))) or len(own) != len(names):
+                continue
+            text = f"order of {what}: it should be {', '.join(names[own[k]] for k in order)}"
+            moved = replace(term, columns=tuple(own[k] for k in order), scale=tuple(scales[list(order)].tolist()))
+            yield Correction("observations", text, _with_term(spec, place, moved))
+            stayed = replace(term, columns=tuple(own[k] for k in order))
+            yield Correction("observations", text, _with_term(spec, place, stayed))
+    yield from _term_orders(spec)
+
+
+_TERM_ORDERS = {
+    "of legged_gym, Isaac Lab and robot_lab": (
+        *("angular_velocity", "gravity", "command", "joint_positions", "joint_speeds", "last_action"),
+    ),
+    "of HIMLoco": ("command", "angular_velocity", "gravity", "joint_positions", "joint_speeds", "last_action"),
+    "of mjlab": ("angular_velocity", "gravity", "joint_positions", "joint_speeds", "last_action", "command"),
+    "with gravity first": ("gravity", "angular_velocity", "command", "joint_positions", "joint_speeds", "last_action"),
+}
+
+
+def _term_orders(spec: PolicySpecification) -> Iterator[Correction]:
+    terms = spec.observations
+    kinds: list[str] = [term.term for term in terms]
+    for name, order in _TERM_ORDERS.items():
+        if sorted(order) == sorted(kinds):
+            chosen = tuple(terms[kinds.index(kind)] for kind in order)
+            text = f"order of the observation: it should be that {name}: {', '.join(order).replace('_', ' ')}"
+            yield Correction("observations", text, replace(spec, observations=chosen))
+    for first, second in combinations(range(len(terms)), 2):
+        swapped = list(terms)
+        swapped[first], swapped[second] = swapped[second], swapped[first]
+        names = f"{kinds[first]} and {kinds[second]}".replace("_", " ")
+        text = f"order of the observation: {names} should change places"
+        yield Correction("observations", text, replace(spec, observations=tuple(swapped)))
+
+
+def _histories(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
+    if max(len(term.steps) for term in spec.observations) == 1:
+        return
+    turned = tuple(replace(term, steps=term.steps[::-1]) for term in spec.observations)
+    newest = spec.observations[0].steps[0] < spec.observations[0].steps[-1]
+    order = f"the {'oldest' if newest else 'newest'} first"
+    other = "term" if spec.history_by == "step" else "step"
+    by = f"{other} by {other}"
+    yield Correction("observations", f"history: it should be {order}", replace(spec, observations=turned))
+    if len({term.steps for term in spec.observations}) == 1:
+        yield Correction("history_by", f"history: it should be {by}", replace(spec, history_by=other))  # type: ignore[arg-type]
+        both = replace(spec, observations=turned, history_by=other)  # type: ignore[arg-type]
+        yield Correction("history_by", f"history: it should be {by}, {order}", both)
+
+
+def _actions(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
+    for factor in (0.25, 0.5, 2.0, 4.0):
+        scale = tuple((np.atleast_1d(spec.action_scale) * factor).tolist())
+        value = scale[0] if len(scale) == 1 else scale
+        numbers = " and ".join(f"{number:.3g}" for number in np.unique(scale))
+        text = f"scale of actions: it should be {numbers}, {factor:g} times as large"
+        usual = bool(np.isclose(np.array(scale)[:, None], _USUAL_ACTIONS).any(axis=1).all())
+        yield Correction("action_scale", text, replace(spec, action_scale=value), usual)
+    yield Correction("action_scale", "sign of actions: it should be the other one", _negated(spec))
+
+
+def _negated(spec: PolicySpecification) -> PolicySpecification:
+    scale = tuple((-np.atleast_1d(spec.action_scale)).tolist())
+    return replace(spec, action_scale=scale[0] if len(scale) == 1 else scale)
+
+
+def _timing(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
+    def times(value: Any, factor: float) -> Any:
+        return tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
+
+    for name, what, unit in (("kp", "proportional gains", "N m/rad"), ("kd", "derivative gains", "N m s/rad")):
+        for factor in _GAINS:
+            value = times(getattr(spec, name), factor)
+            shown = " and ".join(f"{number:.3g}" for number in np.unique(value))
+            text = f"{what}: they should be {shown} {unit}, {factor:g} times as large"
+            changed = replace(spec, **{name: value})
+            yield Correction(name, text, changed, _is_damped_as_usual(changed))
+    for factor in _GAINS:
+        kp, kd = times(spec.kp, factor), times(spec.kd, factor)
+        text = f"gains: kp should be {_span(kp)} and kd {_span(kd)}, {factor:g} times as large"
+        changed = replace(spec, kp=kp, kd=kd)
+        yield Correction("kp", text, changed, _is_damped_as_usual(changed))
+    for factor in (0.25, 0.5, 2.0, 4.0):
+        step = spec.control_step * factor
+        if 0.004 <= step <= 0.05:
+            text = f"control step: it should be {1e3 * step:g} ms"
+            yield Correction("control_step", text, replace(spec, control_step=step), math.isclose(step, _USUAL_STEP))
+
+
+def _is_damped_as_usual(spec: PolicySpecification) -> bool:
+    ratio = np.asarray(spec.kd) / np.maximum(spec.kp, 1e-6)
+    return bool(np.all((ratio >= _USUAL_DAMPING[0]) & (ratio <= _USUAL_DAMPING[1])) and 15 <= np.max(spec.kp) <= 100)
+
+
+def _span(value: Any) -> str:
+    return " and ".join(f"{number:.3g}" for number in np.unique(value))
+
+
+_PARTS = (_orders, _signs, _scales, _frames, _histories, _actions, _timing)
+"""What the mistakes are about."""

@@ -1,0 +1,80 @@
+"""The examination of an adopted policy in simulation, with its page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from surefoot.api.policies import find_policy, load_policy
+from surefoot.check_result import CheckResult
+from surefoot.errors import SurefootError
+from surefoot.progress import ProgressBar
+from surefoot.robot import RobotDescription
+
+
+class Examined(NamedTuple):
+    """An adopted policy, examined."""
+
+    name: str
+    robot: RobotDescription
+    checks: list[CheckResult]
+    files: list[Path]
+
+
+def examine_policy(
+    policy: str,
+    robot: str | None = None,
+    world: str = "mujoco",
+    seed: int = 0,
+    threads: int = 0,
+    out: Path | None = None,
+) -> Examined:
+    """Simulate an adopted policy as it is and with each of the usual mistakes corrected.
+
+    Args:
+        policy: as of `find_policy`.
+        robot: name or folder of the robot; the policy's, if None.
+        world: name of the world.
+        seed: of noise and starts.
+        threads: of the simulation; 0: one a core.
+        out: folder for a page with videos.
+
+    Raises:
+        SurefootError: a policy that was not adopted, or a world that does not exist.
+    """
+    from surefoot.adopt.examination import Diagnosis, check_answers, examine, stated_specification
+    from surefoot.adopt.mistakes import Correction, corrections
+    from surefoot.world.registry import find_world
+
+    find_world(world)
+    runtime, description, task = load_policy(find_policy(policy), robot)
+    if runtime.contract.commands is None:
+        raise SurefootError(f"policy '{runtime.contract.name}' follows no commands; only one that does is examined")
+    tried = corrections(stated_specification(runtime.contract), description)
+    with ProgressBar(f"{len(tried)} usual mistakes") as bar:
+        answers = examine(runtime, description, task, [None, *tried], world, seed, threads, bar.advance)
+    diagnosis = Diagnosis.from_answers(answers)
+    checks, files = check_answers(diagnosis), []
+    if out is not None:
+        from surefoot.adopt.examination import Corrected, run_task
+        from surefoot.api.episodes import film
+        from surefoot.evaluation.rollout import run_episodes
+        from surefoot.report.pages.adopted import write_page
+
+        out.mkdir(parents=True, exist_ok=True)
+        videos = []
+        shown: list[tuple[str, Correction | None]] = [("as it is", None)]
+        if diagnosis.mistake is not None and diagnosis.mistake.correction is not None:
+            shown.append((diagnosis.mistake.correction.text, diagnosis.mistake.correction))
+        for k, (title, correction) in enumerate(shown):
+            chosen = stated_specification(runtime.contract) if correction is None else correction.specification
+            corrected = Corrected(runtime, description, [chosen])
+            whole = run_task(task, corrected.makers[0], answers[0])
+            (trace,) = run_episodes(
+                corrected, whole, 1, find_world(world), seed, 1, world_name=world, policy_name=runtime.contract.name
+            )
+            path = film(description, trace, out / f"{('as-it-is', 'corrected')[k]}.mp4")
+            videos.append((title, path))
+        page = write_page(out / "examination.html", runtime.contract.name, world, diagnosis, checks, videos)
+        files = [page, *(path for _, path in videos)]
+    return Examined(runtime.contract.name, description, checks, files)

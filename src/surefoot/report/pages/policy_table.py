@@ -1,0 +1,61 @@
+"""The page of policies side by side: a table for each condition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+import pandas as pd
+
+from surefoot import __version__
+from surefoot.evaluation.policy_table import Condition, texts
+from surefoot.files import atomic_write
+from surefoot.report.pages import html
+from surefoot.robot.commands import COMMANDS
+from surefoot.task.commands import CommandConfig
+
+
+def write_page(
+    path: Path,
+    robot: str,
+    table: pd.DataFrame,
+    conditions: Sequence[Condition],
+    commands: CommandConfig,
+    sources: Sequence[tuple[str, str]],
+) -> Path:
+    """Write the page, which loads nothing from elsewhere.
+
+    Args:
+        path: .html to write.
+        robot: name of the robot.
+        table: rows of `measure`, with the column policy.
+        conditions: that were measured, in order.
+        commands: how they were drawn.
+        sources: each policy's name and where it comes from.
+    """
+    title = f"Policies of {robot}, side by side"
+    ranges = "; ".join(
+        f"{name.replace('_', ' ')} {getattr(commands, name)[0]:g} to {getattr(commands, name)[1]:g} {unit}"
+        for name, unit in COMMANDS.items()
+    )
+    parts = [
+        f"<h1>{escape(title)}</h1>",
+        f'<p class="quiet">The same commands and the same robots for all: {escape(ranges)}, a new one each '
+        f"{commands.hold[0]:g} to {commands.hold[1]:g} s. Errors are root mean squares, over strides and at once, "
+        "without the first second of each command. Cost of transport: energy over weight and distance along "
+        "commands. Hottest motor: its mean heat. In simulation; no robot has run it. "
+        f"surefoot {escape(__version__)}.</p>",
+    ]
+    for condition in conditions:
+        rows = texts(table, condition.name)
+        if not rows:
+            continue
+        kinds = "t" + "n" * (len(rows[0]) - 1)
+        lines = [html.row(tuple(rows[0]), kinds, "th"), *(html.row(tuple(row.values()), kinds) for row in rows)]
+        parts.append(f"<h2>{escape(f'{condition.meaning}, {condition.world}')}</h2>")
+        parts.append(f'<div class="wide"><table>{"".join(lines)}</table></div>')
+    names = "".join(html.row(source, "tt") for source in sources)
+    parts.append(f"<h2>Policies</h2><table>{names}</table>")
+    atomic_write(path, html.page(title, parts))
+    return path

@@ -1,0 +1,133 @@
+"""`surefoot adopt`, `export`, `compare`, and `doctor` without a robot."""
+
+from __future__ import annotations
+
+import csv
+import json
+from typing import get_args, get_type_hints
+
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("mujoco")
+
+from foreign import perceptron
+
+from surefoot.adopt.adoption import FORMATS
+from surefoot.adopt.exporting import EXPORTERS
+from surefoot.cli.adopt import AdoptCommand
+from surefoot.cli.export import ExportCommand
+from surefoot.cli.main import main
+from surefoot.policy.runtime import PolicyRuntime
+
+JOINTS = [f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
+PROPERTIES = {
+    "joint_names": ",".join(JOINTS),
+    "joint_stiffness": ",".join(["20.000"] * 12),
+    "joint_damping": ",".join(["0.500"] * 12),
+    "default_joint_pos": ",".join(["0.000,0.800,-1.500"] * 4),
+    "action_scale": "0.010",
+    "observation_names": "base_ang_vel,projected_gravity,joint_pos,joint_vel,actions,command",
+}
+
+
+@pytest.fixture
+def network(tmp_path):
+    path = tmp_path / "theirs.onnx"
+    path.write_bytes(perceptron(45, properties=PROPERTIES))
+    return path
+
+
+@pytest.fixture
+def adopted(network, tmp_path):
+    path = tmp_path / "mine.onnx"
+    assert main(["adopt", str(network), "--from", "mjlab", "--robot", "go2", "--out", str(path)]) == 0
+    return path
+
+
+def test_every_format_can_be_given():
+    assert set(get_args(get_type_hints(AdoptCommand)["format"])) == set(FORMATS)
+    assert set(get_args(get_type_hints(ExportCommand)["to"])) == set(EXPORTERS)
+
+
+def test_adopt_writes_a_policy_and_says_what_it_assumed(network, tmp_path, capsys):
+    path = tmp_path / "new" / "mine.onnx"
+    words = ["adopt", str(network), "--from", "mjlab", "--robot", "go2", "--out", str(path), "--forward", "-0.3", "0.7"]
+    assert main(words) == 0
+    output = capsys.readouterr().out
+    assert "note: control step: mjlab does not write it, 20 ms is assumed" in output
+    assert "commands" not in output  # they were stated
+    assert output.endswith(f"wrote {path}\n")
+    contract = PolicyRuntime.load(path).contract
+    assert contract.name == "mine"
+    assert contract.commands.forward == (-0.3, 0.7)
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["policy"] == "mine"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (["--out", "x.pt"], "--out is x.pt; the name must end in .onnx"),
+        (["--robot", "minitaur"], "joints are FL_hip_joint"),
+        (["--config", "x.yaml"], "--config is given; mjlab has everything in the network's file"),
+        (["--from", "rl_sar"], "config.yaml: can't be read: No such file"),
+        (["--from", "isaac"], "--from"),
+        (["--forward", "0.2", "0.7"], "forward is [0.2, 0.7]; it must go from 0 or less to 0 or more"),
+        (["--kp", "-3"], "kp is -3; it must be 0 or more"),
+    ],
+)
+def test_adopt_refuses_in_one_line(network, tmp_path, capsys, change, message):
+    words = {"--from": ["mjlab"], "--robot": ["go2"], "--out": [str(tmp_path / "x.onnx")]}
+    words[change[0]] = change[1:]
+    assert main(["adopt", str(network), *(word for name, values in words.items() for word in (name, *values))]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "x.onnx").exists()
+
+
+def test_an_adopted_policy_is_taken_as_any_other(adopted, tmp_path, capsys):
+    assert main(["evaluate", str(adopted), "--episodes", "2", "--duration", "0.4", "--out", str(tmp_path / "out")]) == 0
+    assert "falls" in capsys.readouterr().out
+    assert main(["show", str(tmp_path / "out" / "episode_000.npz"), "--out", str(tmp_path / "show.html")]) == 0
+
+
+def test_doctor_without_a_robot_examines_adopted_policies_alone(capsys):
+    assert main(["doctor", "go2-steer"]) == 2
+    assert "--port is missing" in capsys.readouterr().err
+
+
+def test_doctor_names_what_it_tried(adopted, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("surefoot.adopt.mistakes._PARTS", ())
+    monkeypatch.setattr("surefoot.adopt.examination.DURATION", 1.0)
+    monkeypatch.setattr("surefoot.adopt.examination.SETTLE", 0.2)
+    assert main(["doctor", str(adopted), "--threads", "1", "--out", str(tmp_path / "page"), "--json"]) == 3
+    result = json.loads(capsys.readouterr().out)
+    assert [check["name"] for check in result["checks"]][:2] == ["stand", "forward"]
+    assert result["checks"][-1]["name"] == "specification"
+    page = (tmp_path / "page" / "examination.html").read_text()
+    assert "<video" in page
+    assert "does it do what it is told?" in page
+    assert 'src="http' not in page
+
+
+def test_export_and_compare(adopted, tmp_path, capsys):
+    assert main(["export", str(adopted), "--to", "rl_sar", "--out", str(tmp_path / "theirs")]) == 0
+    assert sorted(path.name for path in (tmp_path / "theirs").iterdir()) == ["base.yaml", "config.yaml", "policy.onnx"]
+    words = ["compare", "go2-steer", str(adopted), "--conditions", "nominal", "pushes", "--episodes", "2"]
+    assert main([*words, "--duration", "1.4", "--threads", "1", "--out", str(tmp_path / "table")]) == 0
+    with (tmp_path / "table" / "policies.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["policy"], row["condition"]) for row in rows] == [
+        *(("go2-steer", "nominal"), ("go2-steer", "pushes")),
+        *(("mine", "nominal"), ("mine", "pushes")),
+    ]
+    page = (tmp_path / "table" / "policies.html").read_text()
+    assert "adopted from mjlab" in page
+    assert "trained with surefoot" in page
+    capsys.readouterr()
+    assert main(["compare", "go2-trot"]) == 2
+    assert "policy 'go2-trot' follows no commands" in capsys.readouterr().err
+    assert main(["compare", "go2-steer", "--conditions", "rain"]) == 2
+    assert "--conditions are rain; give some of nominal, bullet" in capsys.readouterr().err

@@ -1,0 +1,56 @@
+"""Policies side by side: the same commands within what all follow, and measures with known answers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.api.policies import load_policies
+from surefoot.errors import SurefootError
+from surefoot.evaluation.policy_table import COLUMNS, common_commands, conditions, measure, prepare_task, texts
+from surefoot.robot.commands import CommandLimits
+
+LIMITS = CommandLimits((-1.0, 1.5), (-0.5, 0.4), (-1.0, 0.9), (3.0, 3.0, 6.0), (0.01, 0.01, 0.01))
+
+
+def test_commands_are_those_that_all_follow():
+    other = replace(LIMITS, forward=(-0.5, 2.0), yaw_rate=(-2.0, 0.8))
+    commands = common_commands([LIMITS, other], ["a", "b"])
+    assert (commands.forward, commands.sideways, commands.yaw_rate) == ((-0.5, 1.5), (-0.5, 0.4), (-1.0, 0.8))
+    with pytest.raises(SurefootError, match="policy 'b' follows no commands"):
+        common_commands([LIMITS, None], ["a", "b"])
+
+
+def test_a_policy_that_stands_errs_by_what_it_is_told():
+    (candidate,), robot = load_policies(["go2-steer"])
+    commands = common_commands([candidate.policy.contract.commands], ["x"])
+    task = prepare_task(candidate.task, commands, 2.0, robot)
+    # It is told to stand still, and it does.
+    still = replace(task, commands=replace(task.commands, stand=1.0))
+    (nominal, *others) = conditions({})
+    row = measure(candidate.policy, still, robot, nominal, 2, threads=1)
+    assert (row["condition"], row["falls"], row["episodes"]) == ("nominal", 0, 2)
+    assert max(row[f"rmse_stride_{name}"] for name in ("forward", "sideways", "yaw_rate")) < 0.02
+    assert np.isnan(row["cost_of_transport"])
+    assert 0 < row["hottest_heat"] < 50
+    assert row["hottest_motor"] in robot.motor_names
+    assert [one.name for one in others] == ["bullet", "table1", "pushes", "latency", "feet"]
+    late = next(one for one in others if one.name == "latency").change(task, robot)
+    assert float(late.nominal(robot).control_latency[0]) == 0.02
+
+
+def test_texts_have_a_row_for_each_policy():
+    import pandas as pd
+
+    row = dict.fromkeys(COLUMNS, 1.25) | {"falls": 3, "cost_of_transport": float("nan")}
+    table = pd.DataFrame([{"policy": name, "condition": "nominal", "episodes": 32, **row} for name in ("a", "b")])
+    first, second = texts(table, "nominal")
+    assert (first["policy"], second["policy"]) == ("a", "b")
+    assert first["falls"] == "3 of 32"
+    assert first["forward (m/s)"] == "1.250"
+    assert first["cost of transport"] == "-"
+    assert texts(table, "feet") == []
