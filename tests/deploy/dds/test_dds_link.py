@@ -19,6 +19,7 @@ pytest.importorskip("cyclonedds")
 from go2_robot import Go2, worker_domain
 
 from surefoot.deploy.dds.dds_link import FIRST_TORQUE, DdsLink, check_priority, make_config
+from surefoot.deploy.dds.keeper import WATCHER_SILENCE
 from surefoot.deploy.pacer import undisturbed
 
 DOMAIN = worker_domain(60)
@@ -170,7 +171,7 @@ def test_a_watcher_that_stands_still(operator: Operator, body: Go2) -> None:
     assert operator.hold(lambda: operator.link.last_state().mode == Mode.FAULT, 4.0)
     frame = body.wait_for(lambda frame: frame.damps, stopped)
     os.kill(operator.watcher, signal.SIGCONT)
-    assert frame.time - stopped < REACTION
+    assert frame.time - stopped < 1e-6 * WATCHER_SILENCE + REACTION
     assert operator.link.last_state().reason == Reason.WATCHER
 
 

@@ -38,8 +38,9 @@ IDLE, ACTIVE, DONE = b"\0", b"\1", b"\2"
 """What the keeper tells the watcher: no command was written yet; commands are written; the end."""
 _BEAT_EVERY = 2
 """Cycles between two of these."""
-WATCHER_SILENCE = 30_000
-"""Time [us] of this process's own work without an answer of the watcher, after which that counts as gone."""
+WATCHER_SILENCE = 100_000
+"""Time [us] of this process's own work without an answer of the watcher, after which that counts as gone. After 30 ms
+a robot was damped because other programs with real-time priority held the watcher up."""
 _FIRST_STATE = 100
 """Time [ms] within which a state must come, so that time is the robot's."""
 _EVERY = 5
