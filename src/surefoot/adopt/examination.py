@@ -64,7 +64,7 @@ class Answer:
 
     @property
     def scores(self) -> Array:
-        """Score of each command (C,): 0 of a robot that fell, 1 of one that does exactly what it is told."""
+        """Score of each command (C,): 0 of a robot that fell, 1 of one that follows it exactly."""
         error = np.linalg.norm((self.velocity - self.command) / MAX_ERROR, axis=1)
         stood = self.time >= DURATION - 1e-6
         return np.where(stood, np.maximum(0.0, 1.0 - np.nan_to_num(error, nan=9.0)), 0.0)
@@ -257,7 +257,7 @@ def _commands(follows: bool, limits: Any) -> tuple[tuple[str, ...], Array]:
 MARGIN = 0.1
 """How much better a robot must answer after a change for the change to be named."""
 ALIKE = 0.03
-"""Difference of scores within which two changes can't be told apart."""
+"""Difference of scores within which two changes can't be distinguished."""
 UNUSUAL = 0.05
 """What the score of a change with unusual numbers is reduced by when changes are ranked."""
 GOOD = 0.4

@@ -17,7 +17,7 @@ from surefoot.robot import RobotDescription
 
 _FACTORS = (0.05, 0.25, 0.5, 2.0, 4.0, 20.0, math.pi / 180, 180 / math.pi)
 """Usual scales, and what may have been forgotten or applied twice: .05, .25, .5, 2 and degrees."""
-_GAINS = (0.25, 0.5, 2.0, 4.0)
+_RATIOS = (0.25, 0.5, 2.0, 4.0)
 _USUAL_SCALES = {
     "command": (1.0, 2.0, 0.25),
     "angular_velocity": (1.0, 0.25, 0.2),
@@ -158,7 +158,7 @@ def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
             continue
         what = term.term.replace("_", " ")
         for factor in _FACTORS:
-            text = f"scale of {what}: it should be {_scale_text(term, factor)}, {factor:.3g} times as large"
+            text = f"scale of {what}: it should be {_numbers(_times(term.scale, factor))}, {factor:.3g} times as large"
             scaled = _scaled(term, factor)
             yield Correction("observations", text, _with_term(spec, place, scaled), _is_usual(scaled))
         if term.term == "command":
@@ -183,9 +183,14 @@ def _is_usual(term: Term) -> bool:
     return bool(np.isclose(np.abs(np.atleast_1d(term.scale))[:, None], _USUAL_SCALES[term.term]).any(axis=1).all())
 
 
-def _scale_text(term: Term, factor: float) -> str:
-    numbers = np.unique(np.atleast_1d(term.scale) * factor)
-    return " and ".join(f"{number:.3g}" for number in numbers)
+def _numbers(value: float | Sequence[float]) -> str:
+    """Return a number, or the different ones of a sequence, as text."""
+    return " and ".join(f"{number:.3g}" for number in np.unique(value))
+
+
+def _times(value: Any, factor: float) -> Any:
+    """Return a number, or a tuple of numbers, multiplied."""
+    return tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
 
 
 def _frames(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
@@ -258,38 +263,28 @@ def _histories(spec: PolicySpecification, robot: RobotDescription) -> Iterator[C
 
 
 def _actions(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
-    for factor in (0.25, 0.5, 2.0, 4.0):
-        scale = tuple((np.atleast_1d(spec.action_scale) * factor).tolist())
-        value = scale[0] if len(scale) == 1 else scale
-        numbers = " and ".join(f"{number:.3g}" for number in np.unique(scale))
-        text = f"scale of actions: it should be {numbers}, {factor:g} times as large"
-        usual = bool(np.isclose(np.array(scale)[:, None], _USUAL_ACTIONS).any(axis=1).all())
-        yield Correction("action_scale", text, replace(spec, action_scale=value), usual)
-    yield Correction("action_scale", "sign of actions: it should be the other one", _negated(spec))
-
-
-def _negated(spec: PolicySpecification) -> PolicySpecification:
-    scale = tuple((-np.atleast_1d(spec.action_scale)).tolist())
-    return replace(spec, action_scale=scale[0] if len(scale) == 1 else scale)
+    for factor in _RATIOS:
+        scale = _times(spec.action_scale, factor)
+        text = f"scale of actions: it should be {_numbers(scale)}, {factor:g} times as large"
+        usual = bool(np.isclose(np.atleast_1d(scale)[:, None], _USUAL_ACTIONS).any(axis=1).all())
+        yield Correction("action_scale", text, replace(spec, action_scale=scale), usual)
+    negated = replace(spec, action_scale=_times(spec.action_scale, -1.0))
+    yield Correction("action_scale", "sign of actions: it should be the other one", negated)
 
 
 def _timing(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
-    def times(value: Any, factor: float) -> Any:
-        return tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
-
     for name, what, unit in (("kp", "proportional gains", "N m/rad"), ("kd", "derivative gains", "N m s/rad")):
-        for factor in _GAINS:
-            value = times(getattr(spec, name), factor)
-            shown = " and ".join(f"{number:.3g}" for number in np.unique(value))
-            text = f"{what}: they should be {shown} {unit}, {factor:g} times as large"
+        for factor in _RATIOS:
+            value = _times(getattr(spec, name), factor)
+            text = f"{what}: they should be {_numbers(value)} {unit}, {factor:g} times as large"
             changed = replace(spec, **{name: value})
             yield Correction(name, text, changed, _is_damped_as_usual(changed))
-    for factor in _GAINS:
-        kp, kd = times(spec.kp, factor), times(spec.kd, factor)
-        text = f"gains: kp should be {_span(kp)} and kd {_span(kd)}, {factor:g} times as large"
+    for factor in _RATIOS:
+        kp, kd = _times(spec.kp, factor), _times(spec.kd, factor)
+        text = f"gains: kp should be {_numbers(kp)} and kd {_numbers(kd)}, {factor:g} times as large"
         changed = replace(spec, kp=kp, kd=kd)
         yield Correction("kp", text, changed, _is_damped_as_usual(changed))
-    for factor in (0.25, 0.5, 2.0, 4.0):
+    for factor in _RATIOS:
         step = spec.control_step * factor
         if 0.004 <= step <= 0.05:
             text = f"control step: it should be {1e3 * step:g} ms"
@@ -299,10 +294,6 @@ def _timing(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
 def _is_damped_as_usual(spec: PolicySpecification) -> bool:
     ratio = np.asarray(spec.kd) / np.maximum(spec.kp, 1e-6)
     return bool(np.all((ratio >= _USUAL_DAMPING[0]) & (ratio <= _USUAL_DAMPING[1])) and 15 <= np.max(spec.kp) <= 100)
-
-
-def _span(value: Any) -> str:
-    return " and ".join(f"{number:.3g}" for number in np.unique(value))
 
 
 _PARTS = (_orders, _signs, _scales, _frames, _histories, _actions, _timing)

@@ -49,8 +49,8 @@ def main(argv: list[str]) -> int:
     command = parse(CompareCommand, argv, "surefoot compare")
     unknown = [name for name in command.conditions if name not in CONDITIONS]
     if unknown or not command.conditions or len(set(command.conditions)) != len(command.conditions):
-        given = choices(command.conditions) or "none"
-        raise SurefootError(f"--conditions are {given}; give some of {choices(CONDITIONS)}, none twice")
+        named = choices(command.conditions) or "none"
+        raise SurefootError(f"--conditions are {named}; give some of {choices(CONDITIONS)}, none twice")
     import pandas as pd
 
     from surefoot.api.policies import load_policies
@@ -64,8 +64,8 @@ def main(argv: list[str]) -> int:
     candidates, robot = load_policies(command.policies)
     limits = [candidate.policy.contract.commands for candidate in candidates]
     commands = common_commands(limits, [candidate.name for candidate in candidates])
-    known = {one.name: one for one in conditions(load_ranges("table1", robot=robot.folder))}
-    chosen = [known[name] for name in command.conditions]
+    by_name = {one.name: one for one in conditions(load_ranges("table1", robot=robot.folder))}
+    chosen = [by_name[name] for name in command.conditions]
     for condition in chosen:
         find_world(condition.world)
     rows = []

@@ -16,6 +16,7 @@ from surefoot.evaluation.tracking import MotionRecorder
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.robot.randomization import Ranges
+from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -79,8 +80,8 @@ def common_commands(limits: Sequence[CommandLimits | None], names: Sequence[str]
     for one, name in zip(limits, names, strict=True):
         if one is None:
             raise SurefootError(f"policy '{name}' follows no commands; policies that are compared must")
-    given = [one for one in limits if one is not None]
-    low, high = np.max([one.low for one in given], axis=0), np.min([one.high for one in given], axis=0)
+    followed = [one for one in limits if one is not None]
+    low, high = np.max([one.low for one in followed], axis=0), np.min([one.high for one in followed], axis=0)
     ranges = {name: (float(least), float(most)) for name, least, most in zip(COMMANDS, low, high, strict=True)}
     return CommandConfig(**ranges)  # type: ignore[arg-type]
 
@@ -164,15 +165,10 @@ def measure(
 def _distance_along(env: LocomotionEnv, before: Array) -> Array:
     """Return how far robots went along their commands in the last control step (N,) [m]; 0 without a speed."""
     assert env.commands is not None
-    moved = (env.truth.base_position_world - before)[:, :2]
-    yaw = env.truth.roll_pitch_yaw[:, 2]
+    moved = in_heading_frame(env.truth.base_position_world - before, env.truth.roll_pitch_yaw[:, 2])[:, :2]
     command = env.commands.filtered_command[:, :2]
     speed = np.linalg.norm(command, axis=1)
-    unit = command / np.where(speed > 0, speed, 1.0)[:, None]
-    ahead = np.stack(
-        [np.cos(yaw) * unit[:, 0] - np.sin(yaw) * unit[:, 1], np.sin(yaw) * unit[:, 0] + np.cos(yaw) * unit[:, 1]]
-    )
-    return np.asarray((moved * ahead.T).sum(axis=1))
+    return np.asarray((moved * command).sum(axis=1) / np.where(speed > 0, speed, 1.0))
 
 
 COLUMNS = {

@@ -1,4 +1,4 @@
-"""The page of an adopted policy's examination: what it does when it is told, and which mistake explains it."""
+"""The page of an adopted policy's examination: how it follows commands, and which mistake explains it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _tried(answers: Sequence[Answer]) -> str:
         text = "as it is" if answer.correction is None else answer.correction.text
         scores = [f"{score:.2f}" for score in answer.scores]
         rows.append(html.row((text, *scores, f"{answer.score:.2f}"), f"t{'n' * len(names)}n"))
-    note = "Scores: 1 does exactly what it is told; 0 falls, or errs by .5 m/s forward, .4 m/s sideways or .8 rad/s."
+    note = "Scores: 1 follows the command exactly; 0 falls, or errs by .5 m/s forward, .4 m/s sideways or .8 rad/s."
     return f'<p class="quiet">{note}</p><div class="wide"><table>{"".join(rows)}</table></div>'
 
 
