@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from types import SimpleNamespace
 
 import pytest
@@ -53,12 +54,32 @@ def test_signals_are_counted_and_reported_and_nohup_is_respected():
         signal.signal(signal.SIGHUP, before)
 
 
+@pytest.fixture
+def ignored_interrupt() -> Iterator[None]:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ignored_interrupt")
 @pytest.mark.parametrize("name", ["show", "drive", "evaluate"])
 def test_ctrl_c_ends_a_command_whose_parent_ignores_it(name: str, monkeypatch: pytest.MonkeyPatch):
     command = SimpleNamespace(main=lambda words: os.kill(os.getpid(), signal.SIGINT))
     monkeypatch.setattr(main.importlib, "import_module", lambda name: command)
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        assert main.main([name]) == 130
-    finally:
-        signal.signal(signal.SIGINT, before)
+    assert main.main([name]) == 130
+
+
+@pytest.mark.usefixtures("ignored_interrupt")
+def test_ctrl_c_that_a_library_makes_another_error(monkeypatch: pytest.MonkeyPatch):
+    def compare(words: list[str]) -> None:
+        if not words:
+            raise TypeError("a defect")
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except KeyboardInterrupt:
+            raise TypeError("Cannot compare structured arrays") from None
+
+    monkeypatch.setattr(main.importlib, "import_module", lambda name: SimpleNamespace(main=compare))
+    assert main.main(["show", "it"]) == 130
+    with pytest.raises(TypeError, match="a defect"):
+        main.main(["show"])

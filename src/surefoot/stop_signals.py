@@ -11,13 +11,31 @@ from typing import Any, Self
 ALL = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
+_interrupted = threading.Event()
+
+
 def enable_interrupt() -> None:
     """Let Ctrl-C raise `KeyboardInterrupt`, also if this process was started with SIGINT ignored.
 
     Shells do so for jobs in the background, and many runners of tests for everything.
     """
-    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    _interrupted.clear()
+    default = (signal.SIG_IGN, signal.default_int_handler)
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) in default:
+        signal.signal(signal.SIGINT, _interrupt)
+
+
+def was_interrupted() -> bool:
+    """Return whether Ctrl-C has raised a `KeyboardInterrupt`.
+
+    A library in C may replace that by an error of its own: numpy's comparison of structured arrays does.
+    """
+    return _interrupted.is_set()
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    _interrupted.set()
+    signal.default_int_handler(number, frame)
 
 
 class StopSignals:

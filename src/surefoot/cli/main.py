@@ -11,7 +11,7 @@ from surefoot import __version__
 from surefoot.api.extras import describe_missing
 from surefoot.cli.helpers.output import table_lines
 from surefoot.errors import SurefootError, suggest
-from surefoot.stop_signals import enable_interrupt
+from surefoot.stop_signals import enable_interrupt, was_interrupted
 
 COMMANDS = {
     "train": ("surefoot.cli.train", "learn a gait in simulation"),
@@ -67,8 +67,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _fail(hint)
         raise
     except KeyboardInterrupt:
-        print("surefoot: interrupted", file=sys.stderr)
-        return 130
+        return _interrupted()
+    except Exception:
+        if was_interrupted():
+            return _interrupted()
+        raise
 
 
 def _run(words: list[str]) -> int:
@@ -86,6 +89,11 @@ def _run(words: list[str]) -> int:
     enable_interrupt()
     code: int = importlib.import_module(COMMANDS[words[0]][0]).main(words[1:])
     return code
+
+
+def _interrupted() -> int:
+    print("surefoot: interrupted", file=sys.stderr)
+    return 130
 
 
 def _fail(message: str) -> int:

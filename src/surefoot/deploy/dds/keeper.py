@@ -97,6 +97,8 @@ class Keeper:
         self.writer = bus.writer(LOW_COMMAND_TOPIC, types.LowCmd)
         self._damping = self._frame = damping_frame()
         self._order: MotorOrder | None = None
+        self._exchanged = -math.inf
+        """When beats were exchanged last [us]."""
         self._seen = [-math.inf] * len(self._strangers)
         self._stranger: Hazard | None = None
         self._controller = ""
@@ -180,7 +182,9 @@ class Keeper:
 
     def _cycle(self, now: int) -> None:
         """Take the robot's newest state, and write the motors' order."""
-        if self._cycles % _BEAT_EVERY == 0 and self._watcher.is_open:
+        # By time: a process that was stopped must learn first of all that the watcher damps the motors by now.
+        if now - self._exchanged > (_BEAT_EVERY - 0.5) * PERIOD and self._watcher.is_open:
+            self._exchanged = now
             self._exchange_beats()
         self.states.take(now, self._state_reader.take())
         order = self.firmware.tick(now, self.states.vitals(now, self._outside(now)))
