@@ -31,6 +31,11 @@ settings.register_profile("surefoot", deadline=None, derandomize=True)
 settings.load_profile("surefoot")
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """Return more workers than processors: tests often wait for processes that they have started."""
+    return min(3 * (os.cpu_count() or 1) // 2, 5)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the files that have slow tests, so that none is left alone at the end; those with real time come last.
 
