@@ -8,7 +8,7 @@ from compiled_firmware import needs_gcc
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
-from surefoot.firmware.project import build_host
+from surefoot.firmware.project import build_firmware
 
 
 @needs_gcc
@@ -16,7 +16,7 @@ def test_a_robots_firmware_is_written_and_compiles_and_runs_the_emulated_robot(t
     folder = tmp_path / "fw"
     assert main(["firmware", "new", "solo8", "--out", str(folder)]) == 0
     assert f"make -C {folder}" in capsys.readouterr().out
-    program = build_host(folder)
+    program = build_firmware(folder)
     words = ["--firmware", str(program), "--duration", "0.05"]
     assert main(["emulate", "--robot", "solo8", *words]) == 0
     assert "frames received 0" in capsys.readouterr().err

@@ -114,8 +114,10 @@ def write_sources(
     (folder / "core" / "surefoot_wire.h").write_text(c_header(robot.num_motors), encoding="utf-8")
 
 
-def build_host(folder: Path, *variables: str) -> Path:
-    """Compile a firmware's program for this computer by its Makefile, with variables NAME=VALUE; return its path.
+def build_firmware(folder: Path, *variables: str, target: str = "board") -> Path:
+    """Compile a firmware by its Makefile, with variables NAME=VALUE; return the path of the target.
+
+    By default the target is its program for this computer.
 
     Raises:
         SurefootError: there is no `make` or no compiler, or it finds an error.
@@ -124,8 +126,8 @@ def build_host(folder: Path, *variables: str) -> Path:
         raise SurefootError(
             "there is no program 'make'; install it and a C compiler (Debian: apt-get install make gcc)"
         )
-    done = subprocess.run(["make", "-C", str(folder), *variables], capture_output=True, text=True)
+    done = subprocess.run(["make", "-C", str(folder), target, *variables], capture_output=True, text=True)
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if "error:" in line.lower()] + done.stderr.splitlines()[:1]
         raise SurefootError(f"the firmware does not compile: {lines[0].strip()}")
-    return folder / "board"
+    return folder / target
