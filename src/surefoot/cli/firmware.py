@@ -67,8 +67,8 @@ def _new(argv: list[str]) -> int:
     folder = command.out or Path(f"{robot.name}-firmware")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SurefootError(f"out {folder} exists; give another name")
-    write_sources(folder, robot)
-    print(f"wrote {folder}: the firmware of {robot.name}, {robot.num_motors} motors; its numbers are in core/robot.h")
+    write_sources(folder, robot, word=command.robot)
+    print(f"wrote {folder}: the firmware of {robot.name}, {robot.num_motors} motors; begin with its README.md")
     print(f"to compile it for this computer: make -C {folder.absolute()}")
     print(next_command("emulate a robot with it", "emulate", "--robot", command.robot, "--firmware", folder / "board"))
     return 0

@@ -39,6 +39,7 @@ typedef struct {
     uint32_t frames, damaged, foreign, unknown, old_numbers, stale;
     float effort[SUREFOOT_MOTORS], order[SUREFOOT_MOTORS];
     uint8_t enabled;
+    uint32_t watchdog; /* us; 0: none */
     uint32_t cycles; /* of the event */
     uint32_t size;
 } answer;
@@ -48,6 +49,7 @@ static uint64_t now;
 static readings seen;
 static float driven[SUREFOOT_MOTORS];
 static uint8_t enabled;
+static uint32_t watchdog;
 static uint8_t out[1u << 15];
 static size_t out_size;
 
@@ -128,7 +130,7 @@ uint8_t hal_sit(const char **text)
 
 void hal_start_watchdog(uint32_t microseconds)
 {
-    (void)microseconds; /* the other program waits for each answer */
+    watchdog = microseconds; /* the emulator has one */
 }
 
 void hal_feed_watchdog(void)
@@ -152,6 +154,7 @@ static void reply(uint32_t cycles)
         .old_numbers = status.old_numbers,
         .stale = status.stale,
         .enabled = enabled,
+        .watchdog = watchdog,
         .cycles = cycles & 0xFFFFFFu,
         .size = (uint32_t)out_size,
     };
