@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.deploy.messages import Handshake, Hello, Mode, Reason
+from surefoot.emulator.board import BOOT_TIME
 from surefoot.emulator.faults import FAULTS, describe, parse_faults
 from surefoot.errors import SurefootError
 
@@ -112,12 +113,20 @@ def test_a_reboot_forgets_the_operator(rig):
     assert isinstance(bench.frames[-1].message, Handshake)
 
 
-def test_a_hang_makes_commands_stale(rig):
+def test_a_hang_makes_commands_stale_or_ends_with_a_restart(rig):
     bench = rig("hang=0.2@0.1")
     bench.arm()
     bench.walk(16)
-    assert bench.walk(30)[2:] == []
+    armed_at = bench.board.injector.armed_at
+    sent = bench.walk(30)[2:]
     bench.walk(10)
+    if bench.board.reboots:
+        # The firmware in C has a watchdog: the motors are damped after 20 ms, and its operator is forgotten.
+        assert bench.mode == (Mode.DISARMED, Reason.NONE)
+        assert set(bench.reasons) == {Reason.SESSION}
+        assert bench.board._booted - BOOT_TIME - armed_at - 100_000 == pytest.approx(21_000, abs=1000)
+        return
+    assert sent == []
     # Then all that has come meanwhile is heard at once: the oldest of it is too old.
     assert bench.board.firmware.mode == Mode.FAULT
     assert bench.board.firmware.reason in (Reason.STALE, Reason.TIMEOUT)

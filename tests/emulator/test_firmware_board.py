@@ -2,22 +2,42 @@
 
 from __future__ import annotations
 
+import os
+import random
+import select
+import subprocess
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from compiled_firmware import compiled, needs_gcc
+from compiled_firmware import compiled, needs_gcc, needs_qemu
+from firmware import fuzz
 
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
 from surefoot.deploy.board.signals import Sensors
-from surefoot.deploy.messages import Arm, Hello, Message, Mode, Position, Pwm, Reason
+from surefoot.deploy.messages import (
+    Arm,
+    Fault,
+    Handshake,
+    Hello,
+    Message,
+    Mode,
+    Packet,
+    Ping,
+    Pong,
+    Position,
+    Pwm,
+    Reason,
+    State,
+)
 from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import encode_frame
+from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.emulator.firmware_process import FirmwareProcess
 from surefoot.errors import SurefootError
-from surefoot.firmware.project import build_host, write_sources
+from surefoot.firmware.project import build_firmware, write_sources
 from surefoot.robot import RobotDescription
 
 pytestmark = needs_gcc
@@ -132,6 +152,56 @@ def test_errors_of_the_compiler_are_one_line(robot, tmp_path):
     write_sources(tmp_path, robot)
     (tmp_path / "core" / "board.c").write_text("int x = y;")
     with pytest.raises(SurefootError, match=r"error: .y. undeclared"):
-        build_host(tmp_path)
+        build_firmware(tmp_path)
     with pytest.raises(SurefootError, match=r"the firmware does not compile: .*no-such-cc"):
-        build_host(tmp_path, "CC=no-such-cc")
+        build_firmware(tmp_path, "CC=no-such-cc")
+
+
+def test_mutated_frames_find_no_error_of_memory_or_of_a_count(robot):
+    # benchmarks/firmware.py sends a million.
+    result = fuzz(4000, 2, compiled(robot))
+    assert result["wrong"] == 0
+    assert result["received"] > 1000
+    assert len(result["servo_steps"]) == 4
+
+
+@needs_qemu
+def test_the_firmware_of_the_stm32f405_answers_on_its_serial_line_and_does_not_arm_without_motors(robot):
+    # The Makefile links it into 32 KiB of flash and 8 KiB of RAM. Its clock, interrupts and line are those of QEMU.
+    elf = compiled(robot, target="board.elf")
+    words = ["-M", "netduinoplus2", "-nographic", "-monitor", "none", "-serial", "stdio", "-kernel", str(elf)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(["qemu-system-arm", *words], stdin=pipe, stdout=pipe, bufsize=0) as process:
+        decoder, start, number = Decoder(Codec(8)), time.monotonic(), 0
+        packets: list[Packet] = []
+
+        def send(message: Message) -> None:
+            nonlocal number
+            number += 1
+            process.stdin.write(encode_frame(Codec(8), message, number, time.monotonic() - start))
+
+        def wait_for(kind: type[Message], count: int = 1) -> list[Packet]:
+            found: list[Packet] = []
+            while len(found) < count:
+                assert select.select([process.stdout], [], [], 10.0)[0], packets
+                found += [
+                    one for one in decoder.feed(os.read(process.stdout.fileno(), 4096)) if type(one.message) is kind
+                ]
+            return found
+
+        try:
+            while not select.select([process.stdout], [], [], 0.1)[0]:  # what comes before it has started is lost
+                send(Ping(3))
+            wait_for(Pong)
+            send(Hello(ME, 0.020))
+            (handshake,) = wait_for(Handshake)
+            assert handshake.message.robot == "minitaur"
+            states = wait_for(State, 10)
+            assert np.diff([state.time for state in states]) == pytest.approx(0.020, abs=0.005)
+            assert np.isnan(states[-1].message.motor_angle).all()
+            process.stdin.write(random.Random(1).randbytes(20_000) + b"\0")
+            send(Arm(ME, int(Mode.POSITION), 0.006, 0.006))
+            (fault,) = wait_for(Fault)
+            assert (fault.message.session, fault.message.reason) == (ME, Reason.NOT_FINITE)
+        finally:
+            process.kill()

@@ -169,12 +169,15 @@ class EmulatedBoard(ABC):
         if self.injector.began("unplug"):
             self.link.cut_off()
         if not self.reboots and self.injector.began("reboot"):
-            self._start()
-            self._last = self._damped
-            self.link.restart()
-            self.reboots, self._booted = 1, end + BOOT_TIME
+            self._reboot(end)
         for observe in self.on_step:
             observe(end)
+
+    def _reboot(self, now: int) -> None:
+        self._start()
+        self._last = self._damped
+        self.link.restart()
+        self.reboots, self._booted = self.reboots + 1, now + BOOT_TIME
 
     def _read(self) -> Sensors:
         since = (self.now - self.plant.ticks * self._step) / 1e6

@@ -32,6 +32,7 @@ class FirmwareBoard(EmulatedBoard):
         self, plant: Plant, program: Path, link: SerialHostLink, faults: dict[str, InjectedFault] | None = None
     ) -> None:
         self._program, self._line = program, link
+        self._fed = 0
         super().__init__(plant, link, faults)
 
     def counts(self) -> list[str]:
@@ -44,7 +45,16 @@ class FirmwareBoard(EmulatedBoard):
     def _receive(self) -> None:
         self.firmware.receive(self.now, self._line.inbound.take())
 
+    def _decide(self) -> MotorOrder:
+        now = self.plant.ticks * self._step
+        if self._fed + self.firmware.watchdog < now < self.injector.hangs_until:
+            # The microcontroller's watchdog resets a program that stands still.
+            self.injector.hangs_until = now
+            self._reboot(now)
+        return super()._decide()
+
     def _compute_order(self, now: int) -> MotorOrder:
+        self._fed = now
         if self.plant.ticks % self.plant.servo_every:
             return self._last  # a servo that runs less often than the physics
         injector, plant = self.injector, self.plant

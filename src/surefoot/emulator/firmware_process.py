@@ -57,7 +57,7 @@ class FirmwareProcess:
         self._input, self._output = self._process.stdin.fileno(), self._process.stdout.fileno()
         self._ready = select.poll()
         self._ready.register(self._output, select.POLLIN)
-        self._answer = struct.Struct(f"<BBHQQ6I{2 * motors}fBI")
+        self._answer = struct.Struct(f"<BBH3Q6I{2 * motors}fBIII")
         codec = Codec(motors)
         self._decoder = Decoder(codec)
         self._out: list[Packet] = []
@@ -67,7 +67,11 @@ class FirmwareProcess:
         self.effort, self.order = np.zeros((2, motors))
         """Duties or torques of the last servo step; angles or duties that an armed robot's motors follow."""
         self.next_state: float = np.inf
-        self.old_numbers = self.stale = 0
+        self.command_time = self.old_numbers = self.stale = 0
+        """When it accepted a command last, or was armed [us]; frames and commands that it dropped."""
+        self.watchdog = self.cycles = 0
+        """Time [us] without a servo step after which the microcontroller restarts; cycles of its processor that the
+        last event took, 0 if nobody counts them."""
         self._taken_until = 0
         schema, name = _GREETING.unpack(self._read(_GREETING.size))
         if (schema, name.rstrip(b"\0")) != (codec.schema, robot.encode()):
@@ -111,11 +115,10 @@ class FirmwareProcess:
             os.write(self._input, _EVENT.pack(what, now, len(content)) + content)
         except BrokenPipeError:
             self._fail()
-        mode, reason, self.owner, following, self._taken_until, *rest = self._answer.unpack(
-            self._read(self._answer.size)
-        )
+        mode, reason, self.owner, *rest = self._answer.unpack(self._read(self._answer.size))
+        self.command_time, following, self._taken_until, *rest = rest
         *counts, self.old_numbers, self.stale = rest[:6]
-        *floats, enabled, size = rest[6:]
+        *floats, enabled, self.watchdog, self.cycles, size = rest[6:]
         seen = self.statistics
         seen.received, seen.damaged, seen.foreign, seen.unknown = counts
         try:

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from dataclasses import fields
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -102,20 +103,54 @@ def _floats(values: Any) -> str:
 
 
 def write_sources(
-    folder: Path, robot: RobotDescription, limits: Limits | None = None, handshake: Handshake | None = None
+    folder: Path,
+    robot: RobotDescription,
+    limits: Limits | None = None,
+    handshake: Handshake | None = None,
+    word: str = "",
 ) -> None:
     """Write the sources of a robot's firmware into a folder.
+
+    `word` is what a command takes as the robot, its name by default; limits and handshake are those of its sheet.
 
     Raises:
         SurefootError: more motors than fit a frame.
     """
     shutil.copytree(SOURCES, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+    (folder / "README.md").write_text(
+        _readme(robot, limits or Limits.from_robot(robot), word or robot.name), encoding="utf-8"
+    )
     (folder / "core" / "robot.h").write_text(robot_header(robot, limits, handshake), encoding="utf-8")
     (folder / "core" / "surefoot_wire.h").write_text(c_header(robot.num_motors), encoding="utf-8")
 
 
-def build_host(folder: Path, *variables: str) -> Path:
-    """Compile a firmware's program for this computer by its Makefile, with variables NAME=VALUE; return its path.
+def _readme(robot: RobotDescription, limits: Limits, word: str) -> str:
+    """Return the page that takes an owner from a bench to a robot."""
+    joint = robot.actuator.kind == "joint"
+    units = ("N m/rad", "N m s/rad") if joint else ("duty/rad", "duty s/rad")
+    handshake = firmware_handshake(robot, limits)
+    columns = (handshake.servo_kp, handshake.servo_kd, handshake.angle_low, handshake.angle_high)
+    rows = [
+        f"| {number} | {name} | {sign:+.0f} | {' | '.join(f'{column[number]:.3g}' for column in columns)} |"
+        for number, (name, sign) in enumerate(zip(robot.motor_names, robot.motor_sign, strict=True))
+    ]
+    head = f"| | motor | sign | kp [{units[0]}] | kd [{units[1]}] | least angle [rad] | greatest angle [rad] |"
+    return Template((SOURCES / "README.md").read_text(encoding="utf-8")).substitute(
+        robot=robot.name,
+        given=word,
+        motors=robot.num_motors,
+        functions=len(re.findall(r"^[a-z].* \**hal_\w+\(", (SOURCES / "core" / "hal.h").read_text(), re.MULTILINE)),
+        effort="a torque [N m]" if joint else "a PWM duty, -1 to 1",
+        table="\n".join([head, "|---|---|---|---|---|---|---|", *rows]),
+        tilt=f"{limits.tilt:g}",
+        voltage=f"{limits.voltage:g}",
+    )
+
+
+def build_firmware(folder: Path, *variables: str, target: str = "board") -> Path:
+    """Compile a firmware by its Makefile, with variables NAME=VALUE; return the path of the target.
+
+    By default the target is its program for this computer.
 
     Raises:
         SurefootError: there is no `make` or no compiler, or it finds an error.
@@ -124,8 +159,8 @@ def build_host(folder: Path, *variables: str) -> Path:
         raise SurefootError(
             "there is no program 'make'; install it and a C compiler (Debian: apt-get install make gcc)"
         )
-    done = subprocess.run(["make", "-C", str(folder), *variables], capture_output=True, text=True)
+    done = subprocess.run(["make", "-C", str(folder), target, *variables], capture_output=True, text=True)
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if "error:" in line.lower()] + done.stderr.splitlines()[:1]
         raise SurefootError(f"the firmware does not compile: {lines[0].strip()}")
-    return folder / "board"
+    return folder / target

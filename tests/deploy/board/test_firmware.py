@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cobs import cobs
-from compiled_firmware import compiled, needs_gcc
+from compiled_firmware import compiled, needs_gcc, needs_qemu
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -39,8 +39,8 @@ class NoHosts:
 class CompiledFirmware(FirmwareProcess):
     """The program in C, with those attributes of the one in Python that the tests use."""
 
-    def __init__(self, robot: Any, handshake: Handshake, limits: Limits) -> None:
-        super().__init__(compiled(robot, limits, handshake), robot.name, robot.num_motors)
+    def __init__(self, robot: Any, handshake: Handshake, limits: Limits, *target: str) -> None:
+        super().__init__(compiled(robot, limits, handshake, *target), robot.name, robot.num_motors)
         self.handshake = handshake
 
     def tick(self, now: int, vitals: Vitals) -> MotorOrder:  # type: ignore[override]
@@ -59,16 +59,18 @@ class Bench:
     """A microcontroller whose sensors the test sets, with a servo step every millisecond.
 
     Messages of a host reach the program as they are (`where` is "messages"), as bytes over a "serial line", or as
-    bytes the program in "C".
+    bytes the program in "C", on this computer or on an STM32F405 in "QEMU".
     """
 
     def __init__(self, robot: Any, where: str, **changes: Any) -> None:
         limits = replace(Limits.from_robot(robot), **changes)
         handshake = make_handshake(robot, limits, "test 1", 0.001)
-        self.firmware: Any = (CompiledFirmware if where == "C" else lambda _, *rest: Firmware(*rest))(
-            robot, handshake, limits
-        )
-        self.where = where
+        self.where, self.in_c = where, where in ("C", "QEMU")
+        if self.in_c:
+            target = ("board-qemu",) if where == "QEMU" else ()
+            self.firmware: Any = CompiledFirmware(robot, handshake, limits, *target)
+        else:
+            self.firmware = Firmware(handshake, limits)
         self.line = SerialHostLink(NoHosts(), 8) if where == "serial line" else None
         self.host = Decoder(Codec(8))
         self.now = self.number = 0
@@ -112,7 +114,7 @@ class Bench:
     def put(self, data: bytes) -> None:
         """Put bytes on the line to the robot."""
         if self.line is None:
-            self.firmware.receive(self.now, data) if self.where == "C" else self.firmware.watch.note_damage()
+            self.firmware.receive(self.now, data) if self.in_c else self.firmware.watch.note_damage()
             return
         self.line.inbound.send(self.now, data)
         while self.line.next_arrival <= self.now:
@@ -611,9 +613,9 @@ def random_message(rng: random.Random) -> Message | bytes:
     return rng.choices([*kinds, *commands], [*kinds.values(), 60, 5, 1])[0]
 
 
-@needs_gcc
-def test_both_programs_say_the_same(robot):
-    rng, benches = random.Random(0), [Bench(robot, "serial line"), Bench(robot, "C")]
+@pytest.mark.parametrize("where", [IN_C, pytest.param("QEMU", marks=needs_qemu)])
+def test_both_programs_say_the_same(robot, where):
+    rng, benches = random.Random(0), [Bench(robot, "serial line"), Bench(robot, where)]
     one, other = benches
     good = (0.0, 16.0, 25.0)
     script: list[Any] = []

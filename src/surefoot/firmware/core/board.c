@@ -48,22 +48,28 @@ static struct {
     uint64_t low_since, energy; /* energy in uJ: a float would stop counting */
 } board;
 
-/* Texts of faults. */
+/* The text of the next fault: one buffer, since copies would take the stack. */
 
-typedef struct {
+static struct {
     char chars[sizeof(((surefoot_fault *)0)->text)];
     size_t length;
-} text;
+} why;
 
-static text put(text made, const char *more)
+static void put(const char *more)
 {
-    while (*more != '\0' && made.length < sizeof(made.chars)) {
-        made.chars[made.length++] = *more++;
+    while (*more != '\0' && why.length < sizeof(why.chars)) {
+        why.chars[why.length++] = *more++;
     }
-    return made;
 }
 
-static text put_whole(text made, uint32_t number)
+/* Begin a text. */
+static void say(const char *chars)
+{
+    why.length = 0;
+    put(chars);
+}
+
+static void put_whole(uint32_t number)
 {
     char digits[11];
     size_t at = sizeof(digits) - 1u;
@@ -73,63 +79,56 @@ static text put_whole(text made, uint32_t number)
         digits[--at] = (char)('0' + number % 10u);
         number /= 10u;
     } while (number != 0u);
-    return put(made, digits + at);
+    put(digits + at);
 }
 
 /* Put a number with so many decimals. */
-static text put_number(text made, float number, int decimals)
+static void put_number(float number, int decimals)
 {
     const float magnitude = fabsf(number);
     uint32_t unit = 1, whole;
     int k;
 
     if (isnan(number)) {
-        return put(made, "nan");
+        put("nan");
+        return;
     }
     if (number < 0.0f) {
-        made = put(made, "-");
+        put("-");
     }
     if (!(magnitude < 1e6f)) {
-        return put(made, isinf(number) ? "inf" : "1e6 or more");
+        put(isinf(number) ? "inf" : "1e6 or more");
+        return;
     }
     for (k = 0; k < decimals; k++) {
         unit *= 10u;
     }
     whole = (uint32_t)lroundf(magnitude * (float)unit);
-    made = put_whole(made, whole / unit);
+    put_whole(whole / unit);
     if (decimals > 0) {
-        made = put(made, ".");
+        put(".");
         for (k = 0; k < decimals; k++) {
             unit /= 10u;
-            made = put_whole(made, whole / unit % 10u);
+            put_whole(whole / unit % 10u);
         }
     }
-    return made;
 }
 
 /* Put a number of the table, without zeros at its end. */
-static text put_limit(text made, float number)
+static void put_limit(float number)
 {
-    made = put_number(made, number, 3);
-    while (made.length > 0u && made.chars[made.length - 1u] == '0') {
-        made.length--;
+    put_number(number, 3);
+    while (why.length > 0u && why.chars[why.length - 1u] == '0') {
+        why.length--;
     }
-    if (made.length > 0u && made.chars[made.length - 1u] == '.') {
-        made.length--;
+    if (why.length > 0u && why.chars[why.length - 1u] == '.') {
+        why.length--;
     }
-    return made;
 }
 
-static text put_seconds(text made, uint32_t microseconds)
+static void put_seconds(uint32_t microseconds)
 {
-    return put_limit(made, (float)microseconds / 1e6f);
-}
-
-static text plain(const char *chars)
-{
-    static const text empty = {{0}, 0};
-
-    return put(empty, chars);
+    put_limit((float)microseconds / 1e6f);
 }
 
 /* To the host. */
@@ -145,7 +144,8 @@ static void send(uint8_t type, const void *message)
     }
 }
 
-static void send_fault(uint16_t session, uint8_t reason, text why)
+/* Send a fault with the text that was said last. */
+static void send_fault(uint16_t session, uint8_t reason)
 {
     surefoot_fault fault = {.session = session, .reason = reason};
 
@@ -153,8 +153,8 @@ static void send_fault(uint16_t session, uint8_t reason, text why)
     send(SUREFOOT_FAULT, &fault);
 }
 
-/* Refuse a message, at most LIMIT_REFUSALS times a second for each reason. */
-static void refuse(uint64_t now, uint16_t session, uint8_t reason, text why)
+/* Refuse a message with the text that was said last, at most LIMIT_REFUSALS times a second for each reason. */
+static void refuse(uint64_t now, uint16_t session, uint8_t reason)
 {
     const size_t at = reason < REASONS ? reason : 0u;
     uint32_t *const times = board.refused[at];
@@ -169,7 +169,7 @@ static void refuse(uint64_t now, uint16_t session, uint8_t reason, text why)
     } else {
         times[board.refusals[at]++] = (uint32_t)now;
     }
-    send_fault(session, reason, why);
+    send_fault(session, reason);
 }
 
 /* The link. */
@@ -253,14 +253,15 @@ static uint64_t sooner(uint64_t one, uint64_t other)
     return one < other ? one : other;
 }
 
-static void fail(uint64_t now, uint8_t reason, text why)
+/* Damp, with the text that was said last. */
+static void fail(uint64_t now, uint8_t reason)
 {
     if (board.mode == SUREFOOT_MODE_FAULT) {
         return; /* the first reason is kept */
     }
     board.mode = SUREFOOT_MODE_FAULT;
     board.reason = reason;
-    send_fault(board.owner, reason, why);
+    send_fault(board.owner, reason);
     if (board.owner != 0u) {
         board.next_state = sooner(board.next_state, now);
     }
@@ -280,8 +281,8 @@ static float greater(float one, float other)
     return isnan(one) || one > other ? one : other;
 }
 
-/* Why motors must not move, by the sensors of the last servo step: a reason and a text; 0 if they may. */
-static uint8_t hazard(uint64_t now, text *why)
+/* Why motors must not move, by the sensors of the last servo step, which is said too; 0 if they may. */
+static uint8_t hazard(uint64_t now)
 {
     const float tilt = greater(fabsf(board.roll), fabsf(board.pitch));
     const char *seen = "";
@@ -292,26 +293,32 @@ static uint8_t hazard(uint64_t now, text *why)
     }
     reason = hal_hazard(&seen);
     if (reason != SUREFOOT_REASON_NONE) {
-        *why = plain(seen);
+        say(seen);
         return reason;
     }
     if (!board.finite) {
-        *why = plain("an angle or a speed of a motor is no number");
+        say("an angle or a speed of a motor is no number");
         return SUREFOOT_REASON_NOT_FINITE;
     }
     if (!(tilt <= robot_handshake.tilt_limit)) {
-        *why = put(put_number(plain("tilt is "), tilt, 2), " rad; the limit is ");
-        *why = put_limit(*why, robot_handshake.tilt_limit);
+        say("tilt is ");
+        put_number(tilt, 2);
+        put(" rad; the limit is ");
+        put_limit(robot_handshake.tilt_limit);
         return SUREFOOT_REASON_TILT;
     }
     if (board.low_since != BOARD_NEVER && now - board.low_since >= LIMIT_VOLTAGE_TIME) {
-        *why = put(put_number(plain("battery has "), board.voltage, 2), " V; the limit is ");
-        *why = put_limit(*why, robot_handshake.voltage_min);
+        say("battery has ");
+        put_number(board.voltage, 2);
+        put(" V; the limit is ");
+        put_limit(robot_handshake.voltage_min);
         return SUREFOOT_REASON_BATTERY;
     }
     if (!(board.temperature <= robot_handshake.temperature_max)) {
-        *why = put(put_number(plain("a motor has "), board.temperature, 0), " degC; the limit is ");
-        *why = put_limit(*why, robot_handshake.temperature_max);
+        say("a motor has ");
+        put_number(board.temperature, 0);
+        put(" degC; the limit is ");
+        put_limit(robot_handshake.temperature_max);
         return SUREFOOT_REASON_TEMPERATURE;
     }
     return SUREFOOT_REASON_NONE;
@@ -334,7 +341,8 @@ static void answer_hello(uint64_t now, const surefoot_hello *hello)
 static void start_session(uint64_t now, const surefoot_header *header, const surefoot_hello *hello)
 {
     if (board.owner != 0u && now <= taken_until()) {
-        refuse(now, hello->session, SUREFOOT_REASON_BUSY, plain("another operator has the robot"));
+        say("another operator has the robot");
+        refuse(now, hello->session, SUREFOOT_REASON_BUSY);
         return;
     }
     disarm(now);
@@ -356,31 +364,39 @@ static void arm(uint64_t now, const surefoot_arm *message)
     const uint8_t mode = message->mode;
     const bool possible = mode == SUREFOOT_MODE_POSITION || (mode == SUREFOOT_MODE_PWM && LIMIT_DUTY > 0.0f);
     uint8_t reason;
-    text why;
 
     if (!possible || (is_armed() && mode != board.mode)) {
-        why = put(put(put_whole(plain("mode "), mode), " can't be armed while "), mode_names[board.mode]);
-        refuse(now, board.owner, SUREFOOT_REASON_MODE, why);
+        say("mode ");
+        put_whole(mode);
+        put(" can't be armed while ");
+        put(mode_names[board.mode]);
+        refuse(now, board.owner, SUREFOOT_REASON_MODE);
         return;
     }
     if (message->command_period < robot_handshake.command_period_min
         || message->command_period > robot_handshake.command_period_max
         || message->report_after > message->command_period) {
-        why = put_number(plain("command period is "), (float)message->command_period / 1e6f, 3);
-        why = put_seconds(put(why, " s; it must be "), robot_handshake.command_period_min);
-        why = put_seconds(put(why, " to "), robot_handshake.command_period_max);
-        refuse(now, board.owner, SUREFOOT_REASON_COMMAND, why);
+        say("command period is ");
+        put_number((float)message->command_period / 1e6f, 3);
+        put(" s; it must be ");
+        put_seconds(robot_handshake.command_period_min);
+        put(" to ");
+        put_seconds(robot_handshake.command_period_max);
+        refuse(now, board.owner, SUREFOOT_REASON_COMMAND);
         return;
     }
     if (!is_armed() && board.reason != SUREFOOT_REASON_NONE && clean_for(now) < robot_handshake.rearm_after) {
-        why = put_seconds(plain("the link must be clean for "), robot_handshake.rearm_after);
-        why = put(put(why, " s ("), reason_names[board.reason]);
-        refuse(now, board.owner, SUREFOOT_REASON_NOT_CLEAN, put(why, ")"));
+        say("the link must be clean for ");
+        put_seconds(robot_handshake.rearm_after);
+        put(" s (");
+        put(reason_names[board.reason]);
+        put(")");
+        refuse(now, board.owner, SUREFOOT_REASON_NOT_CLEAN);
         return;
     }
-    reason = hazard(now, &why);
+    reason = hazard(now);
     if (reason != SUREFOOT_REASON_NONE) {
-        refuse(now, board.owner, reason, why);
+        refuse(now, board.owner, reason);
         return;
     }
     board.period = message->command_period;
@@ -395,12 +411,13 @@ static void arm(uint64_t now, const surefoot_arm *message)
     board.next_state = now + board.report_after;
 }
 
-static void drop(uint64_t now, text why)
+/* Drop a command, with the text that was said last. */
+static void drop(uint64_t now)
 {
     board.dropped++;
     board.dropped_in_a_row++;
     if (is_armed() && board.dropped_in_a_row >= LIMIT_STALE_DROPS) {
-        fail(now, SUREFOOT_REASON_STALE, why);
+        fail(now, SUREFOOT_REASON_STALE);
     }
 }
 
@@ -411,13 +428,18 @@ static void take_command(uint64_t now, const surefoot_header *header, uint8_t mo
     if (board.mode != mode) {
         board.dropped++;
         if (board.mode != SUREFOOT_MODE_FAULT) { /* every state of a faulted robot has the reason */
-            refuse(now, board.owner, SUREFOOT_REASON_MODE, put(plain("a command came while "), mode_names[board.mode]));
+            say("a command came while ");
+            put(mode_names[board.mode]);
+            refuse(now, board.owner, SUREFOOT_REASON_MODE);
         }
         return;
     }
     if (age > (int64_t)(LIMIT_STALE_AFTER * (float)board.period)) {
         board.stale++;
-        drop(now, put(put_number(plain("commands were late, the last by "), (float)age / 1e6f, 3), " s"));
+        say("commands were late, the last by ");
+        put_number((float)age / 1e6f, 3);
+        put(" s");
+        drop(now);
         return;
     }
     for (m = 0; m < MOTORS; m++) {
@@ -430,7 +452,10 @@ static void take_command(uint64_t now, const surefoot_header *header, uint8_t mo
 
             memcpy(name, robot_handshake.motor_names[m], sizeof(robot_handshake.motor_names[0]));
             board.dropped++;
-            fail(now, SUREFOOT_REASON_COMMAND, put_number(put(plain(name), " was sent to "), values[m], 3));
+            say(name);
+            put(" was sent to ");
+            put_number(values[m], 3);
+            fail(now, SUREFOOT_REASON_COMMAND);
             return;
         }
     }
@@ -441,9 +466,11 @@ static void take_command(uint64_t now, const surefoot_header *header, uint8_t mo
             greatest = greater(greatest, robot_handshake.servo_kp[m] * fabsf(values[m] - board.angle[m]));
         }
         if (!(greatest <= LIMIT_FIRST_TORQUE)) {
-            text why = put_number(plain("the first command would give "), greatest, 1);
-
-            fail(now, SUREFOOT_REASON_COMMAND, put_limit(put(why, " N m at once; at most "), LIMIT_FIRST_TORQUE));
+            say("the first command would give ");
+            put_number(greatest, 1);
+            put(" N m at once; at most ");
+            put_limit(LIMIT_FIRST_TORQUE);
+            fail(now, SUREFOOT_REASON_COMMAND);
             return;
         }
     }
@@ -466,7 +493,8 @@ static void take_session_frame(uint64_t now, const surefoot_header *header, cons
 
     if (!is_next(header->sequence)) {
         if (command) {
-            drop(now, plain("commands came twice or out of order"));
+            say("commands came twice or out of order");
+            drop(now);
         }
         return;
     }
@@ -487,7 +515,8 @@ static void take_session_frame(uint64_t now, const surefoot_header *header, cons
         arm(now, &request);
         break;
     case SUREFOOT_DAMP:
-        fail(now, SUREFOOT_REASON_HOST, plain("the operator asked for it"));
+        say("the operator asked for it");
+        fail(now, SUREFOOT_REASON_HOST);
         break;
     case SUREFOOT_DISARM:
         if (is_armed()) {
@@ -530,9 +559,10 @@ static void take_frame(uint64_t now)
         memcpy(&hello, payload, sizeof(hello));
         start_session(now, &header, &hello);
     } else if (session == 0u || session != board.owner) {
-        text why = put(put_whole(plain("session "), session), " is not known");
-
-        refuse(now, session, SUREFOOT_REASON_SESSION, why);
+        say("session ");
+        put_whole(session);
+        put(" is not known");
+        refuse(now, session, SUREFOOT_REASON_SESSION);
     } else {
         take_session_frame(now, &header, payload);
     }
@@ -562,7 +592,8 @@ void board_receive(const uint8_t *bytes, size_t size)
             break;
         case SUREFOOT_FOREIGN:
             board.clean_since = BOARD_NEVER;
-            refuse(now, 0, SUREFOOT_REASON_SCHEMA, plain("schema is " ROBOT_SCHEMA_TEXT));
+            say("schema is " ROBOT_SCHEMA_TEXT);
+            refuse(now, 0, SUREFOOT_REASON_SCHEMA);
             break;
         case SUREFOOT_DAMAGED:
         case SUREFOOT_UNKNOWN:
@@ -578,22 +609,24 @@ static void check(uint64_t now)
 {
     const char *seen = "";
     uint8_t reason;
-    text why;
 
     if (now - board.command_time >= robot_handshake.command_timeout) {
-        why = put_seconds(plain("no command for "), robot_handshake.command_timeout);
-        fail(now, SUREFOOT_REASON_TIMEOUT, put(why, " s"));
+        say("no command for ");
+        put_seconds(robot_handshake.command_timeout);
+        put(" s");
+        fail(now, SUREFOOT_REASON_TIMEOUT);
         return;
     }
-    reason = hazard(now, &why);
+    reason = hazard(now);
     if (reason != SUREFOOT_REASON_NONE) {
-        fail(now, reason, why);
+        fail(now, reason);
         return;
     }
     reason = hal_sit(&seen);
     if (reason != SUREFOOT_REASON_NONE && board.reason == SUREFOOT_REASON_NONE) {
         board.reason = reason;
-        send_fault(board.owner, reason, plain(seen));
+        say(seen);
+        send_fault(board.owner, reason);
     }
 }
 
@@ -697,6 +730,7 @@ board_status board_show(void)
         .mode = board.mode,
         .reason = board.reason,
         .owner = board.owner,
+        .command_time = board.command_time,
         .next_state = board.next_state,
         .taken_until = taken_until(),
         .frames = board.decoder.frames,
