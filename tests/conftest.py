@@ -56,7 +56,7 @@ class RealTimeLast(LoadFileScheduling):
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileScheduling | None:
     """Keep tests in real time apart, which wait until all other tests have ended."""
-    return RealTimeLast(config, log) if config.cache and config.getvalue("dist") == "loadfile" else None
+    return RealTimeLast(config, log) if hasattr(config, "cache") and config.getvalue("dist") == "loadfile" else None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -66,8 +66,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: (item.get_closest_marker("realtime") is not None, item.path not in slow))
-    if config.cache:
-        config.cache.set(REALTIME, [item.nodeid for item in items if item.get_closest_marker("realtime")])
+    if cache := getattr(config, "cache", None):  # none with `-p no:cacheprovider`
+        cache.set(REALTIME, [item.nodeid for item in items if item.get_closest_marker("realtime")])
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -88,10 +88,11 @@ def pytest_terminal_summary(terminalreporter: TerminalReporter) -> Generator[Non
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Give a test marked `realtime` the processors for itself where pytest-xdist runs tests side by side."""
-    if not hasattr(item.config, "workerinput") or item.config.cache is None:
+    cache = getattr(item.config, "cache", None)
+    if not hasattr(item.config, "workerinput") or cache is None:
         return (yield)
     # Other tests go on meanwhile: one in real time begins when there is no other at all.
-    with (item.config.cache.mkdir("turns") / "running").open("w") as running:
+    with (cache.mkdir("turns") / "running").open("w") as running:
         fcntl.flock(running, fcntl.LOCK_EX if item.get_closest_marker("realtime") else fcntl.LOCK_SH)
         return (yield)
 
