@@ -108,7 +108,7 @@ def test_doctor_names_what_it_tried(adopted, tmp_path, monkeypatch, capsys):
     assert result["checks"][-1]["name"] == "specification"
     page = (tmp_path / "page" / "examination.html").read_text()
     assert "<video" in page
-    assert "does it do what it is told?" in page
+    assert "does it follow commands?" in page
     assert 'src="http' not in page
 
 

@@ -35,7 +35,7 @@ def write_page(
         checks: what `check_answers` says.
         videos: titles and files (.mp4).
     """
-    title = f"{name}: does it do what it is told?"
+    title = f"{name}: does it follow commands?"
     labels = {True: "pass", False: "FAIL", None: "not done"}
     rows = [html.row(("check", "", "result", "to do"), "tttt", "th")]
     for check in checks:
