@@ -7,7 +7,8 @@
 (`tests/vendor_go2.py`). Rows go to results/go2_dds/runs.csv and faults.csv; rows of the same case are replaced.
 
 A run: stand up, walk forward from .5 s on, sit. `speed` is the mean from 3 s on. Gaps are those between commands as
-they were written, from the first to the last that was not damping; loads are those of one core while the policy runs.
+they were written, from the first to the last that was not damping; `bare` ones are those of a loop beside it that does
+nothing but wake every 2 ms. Loads are those of one core while the policy runs.
 
 A fault begins while the robot stands up, while the policy runs, or while it sits. `damped_ms` is how long after it the
 robot took a damping command and none with a gain any more. `loop`, `keeper` and `watcher` are killed; with `-hangs`
@@ -30,6 +31,7 @@ from typing import Any
 import numpy as np
 from go2_runs import (
     ROBOTS,
+    BareLoop,
     Deploy,
     Robot,
     Witness,
@@ -78,6 +80,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
         folder = Path(name)
         robot = Robot(kind, domain, folder)
         witness = Witness(domain)
+        bare = BareLoop()
         deploy = Deploy(domain, folder, "--duration", duration, "--commands", steer_forward(folder, speed))
         try:
             actions = [(UP + 0.5, read_loads), (UP + duration - 0.5, read_loads)]
@@ -87,6 +90,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
         finally:
             deploy.kill()
             robot.kill()
+            bare_figures = bare.end()
         seen = witness.commands()
         run = (report.get("runs") or [{}])[0]
         row: dict[str, Any] = {"robot": kind, "command": speed, "busy": busy, "number": number, "exit_code": code}
@@ -99,7 +103,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
             began = float(armed[0]) + 1e9 * (UP + SETTLED) if len(armed) else np.nan
             walking = (commands["time"] > began) & (commands["time"] < began + 1e9 * (duration - SETTLED))
             row["speed"] = float(commands["forward"][walking].mean()) if walking.any() else float("nan")
-        row |= command_figures(seen)
+        row |= command_figures(seen) | bare_figures
         for who, (before, then, after, now) in ((k, v) for k, v in loads.items() if len(v) == 4):
             row[f"{who}_load"] = (after - before) / (now - then)
         timing = run.get("timing", {})
