@@ -63,7 +63,7 @@ def examine_policy(
         videos = []
         shown: list[tuple[str, Correction | None]] = [("as it is", None)]
         if diagnosis.mistake is not None and diagnosis.mistake.correction is not None:
-            shown.append((diagnosis.mistake.correction.text, diagnosis.mistake.correction))
+            shown.append((f"changed; {diagnosis.mistake.correction.text}", diagnosis.mistake.correction))
         for k, (title, correction) in enumerate(shown):
             chosen = stated_specification(runtime.contract) if correction is None else correction.specification
             corrected = Corrected(runtime, description, [chosen])
