@@ -82,13 +82,19 @@ class Robot:
         self.process.communicate()
 
 
+def take_stamped(reader: bus.RawReader[Any]) -> list[tuple[int, bytes]]:
+    """Return messages that have come, oldest first, each with the time when it was written [ns]."""
+    from cyclonedds._clayer import ddspy_take
+
+    taken = ddspy_take(reader._reader._ref, 2048)
+    # Messages without data say that a writer has gone.
+    return [] if isinstance(taken, int) else [(info.source_timestamp, data) for data, info in taken if info.valid_data]
+
+
 class Witness:
     """Listens to the commands on a domain: when each was written [ns], its greatest kp and its least kd."""
 
     def __init__(self, domain: int) -> None:
-        from cyclonedds._clayer import ddspy_take
-
-        self._take = ddspy_take
         self._reader = bus.Bus("lo", domain).reader(bus.LOW_COMMAND_TOPIC, types.LowCmd, 2048)
         self.rows: list[tuple[int, float, float]] = []
         self.armed: float | None = None
@@ -97,14 +103,11 @@ class Witness:
 
     def take(self) -> None:
         """Take what has come."""
-        taken = self._take(self._reader._reader._ref, 2048)
-        for data, info in [] if isinstance(taken, int) else taken:
-            if not info.valid_data:
-                continue  # a writer has gone
+        for written, data in take_stamped(self._reader):
             if data != self._last[0]:
                 motors = low_level.decode(low_level.LOW_COMMAND, data)["motor_cmd"][:12]
                 self._last = data, float(motors["kp"].max()), float(motors["kd"].min())
-            self.rows.append((info.source_timestamp, *self._last[1:]))
+            self.rows.append((written, *self._last[1:]))
             if self.armed is None and self._last[1] > 0:
                 self.armed = time.monotonic()
 

@@ -4,7 +4,8 @@
 
 Needs far-unitree-sdk and unitree-sdk2py-dimos, installed with --no-deps. The first knows DDS domain 0 alone, so no
 other robot may run on the loopback meanwhile. It keeps the last state only: states that come while this computer does
-not let the reader run are not counted. So the reader has a real-time priority, where the system gives it one.
+not let the reader run are not counted (`states`, `hz`), though it has a real-time priority where the system gives it
+one. The Python SDK calls a program for each state: its count is that of what was sent (`python_...`).
 """
 
 from __future__ import annotations
@@ -63,6 +64,7 @@ def measure(count: int, world: str) -> dict[str, Any]:
     """Return all figures; angles [rad], heights of the base [m]."""
     robot = Robot("--world", world)
     read = client("read", count)
+    counted = client("count", 0, count)
     idle = share(robot.stop())
 
     robot = Robot("--world", world)
@@ -80,6 +82,7 @@ def measure(count: int, world: str) -> dict[str, Any]:
     return {
         "world": world,
         **{name: read[name] for name in ("states", "seconds", "hz")},
+        **{f"python_{name}": value for name, value in counted.items() if name != "crc_errors"},
         "gap_median_ms": read["gap_ms"]["median"],
         "gap_p99_ms": read["gap_ms"]["p99"],
         "gap_max_ms": read["gap_ms"]["max"],

@@ -422,16 +422,26 @@ sys.stdin.read()
 the exit code."""
 
 
-def play(scenario: Scenario, folder: Path, policies: Path) -> DeployResult:
+def play(
+    scenario: Scenario,
+    folder: Path,
+    policies: Path,
+    options: Sequence[str] = (),
+    observe: Callable[[Any], object] | None = None,
+) -> DeployResult:
     """Run a policy on a robot that was just switched on, in this process where the scenario does not need another one.
 
     Args:
         scenario: what happens.
         folder: for output and traces.
         policies: folder of policies.
+        options: of the emulator.
+        observe: takes the emulated board before the run; it then goes on until another operator may come.
     """
     folder.mkdir(parents=True)
-    robot = EmulatorHere("--lockstep", *(word for fault in scenario.faults for word in ("--fault", fault)))
+    robot = EmulatorHere("--lockstep", *options, *(word for fault in scenario.faults for word in ("--fault", fault)))
+    if observe is not None:
+        observe(robot.board)
     if scenario.sunk:
         _settle(robot, scenario.sunk)
     cable = Cable(robot.port, scenario.chatter)
@@ -464,6 +474,8 @@ def play(scenario: Scenario, folder: Path, policies: Path) -> DeployResult:
     finally:
         cable.close()
         robot.hear_out(PATIENCE)
+        if observe is not None:
+            robot.wait_until_free(PATIENCE)
         summary = robot.stop()
     ended.record, ended.refusal, ended.summary = cable.record, refusals[-1], summary
     return ended

@@ -140,6 +140,10 @@ class EmulatorHere:
         with mock.patch.object(self._pty, "deserted", look):
             assert heard.wait(patience)
 
+    def wait_until_free(self, patience: float) -> None:
+        """Wait, at most `patience` [s], until another operator may have the robot that its hosts have left."""
+        wait_until(lambda: not self.board.firmware.is_taken(self.board.now), patience)
+
     def stop(self) -> str:
         """End it; return the line that sums up."""
         self._summary.stop = True

@@ -25,6 +25,7 @@ ALLOWED: dict[str, set[str]] = {
         *("task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot"},
+    "firmware": {"deploy", "robot"},
     "report": {
         "evaluation",
         "task",

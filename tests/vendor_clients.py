@@ -2,6 +2,7 @@
 
     python tests/vendor_clients.py read COUNT           C++ SDK: read so many states, domain 0
     python tests/vendor_clients.py stand                C++ SDK: stand up, domain 0
+    python tests/vendor_clients.py count DOMAIN COUNT   Python SDK: count so many states, check their sums
     python tests/vendor_clients.py stand-up DOMAIN      Python SDK: release the motion service, stand up, lie down
     python tests/vendor_clients.py bad-crc DOMAIN       Python SDK: a second of commands with wrong checksums
 
@@ -58,11 +59,15 @@ def _cpp() -> Any:
     return unitree_interface.create_robot("lo", unitree_interface.RobotType.GO2, unitree_interface.MessageType.GO2)
 
 
-def read(count: int) -> dict[str, Any]:
-    """Read states until so many different ones came; noise makes all different."""
-    # The SDK keeps the last state only: what comes while this program may not run would not be counted.
+def _be_punctual() -> None:
+    """Take a real-time priority: states that come while this program may not run would not be counted."""
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+
+
+def read(count: int) -> dict[str, Any]:
+    """Read states until so many different ones came; noise makes all different."""
+    _be_punctual()  # the SDK keeps the last state only
     robot = _cpp()
     wait(lambda: any(robot.read_low_state().motor.q))
     times, before = [], None
@@ -113,7 +118,9 @@ class PythonSdk:
         from unitree_sdk2py.utils.crc import CRC
 
         ChannelFactoryInitialize(domain, "lo")
-        self.crc, self.state, self.states, self.damaged = CRC(), None, 0, 0
+        self.crc, self.state, self.damaged = CRC(), None, 0
+        self.seen: list[tuple[float, int]] = []
+        """Time [s] and tick [ms] of each state."""
         self.command = unitree_go_msg_dds__LowCmd_()
         self.command.head, self.command.level_flag = [0xFE, 0xEF], 0xFF
         for motor in self.command.motor_cmd:
@@ -126,7 +133,7 @@ class PythonSdk:
 
     def _receive(self, state: Any) -> None:
         self.state = state
-        self.states += 1
+        self.seen.append((time.monotonic(), state.tick))
         self.damaged += state.crc != self.crc.Crc(state)
 
     def angles(self) -> list[float]:
@@ -137,6 +144,22 @@ class PythonSdk:
             motor.q, motor.dq, motor.kp, motor.kd = angle, 0.0, KP, KD
         self.command.crc = self.crc.Crc(self.command) ^ error
         self._publisher.Write(self.command)
+
+
+def count(domain: int, number: int) -> dict[str, Any]:
+    """Take so many states one by one: the Python SDK calls a program for each, and forgets none."""
+    _be_punctual()
+    sdk = PythonSdk(domain)
+    begun = len(sdk.seen)
+    wait(lambda: len(sdk.seen) >= begun + number, number * PERIOD * 1.5 + 5)
+    seen = sdk.seen[begun : begun + number]
+    (first, first_tick), (last, last_tick) = seen[0], seen[-1]
+    return {
+        "states": len(seen),
+        "hz": (len(seen) - 1) / (last - first),
+        "missing": (last_tick - first_tick) // round(1e3 * PERIOD) + 1 - len(seen),
+        "damaged": sdk.damaged,
+    }
 
 
 def stand_up(domain: int) -> dict[str, Any]:
@@ -162,7 +185,7 @@ def stand_up(domain: int) -> dict[str, Any]:
         "modes": [*names, mode["name"]],
         "q": sdk.angles(),
         "commands_hz": (len(sent) - 1) / (sent[-1] - sent[0]),
-        "states": sdk.states,
+        "states": len(sdk.seen),
         "damaged": sdk.damaged,
         "soc": sdk.state.bms_state.soc,
         "cells": list(sdk.state.bms_state.cell_vol[:8]),
@@ -180,6 +203,7 @@ def bad_crc(domain: int) -> dict[str, Any]:
 PROGRAMS: dict[str, Callable[..., dict[str, Any]]] = {
     "read": read,
     "stand": stand,
+    "count": count,
     "stand-up": stand_up,
     "bad-crc": bad_crc,
 }

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from compiled_firmware import compiled, needs_gcc
 from edited import edited_policy
 from processes import Emulator, EmulatorHere, TooBusyError, emulators
 
@@ -588,3 +589,16 @@ def test_row_10_a_full_disk(ended):
     assert ended.code == 3
     (partial,) = ended.traces.glob(f"*{SUFFIX}")
     assert recover(partial).num_steps > 5
+
+
+# The same with the microcontroller's program in C.
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", ["unplug", "tilt", "stale-state", "corrupt"])
+def test_the_firmware_in_c_ends_a_run_as_the_program_in_python_does(name, played, policies, tmp_path):
+    options = ("--firmware", str(compiled(MINITAUR)))
+    one, other = played(name), play(SCENARIOS[name], tmp_path / "run", policies, options)
+    assert other.outcome == one.outcome
+    assert other.record.reasons == one.record.reasons
+    assert other.record.final_mode == one.record.final_mode

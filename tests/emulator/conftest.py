@@ -9,12 +9,18 @@ import tty
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
+from compiled_firmware import compiled, needs_gcc
 from processes import Emulator, EmulatorHere, emulators
 
-from surefoot.deploy.messages import Message, Packet, Ping, Pong
+from surefoot.deploy.messages import Arm, Fault, Hello, Message, Mode, Packet, Ping, Pong, Position, Reason, State
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
+from surefoot.robot import RobotDescription
+
+ME = 7
+STEP = 6000
 
 
 class Bytes:
@@ -125,3 +131,83 @@ def emulate_here() -> Iterator[Callable[..., Thread]]:
 @pytest.fixture
 def wire_bytes() -> Bytes:
     return Bytes()
+
+
+class NoHosts:
+    """No host at all."""
+
+    unread = 0
+
+
+class Rig:
+    """A board whose program is in "Python" or in "C", and an operator whose bytes take no time."""
+
+    def __init__(self, robot: RobotDescription, program: str, *words: str, noise: bool = False) -> None:
+        from surefoot.cli.emulate import EmulateCommand, _make_board
+        from surefoot.emulator.faults import parse_faults
+        from surefoot.emulator.hardware import PowerConfig, SensorConfig
+        from surefoot.emulator.plant import Plant
+        from surefoot.emulator.serial.serial_host_link import SerialHostLink
+
+        sensors = SensorConfig() if noise else SensorConfig.ideal()
+        plant = Plant(robot, sensors=sensors, power=PowerConfig.ideal(robot), rack=True)
+        faults = parse_faults(words, motors=robot.num_motors)
+        self.robot, self.wire = robot, Bytes(robot.num_motors)
+        self.line = SerialHostLink(NoHosts(), robot.num_motors, faults, seed=1)  # type: ignore[arg-type]
+        firmware = compiled(robot) if program == "C" else None
+        self.board = _make_board(EmulateCommand(firmware=firmware, lockstep=True), plant, self.line, faults)
+        self.frames: list[Packet] = []
+        self.angles = robot.pose_angles(0.0, 1.5) if robot.num_motors == 8 else robot.pose_angles(0.0, 0.0, 0.8)
+
+    def send(self, message: Message) -> None:
+        self.line.inbound.send(self.board.now, self.wire.frame(message, self.board.now / 1e6))
+        self.run(0)
+
+    def run(self, microseconds: int) -> list[Packet]:
+        self.board.run_to(self.board.now + microseconds)
+        frames = self.wire.decoder.feed(self.line.take(self.board.now))
+        self.frames += frames
+        return frames
+
+    def arm(self, mode: Mode = Mode.POSITION) -> None:
+        self.send(Hello(ME, 0.010))
+        self.run(10_000)
+        self.send(Arm(ME, int(mode), 0.006, 0.006))
+
+    def walk(self, steps: int, angles: np.ndarray | None = None) -> list[Packet]:
+        """Send commands, by default of one pose; what came."""
+        before = len(self.frames)
+        for _ in range(steps):
+            self.send(Position(ME, self.angles if angles is None else angles))
+            self.run(STEP)
+        return self.frames[before:]
+
+    @property
+    def states(self) -> list[Packet]:
+        return [frame for frame in self.frames if isinstance(frame.message, State)]
+
+    @property
+    def faults(self) -> list[Packet]:
+        return [frame for frame in self.frames if isinstance(frame.message, Fault)]
+
+    @property
+    def reasons(self) -> list[Reason]:
+        return [Reason(frame.message.reason) for frame in self.faults]
+
+    @property
+    def mode(self) -> tuple[Mode, Reason]:
+        return self.board.firmware.mode, self.board.firmware.reason
+
+
+@pytest.fixture(params=["Python", pytest.param("C", marks=needs_gcc)])
+def rig(robot: RobotDescription, request: pytest.FixtureRequest) -> Callable[..., Rig]:
+    def make(*words: str, **more: bool) -> Rig:
+        return Rig(robot, request.param, *words, **more)
+
+    return make
+
+
+@pytest.fixture
+def rigs() -> Callable[..., list[Rig]]:
+    """Give two boards of a robot that differ in the program alone."""
+    return lambda robot, *words, **more: [Rig(robot, program, *words, **more) for program in ("Python", "C")]

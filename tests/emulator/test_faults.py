@@ -12,83 +12,12 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.board.limits import Limits, make_handshake
-from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Packet, Position, Reason, State
-from surefoot.emulator.board import Board
+from surefoot.deploy.messages import Handshake, Hello, Mode, Reason
+from surefoot.emulator.board import BOOT_TIME
 from surefoot.emulator.faults import FAULTS, describe, parse_faults
-from surefoot.emulator.hardware import PowerConfig, SensorConfig
-from surefoot.emulator.plant import Plant
-from surefoot.emulator.serial.serial_host_link import SerialHostLink
 from surefoot.errors import SurefootError
 
 ME = 7
-STEP = 6000
-
-
-class Hosts:
-    """No host at all."""
-
-    unread = 0
-
-
-class Rig:
-    """A board, and an operator whose bytes take no time."""
-
-    def __init__(self, robot, encoder, *words: str, rack: bool = True) -> None:
-        plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), rack=rack)
-        limits, faults = Limits.from_robot(robot), parse_faults(words)
-        self.robot, self.wire = robot, encoder
-        self.line = SerialHostLink(Hosts(), 8, faults, seed=1)
-        self.board = Board(plant, make_handshake(robot, limits, "test 1", 0.001), self.line, limits, faults)
-        self.frames: list[Packet] = []
-        self.angles = robot.pose_angles(0.0, 1.5)
-
-    def send(self, message) -> None:
-        self.line.inbound.send(self.board.now, self.wire.frame(message, self.board.now / 1e6))
-        self.run(0)
-
-    def run(self, microseconds: int) -> list[Packet]:
-        self.board.run_to(self.board.now + microseconds)
-        faults = self.wire.decoder.feed(self.line.take(self.board.now))
-        self.frames += faults
-        return faults
-
-    def arm(self) -> None:
-        self.send(Hello(ME, 0.010))
-        self.run(10_000)
-        self.send(Arm(ME, int(Mode.POSITION), 0.006, 0.006))
-
-    def walk(self, steps: int, angles=None) -> list[Packet]:
-        """Send commands, by default of one pose; what came."""
-        before = len(self.frames)
-        for _ in range(steps):
-            self.send(Position(ME, self.angles if angles is None else angles))
-            self.run(STEP)
-        return self.frames[before:]
-
-    @property
-    def states(self) -> list[Packet]:
-        return [frame for frame in self.frames if isinstance(frame.message, State)]
-
-    @property
-    def faults(self) -> list[Packet]:
-        return [frame for frame in self.frames if isinstance(frame.message, Fault)]
-
-    @property
-    def reasons(self) -> list[Reason]:
-        return [Reason(frame.message.reason) for frame in self.faults]
-
-    @property
-    def mode(self) -> tuple[Mode, Reason]:
-        return self.board.firmware.mode, self.board.firmware.reason
-
-
-@pytest.fixture
-def rig(robot, wire_bytes):
-    def make(*words: str, **more) -> Rig:
-        return Rig(robot, wire_bytes, *words, **more)
-
-    return make
 
 
 def test_faults_are_parsed_from_words():
@@ -184,12 +113,20 @@ def test_a_reboot_forgets_the_operator(rig):
     assert isinstance(bench.frames[-1].message, Handshake)
 
 
-def test_a_hang_makes_commands_stale(rig):
+def test_a_hang_makes_commands_stale_or_ends_with_a_restart(rig):
     bench = rig("hang=0.2@0.1")
     bench.arm()
     bench.walk(16)
-    assert bench.walk(30)[2:] == []
+    armed_at = bench.board.injector.armed_at
+    sent = bench.walk(30)[2:]
     bench.walk(10)
+    if bench.board.reboots:
+        # The firmware in C has a watchdog: the motors are damped after 20 ms, and its operator is forgotten.
+        assert bench.mode == (Mode.DISARMED, Reason.NONE)
+        assert set(bench.reasons) == {Reason.SESSION}
+        assert bench.board._booted - BOOT_TIME - armed_at - 100_000 == pytest.approx(21_000, abs=1000)
+        return
+    assert sent == []
     # Then all that has come meanwhile is heard at once: the oldest of it is too old.
     assert bench.board.firmware.mode == Mode.FAULT
     assert bench.board.firmware.reason in (Reason.STALE, Reason.TIMEOUT)

@@ -53,6 +53,14 @@ def test_motion_and_readings_are_those_of_a_simulation_to_the_last_bit(robot):
         np.testing.assert_array_equal(plant.capture().position, world.truth().base_position_world[0])
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_tilt_or_a_temperature_that_is_no_number_is_seen(robot, axis):
+    plant = ideal(robot)
+    plant.params.imu_bias[0, axis] = np.nan
+    plant.temperature[axis] = np.nan
+    assert np.isnan([plant.vitals().tilt, plant.vitals().temperature]).all()
+
+
 def test_it_sits_when_switched_on_and_lies_down_damped(robot):
     plant = ideal(robot)
     swing, extension = robot.to_pose(plant.vitals().motor_angle)

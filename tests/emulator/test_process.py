@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from compiled_firmware import compiled, needs_gcc
 
 pytest.importorskip("mujoco")
 
@@ -181,8 +182,14 @@ def armed_in_lockstep(process):
     return host
 
 
-def test_in_lockstep_a_host_that_is_gone_loses_the_robot(emulate_here):
-    process = emulate_here("--lockstep")
+@pytest.fixture(params=["Python", pytest.param("C", marks=needs_gcc)])
+def program(request, robot) -> list[str]:
+    """Options of the emulator for a program of the microcontroller."""
+    return ["--firmware", str(compiled(robot))] if request.param == "C" else []
+
+
+def test_in_lockstep_a_host_that_is_gone_loses_the_robot(emulate_here, program):
+    process = emulate_here("--lockstep", *program)
     first = armed_in_lockstep(process)
     process.hosts.remove(first)
     first.send(Ping(9), 0.030)  # its last words are heard
@@ -199,8 +206,8 @@ def test_in_lockstep_a_host_that_is_gone_loses_the_robot(emulate_here):
     assert (state.session, state.mode, state.reason) == (OTHER, Mode.DISARMED, Reason.TIMEOUT)
 
 
-def test_in_lockstep_a_host_that_is_slow_keeps_the_robot(emulate_here):
-    process = emulate_here("--lockstep")
+def test_in_lockstep_a_host_that_is_slow_keeps_the_robot(emulate_here, program):
+    process = emulate_here("--lockstep", *program)
     first = armed_in_lockstep(process)
     second = process.host()
     for at in (50.0, 50.1, 60.0):

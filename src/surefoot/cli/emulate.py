@@ -20,11 +20,12 @@ from surefoot.robot.params_file import load_params, write_params
 if TYPE_CHECKING:
     from surefoot.cli.helpers.viewer import EmulateViewer
     from surefoot.deploy.dds.bus import Bus
+    from surefoot.emulator.board import EmulatedBoard
     from surefoot.emulator.faults import InjectedFault
     from surefoot.emulator.plant import Plant
     from surefoot.emulator.real_time import RealTime, Summary
     from surefoot.emulator.serial.lockstep import Lockstep
-    from surefoot.emulator.serial.serial_host_link import HostPort
+    from surefoot.emulator.serial.serial_host_link import HostPort, SerialHostLink
 
 STRIDE = 3
 """Servo steps that physics may advance at once in real time; one by one they cost half as much again in Bullet."""
@@ -82,6 +83,9 @@ class EmulateCommand:
     parameters that --hidden-seed draws (.toml), for checking later."""
     duration: Annotated[float, Within(0, 1e7, above=True)] | None = None
     """End after so much robot time [s]."""
+    firmware: Path | None = None
+    """Program of a firmware in C, which `make host` compiles in a folder of `surefoot firmware new`; the robot's
+    microcontroller runs it instead of surefoot's own program."""
     viewer: bool = False
     """Show the robot in a window."""
 
@@ -123,13 +127,17 @@ def _check(command: EmulateCommand) -> None:
     if command.link == "dds":
         if not command.interface:
             raise SurefootError("link dds needs the network interface of the topics; give --interface, such as lo")
-        for option in ("lockstep", "symlink", "socket"):
+        for option in ("lockstep", "symlink", "socket", "firmware"):
             if getattr(command, option):
                 raise SurefootError(f"{option} is about the serial link; it does not go with --link dds")
     elif command.interface or command.domain or command.motion_service != "released":
         raise SurefootError("interface, domain and motion_service are those of a link over DDS; give --link dds too")
     elif command.symlink is not None and command.socket is not None:
         raise SurefootError("symlink and socket are given; a symbolic link leads to a pseudo-terminal")
+    if command.firmware is not None and any(
+        word.startswith(("servo_kp", "servo_kd")) for group in command.settings for word in group
+    ):
+        raise SurefootError("set names a gain of the servo; a firmware has its own, in its robot.h")
     if command.baud and command.baud < 9600:
         raise SurefootError(f"baud is {command.baud:g}; it must be 9600 or more, or 0")
     files = command.files
@@ -188,26 +196,39 @@ def make_loop(
     command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], port: HostPort, summary: Summary
 ) -> RealTime | Lockstep:
     """Return the loop that runs the robot behind a pseudo-terminal or a socket, warmed up."""
-    from surefoot import __version__
-    from surefoot.deploy.board.limits import Limits, make_handshake
     from surefoot.deploy.serial.serial_link import LEAD
-    from surefoot.emulator.board import Board
     from surefoot.emulator.real_time import RealTime
     from surefoot.emulator.serial.lockstep import PATIENCE, Lockstep
     from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
     plant = make_plant(command, robot, servo_every=_servo_every(robot, faults.get("slow-servo")))
+    if command.lockstep:
+        link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=PATIENCE)
+        return Lockstep(_make_board(command, plant, link, faults), link, port, summary)
+    link = SerialHostLink(port, robot.num_motors, faults, command.baud, command.seed, lead=LEAD)
+    return RealTime(_make_board(command, plant, link, faults), summary, _load(faults))
+
+
+def _make_board(
+    command: EmulateCommand, plant: Plant, link: SerialHostLink, faults: dict[str, InjectedFault]
+) -> EmulatedBoard:
+    """Return the robot with its program: a firmware in C, or surefoot's own."""
+    from surefoot import __version__
+    from surefoot.deploy.board.limits import Limits, make_handshake
+    from surefoot.emulator.board import Board
+
+    robot = plant.robot
+    if command.firmware is not None:
+        from surefoot.emulator.firmware_board import FirmwareBoard
+
+        return FirmwareBoard(plant, command.firmware, link, faults)
     limits = Limits.from_robot(robot)
     handshake = make_handshake(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     # Gains that are set are the firmware's own, such as those that a policy was trained with.
     given = parse_settings([word for group in command.settings for word in group])
     gains = {name: getattr(plant.params, name)[0] for name in ("servo_kp", "servo_kd") if name in given}
     handshake = replace(handshake, **gains)
-    if command.lockstep:
-        link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=PATIENCE)
-        return Lockstep(Board(plant, handshake, link, limits, faults), link, port, summary)
-    link = SerialHostLink(port, robot.num_motors, faults, command.baud, command.seed, lead=LEAD)
-    return RealTime(Board(plant, handshake, link, limits, faults, STRIDE), summary, _load(faults))
+    return Board(plant, handshake, link, limits, faults, 1 if command.lockstep else STRIDE)
 
 
 def make_dds_loop(

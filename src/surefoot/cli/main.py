@@ -29,6 +29,7 @@ COMMANDS = {
     "trace": ("surefoot.cli.trace", "make traces of logs that others recorded"),
     "replay": ("surefoot.cli.replay", "replay a recorded run in simulation, and compare"),
     "emulate": ("surefoot.cli.emulate", "emulate a robot: microcontroller and physics behind a pseudo-terminal"),
+    "firmware": ("surefoot.cli.firmware", "write the firmware of a robot's microcontroller, in C"),
     "doctor": ("surefoot.cli.doctor", "check a policy, a link and a robot before it runs"),
     "deploy": ("surefoot.cli.deploy", "run a policy on a robot, or on an emulated one"),
     "paper": ("surefoot.cli.paper", "write one page: the paper and surefoot's results side by side"),

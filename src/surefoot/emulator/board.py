@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.limits import Limits
 from surefoot.deploy.board.signals import MotorOrder, Sensors, microseconds
-from surefoot.deploy.messages import Handshake, Mode
+from surefoot.deploy.messages import Handshake, Mode, Packet, Reason
+from surefoot.deploy.robot_link import LinkStatistics
 from surefoot.emulator.capture_writer import PERIOD
 from surefoot.emulator.faults import FaultInjector, InjectedFault
 from surefoot.emulator.host_link import HostLink
@@ -19,8 +22,32 @@ BOOT_TIME = 200_000
 """Time [us] that a microcontroller takes to start."""
 
 
-class Board:
-    """The whole emulated robot. Times are whole microseconds since it was switched on.
+class BoardProgram(Protocol):
+    """What an emulated microcontroller needs of its program. Times are whole microseconds."""
+
+    mode: Mode
+    reason: Reason
+    owner: int
+    """Session of the operator; 0: none."""
+    next_state: float
+    """When the next state is due."""
+
+    @property
+    def armed(self) -> bool:
+        """Whether motors follow commands."""
+
+    def is_taken(self, now: int) -> bool:
+        """Return whether the robot has an operator that may keep it."""
+
+    def take(self) -> list[Packet]:
+        """Return and forget the packets to send, oldest first."""
+
+    def report(self, now: int, read: Callable[[], Sensors]) -> None:
+        """Send a state if one is due, with the readings of `read`."""
+
+
+class EmulatedBoard(ABC):
+    """The whole emulated robot, whatever program it runs. Times are whole microseconds since it was switched on.
 
     At one moment, the physics advances first, then a state that is due is sent, then what arrives is received. A
     command that arrives at a servo step acts from that step on.
@@ -29,20 +56,15 @@ class Board:
     tilt, battery and heat only between them. With faults, `stride` is 1.
     """
 
+    firmware: BoardProgram
+
     def __init__(
-        self,
-        plant: Plant,
-        handshake: Handshake,
-        link: HostLink,
-        limits: Limits,
-        faults: dict[str, InjectedFault] | None = None,
-        stride: int = 1,
+        self, plant: Plant, link: HostLink, faults: dict[str, InjectedFault] | None = None, stride: int = 1
     ) -> None:
         faults = faults or {}
         self.stride = stride if not faults and plant.servo_every == 1 else 1
-        self.plant, self.limits, self.link = plant, limits, link
+        self.plant, self.link = plant, link
         self.injector = FaultInjector(faults, plant)
-        self._handshake = self.injector.change_handshake(handshake)
         if "late-states" in faults:
             plant.extra_latency = faults["late-states"].value
         link.chances = self.injector.chances
@@ -50,18 +72,32 @@ class Board:
         self.on_step: list[Callable[[int], None]] = []
         """Called with the time [us] after servo steps: after all, or at least after each that motion capture sees."""
         self._step = microseconds(plant.robot.timing.servo_step)
-        self.firmware = Firmware(self._handshake, limits)
+        self._start()
         self._booted = 0
         self._order: MotorOrder | None = None
         self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(plant.robot.num_motors))
 
+    @abstractmethod
+    def _start(self) -> None:
+        """Set `firmware` to a program that has just been started."""
+
+    @abstractmethod
+    def _receive(self) -> None:
+        """Hand the program what arrives next."""
+
+    @abstractmethod
+    def _compute_order(self, now: int) -> MotorOrder:
+        """Return what the motors do in the servo step that begins."""
+
+    @abstractmethod
     def counts(self) -> list[str]:
         """Return what happened on its link, for the line at the end."""
-        statistics, firmware = self.link.statistics, self.firmware
+
+    def _describe(self, seen: LinkStatistics, repeated: int, stale: int) -> list[str]:
         return [
-            f"frames received {statistics.received}, damaged {statistics.damaged}, foreign {statistics.foreign}",
-            f"repeated {firmware.watch.old_numbers}, stale {firmware.stale}, not read {statistics.unsent}",
-            f"mode {firmware.mode.name}, reason {firmware.reason.name}",
+            f"frames received {seen.received}, damaged {seen.damaged}, foreign {seen.foreign}",
+            f"repeated {repeated}, stale {stale}, not read {self.link.statistics.unsent}",
+            f"mode {self.firmware.mode.name}, reason {self.firmware.reason.name}",
         ]
 
     @property
@@ -92,7 +128,7 @@ class Board:
                 if at == due:
                     self.firmware.report(self.now, self._read)
                 else:
-                    self.link.receive(self.now, self.firmware)
+                    self._receive()
             self._send()
         self.now = max(self.now, time)
 
@@ -118,7 +154,7 @@ class Board:
     def _decide(self) -> MotorOrder:
         now = self.plant.ticks * self._step
         if now >= self._standing_until():
-            self._last = self.injector.order(self.firmware.tick(now, self.plant.vitals()))
+            self._last = self._compute_order(now)
         return self._last
 
     def _physics(self, count: int) -> None:
@@ -133,11 +169,15 @@ class Board:
         if self.injector.began("unplug"):
             self.link.cut_off()
         if not self.reboots and self.injector.began("reboot"):
-            self.firmware, self._last = Firmware(self._handshake, self.limits), self._damped
-            self.link.restart()
-            self.reboots, self._booted = 1, end + BOOT_TIME
+            self._reboot(end)
         for observe in self.on_step:
             observe(end)
+
+    def _reboot(self, now: int) -> None:
+        self._start()
+        self._last = self._damped
+        self.link.restart()
+        self.reboots, self._booted = self.reboots + 1, now + BOOT_TIME
 
     def _read(self) -> Sensors:
         since = (self.now - self.plant.ticks * self._step) / 1e6
@@ -147,3 +187,34 @@ class Board:
     def _send(self) -> None:
         for packet in map(self.injector.packet, self.firmware.take()):
             self.link.send(self.now, packet)
+
+
+class Board(EmulatedBoard):
+    """The emulated robot with the program that ships, `deploy/board`, and the servos of its body."""
+
+    firmware: Firmware
+
+    def __init__(
+        self,
+        plant: Plant,
+        handshake: Handshake,
+        link: HostLink,
+        limits: Limits,
+        faults: dict[str, InjectedFault] | None = None,
+        stride: int = 1,
+    ) -> None:
+        self._handshake, self.limits = handshake, limits
+        super().__init__(plant, link, faults, stride)
+
+    def counts(self) -> list[str]:
+        """Return what happened on its link, for the line at the end."""
+        return self._describe(self.link.statistics, self.firmware.watch.old_numbers, self.firmware.stale)
+
+    def _start(self) -> None:
+        self.firmware = Firmware(self._handshake, self.limits)
+
+    def _receive(self) -> None:
+        self.link.receive(self.now, self.firmware)
+
+    def _compute_order(self, now: int) -> MotorOrder:
+        return self.injector.order(self.firmware.tick(now, self.plant.vitals()))

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.board.signals import MotorOrder, Sensors
 from surefoot.deploy.messages import Handshake, Mode, Packet, State
 from surefoot.errors import SurefootError, suggest
@@ -269,6 +271,32 @@ class FaultInjector:
             values[motor] = 2 * middle - values[motor]
         return replace(order, values=values)
 
+    def _wiring(self) -> tuple[NDArray[np.int64], Array]:
+        """Return, for each motor, the servo that it is wired to, and -1 where it turns the wrong way (M,)."""
+        servo, sign = np.arange(len(self.rest)), np.ones(len(self.rest))
+        if fault := self.active("swap-motors"):
+            motor = int(fault.value)
+            servo[[motor, motor + 1]] = motor + 1, motor
+        if fault := self.active("flip-sign"):
+            sign[int(fault.value)] = -1.0
+        return servo, sign
+
+    def servo_readings(self, seen: Sensors) -> Sensors:
+        """Return what a microcontroller's own servos read, wired to the wrong motors or the wrong way round."""
+        if not self.faults:
+            return seen
+        servo, sign = self._wiring()
+        angle = self.rest + sign * (seen.motor_angle - self.rest)
+        velocity, torque = sign * seen.motor_velocity, sign * seen.motor_torque
+        return replace(seen, motor_angle=angle[servo], motor_velocity=velocity[servo], motor_torque=torque[servo])
+
+    def efforts(self, effort: Array) -> Array:
+        """Return what motors get (M,), of a microcontroller's own servos."""
+        if not self.faults:
+            return effort
+        servo, sign = self._wiring()
+        return np.asarray(sign * effort[servo])
+
     def sensors(self, seen: Sensors) -> Sensors:
         """Return the readings with the faults of the sensors."""
         if fault := self.active("flip-encoder"):
@@ -285,7 +313,9 @@ class FaultInjector:
 
     def packet(self, packet: Packet) -> Packet:
         """Return what is sent instead of a packet."""
-        if isinstance(packet.message, State):
+        if isinstance(packet.message, Handshake):
+            packet = replace(packet, message=self.change_handshake(packet.message))
+        elif isinstance(packet.message, State):
             if self.began("stale-state"):
                 self._old = self._old or packet
                 packet = replace(packet, message=self._old.message, time=self._old.time)

@@ -184,12 +184,35 @@ class Plant:
         now, motors = self.world.actuation.sample[0], self.robot.num_motors
         tilt, rate = now[-6:-3].copy(), now[-3:].copy()
         read_imu(tilt[None], rate[None], self._seconds, self.params)
-        roll, pitch = tilt[:2].tolist()
         return Vitals(
             motor_angle=now[:motors],
-            tilt=max(abs(roll), abs(pitch)),
+            # Of numpy's, since Python's greatest may leave a NaN out.
+            tilt=float(np.abs(tilt[:2]).max()),
             voltage=self.voltage,
-            temperature=max(self.temperature.tolist()),
+            temperature=float(self.temperature.max()),
+        )
+
+    def servo_readings(self) -> Sensors:
+        """Return what a microcontroller reads that computes the servos itself: motors as old as the servo latency."""
+        actuation, motors = self.world.actuation, self.robot.num_motors
+        seen = self._look(0.0, float(self.params.servo_latency[0])).copy()
+        now, speed = actuation.sample[0].copy(), seen[motors : 2 * motors]
+        tilt, rate = now[-6:-3], now[-3:]
+        read_imu(tilt[None], rate[None], self._seconds, self.params)
+        if actuation.joint[0]:
+            # Joint actuators filter the speed; this is the value at the end of the step's filter.
+            step = self.robot.timing.servo_step
+            follow = step / (float(actuation.speed_filter[0]) + step)
+            speed = actuation.filtered_speed[0] + follow * (speed - actuation.filtered_speed[0])
+        return Sensors(
+            motor_angle=seen[:motors],
+            motor_velocity=speed,
+            motor_torque=actuation.motor_torque[0].copy(),
+            roll_pitch_yaw=tilt,
+            angular_velocity_base=rate,
+            energy=self.energy,
+            voltage=self.voltage,
+            temperature=self.temperature,
         )
 
     def read(self, since_step: float, lead: float) -> Sensors:

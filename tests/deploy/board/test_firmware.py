@@ -1,12 +1,16 @@
-"""The microcontroller's program: every rule of the protocol, on a clock of the test, whatever carries the messages."""
+"""The microcontroller's program, in Python and in C: every rule of the protocol, on a clock of the test."""
 
 from __future__ import annotations
 
+import random
+import zlib
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from cobs import cobs
+from compiled_firmware import compiled, needs_gcc, needs_qemu
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -15,13 +19,15 @@ from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.deploy.board.signals import MotorOrder, Sensors, Vitals
 from surefoot.deploy.messages import Fault, Handshake, Hello, Message, Mode, Packet, Ping, Pong, Position, Reason, State
-from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import Decoder, encode_frame
+from surefoot.deploy.serial.codec import HEADER, NUMBERS, VERSION, Codec
+from surefoot.deploy.serial.frames import CRC_BYTES, Decoder, encode_frame
+from surefoot.emulator.firmware_process import FirmwareProcess
 from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
 MS = 1000
 ME, OTHER = 7, 8
 TARGET = np.full(8, 1.5)
+CODEC = Codec(8)
 
 
 class NoHosts:
@@ -30,15 +36,41 @@ class NoHosts:
     unread = 0
 
 
+class CompiledFirmware(FirmwareProcess):
+    """The program in C, with those attributes of the one in Python that the tests use."""
+
+    def __init__(self, robot: Any, handshake: Handshake, limits: Limits, *target: str) -> None:
+        super().__init__(compiled(robot, limits, handshake, *target), robot.name, robot.num_motors)
+        self.handshake = handshake
+
+    def tick(self, now: int, vitals: Vitals) -> MotorOrder:  # type: ignore[override]
+        zeros, attitude = np.zeros(8), np.array([0.0, vitals.tilt, 0.0])
+        temperature = np.array([25.0, vitals.temperature, *[25.0] * 6])
+        seen = Sensors(vitals.motor_angle, zeros, zeros, attitude, zeros[:3], 0.0, vitals.voltage, temperature)
+        super().tick(now, seen, vitals.hazard, vitals.sit)
+        return MotorOrder(self.mode, self.order) if self.armed else MotorOrder(Mode.DISARMED, zeros)
+
+    @property
+    def watch(self) -> CompiledFirmware:
+        return self
+
+
 class Bench:
     """A microcontroller whose sensors the test sets, with a servo step every millisecond.
 
-    Messages of a host reach the program as they are (`where` is "messages"), or as bytes over a "serial line".
+    Messages of a host reach the program as they are (`where` is "messages"), as bytes over a "serial line", or as
+    bytes the program in "C", on this computer or on an STM32F405 in "QEMU".
     """
 
-    def __init__(self, robot: Any, where: str) -> None:
-        limits = Limits.from_robot(robot)
-        self.firmware = Firmware(make_handshake(robot, limits, "test 1", 0.001), limits)
+    def __init__(self, robot: Any, where: str, **changes: Any) -> None:
+        limits = replace(Limits.from_robot(robot), **changes)
+        handshake = make_handshake(robot, limits, "test 1", 0.001)
+        self.where, self.in_c = where, where in ("C", "QEMU")
+        if self.in_c:
+            target = ("board-qemu",) if where == "QEMU" else ()
+            self.firmware: Any = CompiledFirmware(robot, handshake, limits, *target)
+        else:
+            self.firmware = Firmware(handshake, limits)
         self.line = SerialHostLink(NoHosts(), 8) if where == "serial line" else None
         self.host = Decoder(Codec(8))
         self.now = self.number = 0
@@ -73,7 +105,7 @@ class Bench:
         sent = self.now / 1e6 + 100.0 if sent is None else sent
         if number is None:
             self.number = number = self.number + 1
-        if self.line is None:
+        if self.where == "messages":
             self.firmware.receive(self.now, Packet(message, number, sent))
         else:
             self.put(encode_frame(self.host.codec, message, number, sent))
@@ -82,7 +114,7 @@ class Bench:
     def put(self, data: bytes) -> None:
         """Put bytes on the line to the robot."""
         if self.line is None:
-            self.firmware.watch.note_damage()
+            self.firmware.receive(self.now, data) if self.in_c else self.firmware.watch.note_damage()
             return
         self.line.inbound.send(self.now, data)
         while self.line.next_arrival <= self.now:
@@ -102,7 +134,8 @@ class Bench:
         return self.firmware.mode, self.firmware.reason
 
 
-WHERE = ("messages", "serial line")
+IN_C = pytest.param("C", marks=needs_gcc)
+WHERE = ("messages", "serial line", IN_C)
 
 
 @pytest.fixture(params=WHERE)
@@ -146,10 +179,13 @@ def test_a_hello_is_answered_by_the_handshake_and_frames_are_counted_from_one(be
     assert [frame.sequence for frame in bench.sent] == list(range(1, len(bench.sent) + 1))
 
 
-@pytest.mark.parametrize("room", [1.0, 1.01, 1.02, 1.03])
-def test_a_command_at_the_limits_of_the_handshake_is_obeyed(robot, monkeypatch, room):
+@pytest.mark.parametrize(
+    ("where", "room"),
+    [*(("serial line", room) for room in (1.0, 1.01, 1.02, 1.03)), pytest.param("C", 1.01, marks=needs_gcc)],
+)
+def test_a_command_at_the_limits_of_the_handshake_is_obeyed(robot, monkeypatch, where, room):
     monkeypatch.setattr("surefoot.robot.description.ANGLE_ROOM", room)
-    bench = Bench(robot, "serial line")
+    bench = Bench(robot, where)
     (sent,) = bench.send(Hello(ME, 0.010))
     bench.arm()
     for angles in (sent.angle_low, sent.angle_high):
@@ -198,7 +234,7 @@ def test_armed_motors_hold_their_angles_or_have_no_duty_until_a_command(owned):
     assert owned.order.mode == Mode.POSITION
     owned.vitals = replace(owned.vitals, motor_angle=np.zeros(8))
     owned.run(3)
-    np.testing.assert_array_equal(owned.order.values, np.linspace(1, 2, 8))
+    np.testing.assert_allclose(owned.order.values, np.linspace(1, 2, 8), rtol=1e-7)
     owned.send(Position(ME, TARGET))
     owned.run(1)
     np.testing.assert_array_equal(owned.order.values, TARGET)
@@ -282,7 +318,7 @@ def test_a_fault_stays_until_armed_after_500_ms_of_clean_link(armed):
     armed.run(60)
     assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
     assert fault_of(armed.arm()) == (ME, Reason.NOT_CLEAN)
-    armed.run(400)  # silence is not clean
+    armed.run(1000)  # silence is not clean; a refusal a second ago counts no more among the ten that are answered
     for step in range(11):
         answers = armed.arm()
         if step < 10:
@@ -412,6 +448,8 @@ def test_the_quickest_frame_of_ten_seconds_is_the_measure_of_age(armed):
         ({"tilt": np.nan}, 1, Reason.TILT),
         ({"temperature": 90.1}, 1, Reason.TEMPERATURE),
         ({"voltage": 12.4}, 501, Reason.BATTERY),
+        ({"voltage": np.nan}, 501, Reason.BATTERY),
+        ({"temperature": np.nan}, 1, Reason.TEMPERATURE),
     ],
 )
 def test_the_robot_damps_itself(armed, change, milliseconds, reason):
@@ -481,14 +519,35 @@ def test_refusals_are_sent_ten_times_a_second(bench):
     assert sum(refusals) == 20
 
 
-def test_another_schema_is_refused_ten_times_a_second_and_changes_nothing(robot):
-    bench, other = Bench(robot, "serial line"), Codec(8)
+def test_a_second_operator_is_answered_ten_times_a_second(owned):
+    answers = [owned.send(Hello(OTHER, 0.01), number=900) for _ in range(30)]
+    assert [fault_of(answer) for answer in answers[:10]] == [(OTHER, Reason.BUSY)] * 10
+    assert answers[10:] == [[]] * 20
+
+
+@pytest.mark.parametrize("bench", ["serial line", IN_C], indirect=True)
+def test_a_text_that_is_not_utf8_is_no_unknown_frame_at_the_robot(armed):
+    body = armed.host.codec.pack(Fault(ME, 1, "x" * 80)).replace(b"x" * 80, b"\xff" * 80)
+    armed.put(raw_frame(armed.host.codec, Fault, body, 10**6))
+    seen = armed.line.statistics if armed.line else armed.firmware.statistics
+    assert (seen.received, seen.damaged, seen.unknown) == (3, 0, 0)
+
+
+@pytest.mark.parametrize("where", ["serial line", IN_C])
+def test_another_schema_is_refused_ten_times_a_second_and_changes_nothing(robot, where):
+    bench, other = Bench(robot, where), Codec(8)
     other.schema ^= 1
     for number in range(1, 31):
         bench.put(encode_frame(other, Hello(ME, 0.01), number, 0.0))
         bench.run(1)
     assert [(p.message.session, p.message.reason) for p in bench.sent] == [(0, Reason.SCHEMA)] * 10
     assert bench.firmware.owner == 0
+
+
+def raw_frame(codec: Codec, kind: type[Message], payload: bytes, number: int) -> bytes:
+    """Return a whole frame with a payload of any bytes."""
+    body = HEADER.pack(VERSION, NUMBERS[kind], codec.schema, number, 200_000_000) + payload
+    return b"\0" + cobs.encode(body + zlib.crc32(body).to_bytes(CRC_BYTES, "little")) + b"\0"
 
 
 numbers = st.floats(width=32)
@@ -534,13 +593,70 @@ def test_no_message_crashes_the_firmware_or_exceeds_its_limits(robot, where, tal
             assert (np.abs(bench.order.values) <= 1).all()
 
 
+def random_message(rng: random.Random) -> Message | bytes:
+    """Return what a host may send, mostly in good order."""
+    session = rng.choices([ME, OTHER, 0], [40, 2, 1])[0]
+    number = rng.choices([1.5, rng.uniform(-2, 6), rng.choice([np.nan, np.inf, 4.7, -1.4, 900.0])], [60, 1, 1])[0]
+    values = np.where(np.arange(8) == rng.randrange(8), number, 0.9).astype(np.float32)
+    period = rng.choices([0.006, 0.05, rng.uniform(0.0, 0.1), 4000.0], [30, 3, 1, 1])[0]
+    kinds = {
+        Hello(session, rng.choice([0.0, 0.01, 0.02, 4000.0])): 2,
+        Ping(rng.randrange(2**32)): 6,
+        Pong(3): 1,
+        messages.Arm(session, rng.choice([1] * 8 + [2, 2, 9]), period, rng.choice([0.0, 0.003, period])): 6,
+        messages.Damp(session): 1,
+        messages.Disarm(session): 1,
+        messages.Bye(session): 1,
+        Fault(session, 3, "text"): 1,
+    }
+    commands = [Position(session, values), messages.Pwm(session, values / 5.0), rng.randbytes(rng.randrange(60))]
+    return rng.choices([*kinds, *commands], [*kinds.values(), 60, 5, 1])[0]
+
+
+@pytest.mark.parametrize("where", [IN_C, pytest.param("QEMU", marks=needs_qemu)])
+def test_both_programs_say_the_same(robot, where):
+    rng, benches = random.Random(0), [Bench(robot, "serial line"), Bench(robot, where)]
+    one, other = benches
+    good = (0.0, 16.0, 25.0)
+    script: list[Any] = []
+    for _ in range(15):  # rounds that begin with an armed robot, mostly
+        script += [(b"", 1100, good), (Hello(ME, 0.01), 50, good)] + [(Ping(1), 50, good)] * 11
+        script.append((messages.Arm(ME, rng.choice([1, 1, 2]), 0.006, 0.003), 1, good))
+        for _ in range(30):
+            pause = rng.choices([0, 6, rng.randrange(60), 600], [5, 80, 3, 1])[0]
+            bad = (1.01, 16.0, 25.0), (0.0, 12.0, 25.0), (0.0, 16.0, 90.6)
+            script.append((random_message(rng), pause, rng.choices([good, *bad], [90, 1, 1, 1])[0]))
+    for sent, pause, (tilt, voltage, temperature) in script:
+        number, late = rng.choices([None, 1], [20, 1])[0], rng.choices([0.0, 0.015, 0.03], [20, 1, 1])[0]
+        for bench in benches:
+            bench.vitals = replace(bench.vitals, tilt=tilt, voltage=voltage, temperature=temperature)
+            if isinstance(sent, bytes):
+                bench.put(b"\0" + sent + b"\0")
+            else:
+                bench.send(sent, sent=bench.now / 1e6 + 100.0 - late, number=number)
+            bench.run(pause)
+        assert one.mode == other.mode
+        assert one.firmware.next_state == other.firmware.next_state
+        assert one.firmware.is_taken(one.now) == other.firmware.is_taken(one.now)
+        assert len(one.sent) == len(other.sent)
+        if one.order is not None:
+            np.testing.assert_array_equal(one.order.values.astype(np.float32), other.order.values)
+    for mine, its in zip(one.sent, other.sent, strict=True):
+        assert (mine.sequence, mine.time) == (its.sequence, its.time)
+        assert CODEC.pack(mine.message) == CODEC.pack(its.message), (mine, its)
+    faults = {packet.message.reason for packet in one.sent if isinstance(packet.message, Fault)}
+    assert len(faults) >= 9
+
+
 def test_what_else_a_body_sees_damps_and_keeps_from_arming(armed):
     hazard = Reason.MOTOR_OFF, "a motor is off"
     armed.vitals = replace(armed.vitals, hazard=hazard)
     (fault,) = [packet.message for packet in armed.run(1) if isinstance(packet.message, Fault)]
     assert (fault.reason, fault.text) == hazard
     assert armed.mode == (Mode.FAULT, Reason.MOTOR_OFF)
-    armed.firmware.reason = Reason.NONE
+    for _ in range(11):
+        armed.send(Ping(1))
+        armed.run(50)
     assert fault_of(armed.arm()) == (ME, Reason.MOTOR_OFF)
 
 
@@ -554,18 +670,23 @@ def test_a_request_to_sit_is_sent_once_and_leaves_the_motors_armed(armed):
     np.testing.assert_array_equal(armed.order.values, TARGET)
 
 
-def test_a_robot_without_duties_does_not_arm_for_them(owned):
-    owned.firmware.limits = replace(owned.firmware.limits, duty=0.0)
-    assert fault_of(owned.arm(Mode.PWM)) == (ME, Reason.MODE)
-    assert owned.arm() == []
+@pytest.mark.parametrize("where", ["messages", IN_C])
+def test_a_robot_without_duties_does_not_arm_for_them(robot, where):
+    bench = Bench(robot, where, duty=0.0)
+    bench.send(Hello(ME, 0.010))
+    assert fault_of(bench.arm(Mode.PWM)) == (ME, Reason.MODE)
+    assert bench.arm() == []
 
 
+@pytest.mark.parametrize("where", ["messages", IN_C])
 @pytest.mark.parametrize(("angle", "mode"), [(0.04, Mode.POSITION), (0.06, Mode.FAULT)])
-def test_the_first_command_may_not_jump(owned, angle, mode):
-    owned.firmware.limits = replace(owned.firmware.limits, first_torque=0.05)  # a gain of 1
-    owned.arm()
-    owned.send(Position(ME, owned.vitals.motor_angle + angle))
-    assert owned.firmware.mode == mode
+def test_the_first_command_may_not_jump(robot, where, angle, mode):
+    bench = Bench(robot, where, first_torque=0.05)  # a gain of 1
+    bench.send(Hello(ME, 0.010))
+    bench.run(1)
+    bench.arm()
+    bench.send(Position(ME, bench.vitals.motor_angle + angle))
+    assert bench.firmware.mode == mode
     if mode == Mode.POSITION:
-        owned.send(Position(ME, TARGET))  # later ones may
-        assert owned.firmware.mode == Mode.POSITION
+        bench.send(Position(ME, TARGET))  # later ones may
+        assert bench.firmware.mode == Mode.POSITION

@@ -199,7 +199,7 @@ def test_a_loop_that_falls_silent(again: Operator, body: Go2) -> None:
     again.hold(lambda: False, 0.1)
     silent = time.monotonic()
     frame = body.wait_for(lambda frame: frame.damps, silent)
-    # The last message was up to a control step before; the sheet's timeout is 60 ms.
+    # The last message was up to a control step before; the sheet's timeout is 55 ms.
     assert 0.03 < frame.time - silent < REACTION + 0.01
     again.link.update()
     assert again.link.last_state().reason == Reason.TIMEOUT

@@ -250,6 +250,19 @@ def steps(moved: np.ndarray, delay: float = 0.017, frequency: float = 90.0) -> l
     return [MotorStep(motor, 0.05, row, age, share) for motor, row in enumerate(moved)]
 
 
+def test_steps_against_friction_are_longer(robot: RobotDescription):
+    go2 = RobotDescription.load("go2")
+    friction = np.array(go2.actuator.friction)
+    assert friction[2] == pytest.approx(0.91, abs=0.01)  # of a knee [N m]
+    at_70, at_35 = (rack_check.step_sizes(go2, np.full(12, kp)) for kp in (70.0, 35.0))
+    assert at_70[:3] == pytest.approx([0.05, 0.05, 5 * friction[2] / 70])
+    assert at_35[2] == pytest.approx(5 * friction[2] / 35)
+    assert np.all(rack_check.step_sizes(go2, np.full(12, 10.0))[2::3] == rack_check.MAX_STEP)
+    assert np.all(
+        rack_check.step_sizes(robot, np.ones(8)) == rack_check.STEP
+    )  # kp is a duty per angle: no joint actuator
+
+
 RIGHT = 0.048 * np.eye(8)
 
 

@@ -121,7 +121,7 @@ class Firmware:
     def refuse_foreign(self, now: int, text: str) -> None:
         """Refuse a packet of another version or schema of the protocol."""
         self.watch.note_damage()
-        self._refuse_rarely(now, 0, Reason.SCHEMA, text)
+        self._refuse(now, 0, Reason.SCHEMA, text)
 
     def receive(self, now: int, packet: Packet) -> None:
         """Handle a packet of a host."""
@@ -137,7 +137,7 @@ class Firmware:
             self._start_session(now, packet, message)
             return
         if not session or session != self.owner:
-            self._refuse_rarely(now, session, Reason.SESSION, f"session {session} is not known")
+            self._refuse(now, session, Reason.SESSION, f"session {session} is not known")
             return
         age = self.watch.age(now, microseconds(packet.time))
         if not self.watch.is_next(packet.sequence):
@@ -186,7 +186,7 @@ class Firmware:
         if arm.mode not in ARMED or no_duty or (self.armed and arm.mode != self.mode):
             self._refuse(now, self.owner, Reason.MODE, f"mode {arm.mode} can't be armed while {self.mode.name}")
         elif not (shortest <= arm.command_period <= longest and arm.report_after <= arm.command_period):
-            text = f"command period is {arm.command_period:g} s; it must be {shortest:g} to {longest:g}"
+            text = f"command period is {arm.command_period:.3f} s; it must be {shortest:g} to {longest:g}"
             self._refuse(now, self.owner, Reason.COMMAND, text)
         elif not self.armed and self.reason and self.watch.clean_for(now) < microseconds(self.limits.rearm_after):
             text = f"the link must be clean for {self.limits.rearm_after:g} s ({self.reason.name.lower()})"
@@ -212,7 +212,7 @@ class Firmware:
         if self.mode != mode:
             self._dropped += 1
             if self.mode != Mode.FAULT:  # every state of a faulted robot has the reason
-                self._refuse_rarely(now, self.owner, Reason.MODE, f"a command came while {self.mode.name}")
+                self._refuse(now, self.owner, Reason.MODE, f"a command came while {self.mode.name}")
             return
         if age > self.limits.stale_after * self.period:
             self.stale += 1
@@ -221,7 +221,7 @@ class Firmware:
         bad = np.flatnonzero(~((values >= low) & (values <= high)))
         if bad.size:
             self._dropped += 1
-            self._fail(now, Reason.COMMAND, f"{handshake.motor_names[bad[0]]} was sent to {values[bad[0]]:g}")
+            self._fail(now, Reason.COMMAND, f"{handshake.motor_names[bad[0]]} was sent to {values[bad[0]]:.3f}")
             return
         if self._first and mode == Mode.POSITION and self._vitals is not None:
             torque = handshake.servo_kp * np.abs(values - self._vitals.motor_angle)
@@ -243,7 +243,8 @@ class Firmware:
     def tick(self, now: int, vitals: Vitals) -> MotorOrder:
         """Return the order to the motors in the servo step that begins."""
         self._vitals = vitals
-        self._low_since = min(self._low_since, now) if vitals.voltage < self.limits.voltage else math.inf
+        # A voltage that is no number is low.
+        self._low_since = math.inf if vitals.voltage >= self.limits.voltage else min(self._low_since, now)
         if self.armed:
             if now - self._command_time >= microseconds(self.limits.command_timeout):
                 self._fail(now, Reason.TIMEOUT, f"no command for {self.limits.command_timeout:g} s")
@@ -251,7 +252,7 @@ class Firmware:
                 self._fail(now, *hazard)
             elif vitals.sit is not None and not self.reason:
                 self.reason = vitals.sit[0]
-                self._refuse(now, self.owner, *vitals.sit)
+                self._send_fault(now, self.owner, *vitals.sit)
         if not self.armed:
             return self._damped
         if self._fresh:
@@ -281,7 +282,7 @@ class Firmware:
         if self.mode == Mode.FAULT:
             return  # the first reason is kept
         self.mode, self.reason = Mode.FAULT, reason
-        self._refuse(now, self.owner, reason, text)
+        self._send_fault(now, self.owner, reason, text)
         if self.owner:
             self.next_state = min(self.next_state, now)
 
@@ -290,16 +291,16 @@ class Firmware:
         if self.owner:
             self.next_state = min(self.next_state, now + self._state_period)
 
-    def _refuse(self, now: int, session: int, reason: Reason, text: str) -> None:
+    def _send_fault(self, now: int, session: int, reason: Reason, text: str) -> None:
         self._send(now, messages.Fault(session, int(reason), text))
 
-    def _refuse_rarely(self, now: int, session: int, reason: Reason, text: str) -> None:
-        """Refuse what may arrive often, at most `Limits.refusals` times per second for each reason."""
+    def _refuse(self, now: int, session: int, reason: Reason, text: str) -> None:
+        """Answer a message with a fault, at most `Limits.refusals` times per second for each reason."""
         times = self._refusals.setdefault(reason, deque(maxlen=self.limits.refusals))
         if len(times) == self.limits.refusals and now - times[0] < 1_000_000:
             return
         times.append(now)
-        self._refuse(now, session, reason, text)
+        self._send_fault(now, session, reason, text)
 
     def report(self, now: int, read: Callable[[], Sensors]) -> None:
         """Send a state if one is due, with the readings of `read`."""

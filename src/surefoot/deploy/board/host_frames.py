@@ -12,7 +12,8 @@ class HostFrames:
     """Frames of hosts for a robot of so many motors."""
 
     def __init__(self, motors: int) -> None:
-        self.codec = Codec(motors)
+        # No text of a host means anything to a robot: it need not know UTF-8.
+        self.codec = Codec(motors, text_errors="replace")
         self.restart()
 
     def restart(self) -> None:

@@ -1,4 +1,6 @@
-"""Check of a robot that hangs free: each motor alone makes a step of .05 rad and back.
+"""Check of a robot that hangs free: each motor alone makes a step of .05 rad, more against friction, and back.
+
+Legs with abduction are moved apart before: where they hang limp they touch each other.
 
 The readings that move show order and signs of the motors; the beginning of the motion shows the latency, its course the
 servo.
@@ -19,6 +21,7 @@ from surefoot.deploy.doctor.rest_check import TimedState
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
+from surefoot.robot.actuator import JointActuatorData
 from surefoot.robot.randomization import mean_interval
 from surefoot.stop_signals import StopSignals
 from surefoot.task.contract_mapping import task_from_contract
@@ -26,8 +29,14 @@ from surefoot.task.contract_mapping import task_from_contract
 NAMES = ("motors, one by one", "control latency", "servo response")
 STEP = 0.05
 """Step of each motor [rad]: too little to hurt, a hundred times the resolution of an encoder."""
-MAX_ERROR = 0.15
-"""Greatest difference of a motor's angle from its target [rad]; more damps all motors."""
+FRICTION_STEPS, MAX_STEP = 5.0, 0.15
+"""A step is at least so many times the angle at which a servo with a joint actuator has the torque of its friction,
+since a motor may stop short of its target by that angle before the step and after; and the greatest step [rad]."""
+MAX_ERROR = 0.1
+"""Greatest difference of a motor's angle from its target, over the step [rad]; more damps all motors."""
+APART, APART_ERROR = 2.0, 0.4
+"""Time [s] in which legs are moved apart, and the greatest difference of a motor's angle from its target meanwhile
+[rad]: legs that touch hold each other back."""
 SETTLE, HOLD = 0.4, 0.35
 """Time [s] for which the robot is held before the first step, and after each."""
 SHARES = (0.6, 1.4)
@@ -82,14 +91,21 @@ def step_motors(
         return [CheckResult(NAMES[0], False, "the robot has sent no state", "switch it off and on")]
     start = np.clip(state.motor_angle, handshake.angle_low, handshake.angle_high)
     steps: list[MotorStep] = []
-    command = "all were asked to hold"
-    motion = DoctorMotion(link, robot, contract.control_step, operator, MAX_ERROR)
+    command, sizes = "all were asked to hold", step_sizes(robot, handshake.servo_kp)
+    motion = DoctorMotion(link, robot, contract.control_step, operator, float(sizes.max()) + MAX_ERROR)
     try:
         with motion:
             motion.hold(start, SETTLE)
+            if abduction := _abduction_motors(robot):
+                command = "legs were moved apart"
+                start[abduction] = robot.pose_angles(*robot.poses.sit)[abduction]
+                motion.max_error, allowed = APART_ERROR, motion.max_error
+                motion.go(start, APART)
+                motion.hold(start, SETTLE)
+                motion.max_error = allowed
             for motor, middle in enumerate((handshake.angle_low + handshake.angle_high) / 2):
                 command = f"{robot.motor_names[motor]} was asked to move"
-                steps.append(_step_motor(motion, start, motor, STEP if start[motor] <= middle else -STEP))
+                steps.append(_step_motor(motion, start, motor, float(np.copysign(sizes[motor], middle - start[motor]))))
     except MotionStoppedError as stopped:
         failed = None
         if motion.tracking_error is not None:
@@ -106,6 +122,19 @@ def step_motors(
         return stopped.results(NAMES, failed)
     trained = _trained_latencies(contract, robot)
     return [check_motors(steps, robot), *check_response(steps, trained, handshake.servo_period, link.lead)]
+
+
+def _abduction_motors(robot: RobotDescription) -> list[int]:
+    if "abduction" not in robot.coordinates:
+        return []
+    return [robot.motor_names.index(leg.motors[0]) for leg in robot.legs]
+
+
+def step_sizes(robot: RobotDescription, kp: Array) -> Array:
+    """Return the step of each motor (M,) [rad] for gains (M,) of the robot's servos."""
+    friction = robot.actuator.friction if isinstance(robot.actuator, JointActuatorData) else 0.0
+    sizes: Array = np.clip(FRICTION_STEPS * np.broadcast_to(friction, robot.num_motors) / kp, STEP, MAX_STEP)
+    return sizes
 
 
 def _step_motor(motion: DoctorMotion, start: Array, motor: int, step: float) -> MotorStep:
@@ -159,8 +188,8 @@ def check_motors(steps: Sequence[MotorStep], robot: RobotDescription) -> CheckRe
     shares = [float(step.moved[step.motor] / step.step) for step in steps]
     if not errors:
         message = (
-            f"each went its own way, {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the {STEP:g} rad asked "
-            "for, no other with it"
+            f"each went its own way, {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the {_span(steps)} rad "
+            "asked for, no other with it"
         )
         return CheckResult(NAMES[0], True, message, value=min(shares))
     exchanged = [f"{names[a]} with {names[b]}" for a, b in moved_instead.items() if a < b and moved_instead.get(b) == a]
@@ -172,6 +201,11 @@ def check_motors(steps: Sequence[MotorStep], robot: RobotDescription) -> CheckRe
         remedy = "check cables, servo gains and what blocks the leg"
     more = f" (and {len(errors) - 2} more)" if len(errors) > 2 else ""
     return CheckResult(NAMES[0], False, "; ".join(errors[:2]) + more, remedy)
+
+
+def _span(steps: Sequence[MotorStep]) -> str:
+    low, high = (f"{limit(abs(step.step) for step in steps):.2g}" for limit in (min, max))
+    return low if low == high else f"{low} to {high}"
 
 
 def check_response(
@@ -190,7 +224,7 @@ def check_response(
         servo_period: of the robot [s].
         lead: time from sending a state to its use [s].
     """
-    clear = [s for s in steps if len(s.age) >= _MIN_READINGS and abs(s.moved[s.motor]) > MAX_OTHERS * STEP]
+    clear = [s for s in steps if len(s.age) >= _MIN_READINGS and s.moved[s.motor] / s.step > MAX_OTHERS]
     fits = [fit for fit in (fit_response(s.age, s.share) for s in clear) if fit.error < _MAX_FIT_ERROR]
     if len(fits) < max(len(steps) // 2, 1):
         return skipped(NAMES[1:], f"only {len(fits)} of {len(steps)} motors answered clearly")

@@ -87,12 +87,16 @@ def encodings(kind: type[Message]) -> dict[str, FieldEncoding]:
 class Codec:
     """Messages to payloads and back, for robots of so many motors.
 
+    Args:
+        motors: number of motors.
+        text_errors: what becomes of a text that is not UTF-8; "strict": its message is unknown.
+
     Raises:
         SurefootError: no motors, or more than fit a frame.
     """
 
-    def __init__(self, motors: int) -> None:
-        self.motors = motors
+    def __init__(self, motors: int, text_errors: str = "strict") -> None:
+        self.motors, self._text_errors = motors, text_errors
         self.kinds = {number: kind for kind, number in NUMBERS.items()}
         self.layouts = {kind: MessageLayout(kind, encodings(kind), max(motors, 1)) for kind in MESSAGES}
         largest = max(map(self.size, MESSAGES))
@@ -128,7 +132,7 @@ class Codec:
     def unpack(self, number: int, payload: bytes) -> Message | None:
         """Return the message of a payload; None for an unknown kind, another length, or bytes that are no text."""
         try:
-            message: Message = self.layouts[self.kinds[number]].unpack(payload)
+            message: Message = self.layouts[self.kinds[number]].unpack(payload, self._text_errors)
         except (KeyError, ValueError):
             return None
         return message

@@ -87,8 +87,10 @@ class MessageLayout:
         except (struct.error, TypeError, OverflowError) as error:
             raise ValueError(f"{type(message).__name__}: {error}") from error
 
-    def unpack(self, payload: bytes) -> Any:
+    def unpack(self, payload: bytes, text_errors: str = "strict") -> Any:
         """Return the message of these bytes; arrays are float64, several texts a tuple.
+
+        `text_errors` is what `bytes.decode` does with bytes that are no UTF-8.
 
         Raises:
             ValueError: another number of bytes, or bytes that are no text.
@@ -99,7 +101,7 @@ class MessageLayout:
         values: list[Any] = []
         for _, spec, start, end, per in self._plan:
             if spec.kind == "text":
-                texts = tuple(raw.partition(b"\0")[0].decode() for raw in flat[start:end])
+                texts = tuple(raw.partition(b"\0")[0].decode(errors=text_errors) for raw in flat[start:end])
                 values.append(texts[0] if spec.count == 1 else texts)
             elif spec.count == 1:
                 values.append(flat[start] / per if per else flat[start])

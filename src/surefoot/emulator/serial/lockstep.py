@@ -9,7 +9,7 @@ import time
 from surefoot.deploy.board.signals import microseconds
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder
-from surefoot.emulator.board import Board
+from surefoot.emulator.board import EmulatedBoard
 from surefoot.emulator.real_time import Summary, measure
 from surefoot.emulator.serial.serial_host_link import HostPort, SerialHostLink
 
@@ -39,7 +39,7 @@ class Lockstep:
     The link takes no time, its port must not be held, and `summary.stop` ends the loop.
     """
 
-    def __init__(self, board: Board, link: SerialHostLink, port: HostPort, summary: Summary) -> None:
+    def __init__(self, board: EmulatedBoard, link: SerialHostLink, port: HostPort, summary: Summary) -> None:
         self.board, self._link, self._port, self._summary = board, link, port, summary
         self._decoder = Decoder(Codec(link.frames.codec.motors))
         self._anonymous: int | None = None

@@ -1,0 +1,266 @@
+"""The firmware in C, compiled for this computer with the compiler's watch over memory and undefined behaviour.
+
+    python benchmarks/firmware.py fuzz [--frames 1000000]       # results/firmware/fuzz.json
+    python benchmarks/firmware.py faults                        # results/firmware/faults.csv
+    python benchmarks/firmware.py runs [--runs 10]              # results/firmware/runs.csv
+    python benchmarks/firmware.py stm32f4                       # results/firmware/stm32f4.json
+
+`fuzz`: frames with fields at random, in any order and by several operators, go over a bad line (`link_soak.py`) to the
+firmware. An error of memory, an undefined operation, a wait of over 5 s, a count of pieces that is not that of the
+decoder in Python, or a motor that gets more than its limit is an error, and the script ends with 1.
+
+`faults`: `surefoot deploy` in lockstep on the firmware. Each fault begins while the robot rises, while the policy runs,
+and while it sits down. `damped_ms` is how long after that the motors are damped, and `driven_ms` how long they are
+driven after the last command that the robot accepted.
+
+`runs`: `surefoot deploy trot-robust` in lockstep for 10 s, on robots with other noise, with the program in Python, with
+the firmware, and with the firmware on an STM32F405 in QEMU.
+
+`stm32f4`: bytes of flash and RAM of the STM32F405's firmware, which is linked into 32 and 8 KiB, and instructions that
+QEMU counts (`-icount shift=0`) in a servo step and for messages.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from emulated import deploy
+from link_soak import BadLine
+
+from surefoot.deploy import messages
+from surefoot.deploy.board.signals import Sensors
+from surefoot.deploy.messages import Message
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, encode_frame
+from surefoot.emulator.firmware_process import FirmwareProcess
+from surefoot.evaluation.runs import measure_runs
+from surefoot.firmware.project import build_firmware, write_sources
+from surefoot.robot import RobotDescription
+from surefoot.tables import write_csv
+
+TESTS = Path(__file__).resolve().parents[1] / "tests"
+RESULTS = Path("results/firmware")
+SANITIZE = "OPTIMIZE=-O1 -fsanitize=address,undefined -fno-sanitize-recover=all"
+BLOCK = 4
+"""Frames between two servo steps."""
+ROBOT = RobotDescription.load("minitaur")
+CODEC = Codec(ROBOT.num_motors)
+PHASES = {"rise": 0.6, "run": 1.4, "sit": 1.65}
+"""When a fault begins [s after arming]; the policy runs from 1.1 to 1.5 s."""
+FAULTS = (
+    *("unplug={}", "drop=1@{}", "corrupt=1@{}", "cut-frames=1@{}", "stale-state={}", "repeat-sequence={}"),
+    *("backward-sequence={}", "reboot={}", "hang=0.2@{}", "tilt={}", "battery-low=11@{}", "motor-hot=95@{}"),
+)
+
+
+def random_message(rng: random.Random, operator: int) -> Message:
+    """Return a message with fields at random, mostly an operator's."""
+    session = rng.choices((operator, 8, 0, rng.randrange(65536)), (30, 1, 1, 1))[0]
+    special = (np.nan, np.inf, -np.inf, 1e30, 0.0, 4.7)
+    values = np.full(8, 1.5) if rng.random() < 0.998 else np.array([rng.choice(special) for _ in range(8)])
+    seconds = rng.choice((0.0, 0.006, 0.006, 0.006, 0.05, 4000.0))
+    mode = rng.choice((1, 1, 1, 2, rng.randrange(256)))
+    kinds: list[tuple[int, Message]] = [
+        (100, messages.Position(session, values)),
+        (10, messages.Pwm(session, values / 8)),
+        (30, messages.Ping(rng.randrange(2**32))),
+        (3, messages.Hello(session, seconds)),
+        (20, messages.Arm(session, mode, seconds, rng.choice((0.0, 0.003, seconds)))),
+        (1, messages.Damp(session)),
+        (1, messages.Disarm(session)),
+        (1, messages.Bye(session)),
+        (1, messages.Pong(3)),
+        (1, messages.Fault(session, rng.randrange(256), "x" * rng.randrange(81))),
+    ]
+    return rng.choices([message for _, message in kinds], [weight for weight, _ in kinds])[0]
+
+
+def fuzz(frames: int, seed: int, program: Path) -> dict[str, Any]:
+    """Send so many frames; return what was counted."""
+    rng, start = random.Random(seed), time.perf_counter()
+    firmware, line, decoder = FirmwareProcess(program, ROBOT.name, 8), BadLine(rng), Decoder(Codec(8, "replace"))
+    now = number = sent = step = me = 0
+    modes: Counter[str] = Counter()
+    reasons: Counter[str] = Counter()
+    wrong = 0
+    while sent < frames:
+        # Rounds of 240 steps: silence, after which any operator may come; a clean link that arms; then anything.
+        step, turn = step + 1, step % 240
+        clean = turn < 40
+        if turn == 0:
+            now, number, me = now + 1_200_000, 0, rng.randrange(9, 65536)
+        batch = []
+        for _ in range(1 if clean else BLOCK):
+            number = number + 1 if clean or rng.random() < 0.98 else rng.randrange(1, number + 2)
+            moment = now / 1e6 if rng.random() < 0.99998 else rng.uniform(0, 2e13)
+            message = random_message(rng, me)
+            if clean:
+                message = messages.Ping(step) if turn > 2 else messages.Hello(me, 0.01)
+                message = messages.Arm(me, rng.choice((1, 1, 2)), 0.006, 0.003) if turn > 37 else message
+            batch.append(encode_frame(CODEC, message, number, moment))
+        sent += len(batch)
+        data = b"".join(batch) if clean else line.carry(batch)[0]
+        decoder.feed(data)
+        firmware.receive(now, data)
+        normal = clean or rng.random() < 0.998
+        numbers = np.full(8, 1.5), np.zeros(8), np.zeros(8), np.zeros(3), np.zeros(3), 0.0, 16.0, np.full(8, 30.0)
+        odd = np.array([rng.choice((0.0, np.nan, np.inf, -1e30)) for _ in range(8)])
+        seen = Sensors(*numbers) if normal else Sensors(odd, odd, odd, odd[:3], odd[:3], 0.0, float(odd[0]), odd)
+        effort = firmware.tick(now, seen)
+        wrong += not (np.abs(effort) <= 1.0).all()
+        firmware.report(now + 500, lambda seen=seen: seen)  # type: ignore[misc]
+        modes[firmware.mode.name] += 1
+        for packet in firmware.take():
+            if isinstance(packet.message, messages.Fault):
+                reasons[messages.Reason(packet.message.reason).name] += 1
+        now += 15_000 if clean else rng.choices((1000, 6000, 60_000), (30, 30, 1))[0]
+    counted, expected = firmware.statistics, decoder.statistics
+    for name in ("received", "damaged", "foreign", "unknown"):
+        wrong += getattr(counted, name) != getattr(expected, name)
+    return {
+        **{"frames": sent, "received": counted.received, "damaged": counted.damaged, "foreign": counted.foreign},
+        **{"unknown": counted.unknown, "wrong": wrong, "fates": dict(line.fates), "servo_steps": dict(modes)},
+        **{"faults": dict(reasons), "seconds": round(time.perf_counter() - start, 1)},
+    }
+
+
+def run_fault(word: str, phase: str, program: Path) -> dict[str, Any]:
+    """Deploy a policy with a fault; return its row."""
+    bench = import_module("fault_bench")
+    name, begins = word.partition("=")[0], PHASES[phase]
+    seen: dict[str, float] = {"damped": np.nan, "accepted": 0.0, "begins": np.nan}
+    armed = True
+
+    def observe(board: Any) -> None:
+        def look(now: int) -> None:
+            nonlocal armed
+            firmware, injector = board.firmware, board.injector
+            if firmware.armed and injector.armed_at is not None:
+                seen["begins"] = injector.armed_at / 1e6 + begins
+                seen["accepted"] = max(seen["accepted"], firmware.command_time / 1e6)
+                if now / 1e6 >= seen["begins"]:
+                    seen["damped"] = now / 1e6
+            armed = firmware.armed
+
+        board.on_step.append(look)
+
+    with tempfile.TemporaryDirectory() as folder:
+        scenario = bench.Scenario((word.format(begins),), duration=0.4)
+        done = bench.play(scenario, Path(folder) / "run", Path(folder), ("--firmware", str(program)), observe)
+    return {
+        **{"fault": name, "phase": phase, "code": done.code, "ended": done.run["ended"], "reason": done.run["reason"]},
+        "damped_ms": round(1e3 * (seen["damped"] - seen["begins"]), 1),
+        "driven_ms": round(1e3 * (seen["damped"] - seen["accepted"]), 1),
+        "armed_at_end": int(armed),
+    }
+
+
+def measure_stm32f4(folder: Path) -> dict[str, Any]:
+    """Return sizes of the firmware and counts of instructions."""
+    elf, qemu = (build_firmware(folder, target=target) for target in ("board.elf", "board-qemu"))
+    size = subprocess.run(["arm-none-eabi-size", elf], capture_output=True, text=True, check=True).stdout
+    text, data, bss = map(int, size.splitlines()[1].split()[:3])
+    counting = folder / "board-counting"
+    counting.write_text(qemu.read_text().replace("-nographic", "-nographic -icount shift=0"))
+    counting.chmod(0o755)
+    firmware, number, zeros = FirmwareProcess(counting, ROBOT.name, 8), 0, np.zeros(8)
+    seen = Sensors(zeros + 0.3, zeros + 0.1, zeros, zeros[:3], zeros[:3], 0.0, 16.0, zeros + 25)
+    counts: dict[str, list[int]] = {}
+
+    def send(message: Message, now: int) -> None:
+        nonlocal number
+        number += 1
+        firmware.receive(now, encode_frame(CODEC, message, number, now / 1e6))
+        note(type(message).__name__)
+
+    def note(what: str) -> None:
+        # The timer counts 168 a microsecond of the emulated time, of which an instruction takes a nanosecond.
+        counts.setdefault(what, []).append(round(firmware.cycles / 0.168))
+
+    send(messages.Hello(7, 0.01), 0)
+    send(messages.Arm(7, 1, 0.006, 0.003), 0)
+    for now in range(1000, 300_000, 1000):
+        if now % 6000 == 0:
+            send(messages.Position(7, zeros + 1.5), now)
+        firmware.tick(now, seen)
+        note("servo step")
+        if now >= firmware.next_state:
+            firmware.report(now, lambda: seen)
+            note("State")
+    instructions = {what: max(values) for what, values in counts.items()}
+    return {"flash": text + data, "ram_without_stack": data + bss, "instructions": instructions}
+
+
+def run_policies(runs: int, folder: Path) -> list[dict[str, Any]]:
+    """Deploy a policy on all programs; return a row a run."""
+    programs: dict[str, tuple[object, ...]] = {"Python": ()}
+    for name, target in (("C", "board"), ("C in QEMU", "board-qemu")):
+        programs[name] = ("--firmware", build_firmware(folder, target=target))
+    rows = []
+    for name, options in programs.items():
+        for seed in range(1, runs + 1):
+            traces = deploy("trot-robust", "--duration", 10, robot=("--seed", seed, *options))
+            (row,) = measure_runs(traces, "mujoco").to_dict("records")
+            (trace,) = traces
+            rows.append(
+                {
+                    **{"program": name, "seed": seed, "seconds": trace.duration, "distance": row["distance"]},
+                    **{"power": row["power"], "fell": int(row["fell"]), "ended": trace.meta["ended"]},
+                    "dropped": int(trace.meta.get("dropped", 0)),
+                }
+            )
+            print(rows[-1], flush=True)
+    return rows
+
+
+def main() -> int:
+    """Measure, and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["fuzz", "faults", "runs", "stm32f4"])
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results")
+    options = parser.parse_args()
+    sys.path.insert(0, str(TESTS))
+    with tempfile.TemporaryDirectory() as name:
+        folder, results = Path(name), options.out
+        write_sources(folder, ROBOT)
+        if options.what == "runs":
+            write_csv(results / "runs.csv", run_policies(options.runs, folder))
+            return 0
+        if options.what == "stm32f4":
+            return write_json(results / "stm32f4.json", measure_stm32f4(folder))
+        program = build_firmware(folder, SANITIZE)
+        if options.what == "fuzz":
+            return write_json(results / "fuzz.json", fuzz(options.frames, options.seed, program))
+        rows = []
+        for word in FAULTS:
+            for phase in PHASES:
+                rows.append(run_fault(word, phase, program))
+                print(rows[-1], flush=True)
+        write_csv(results / "faults.csv", rows)
+    return 0
+
+
+def write_json(path: Path, result: dict[str, Any]) -> int:
+    """Print and write a result; return the exit code."""
+    print(text := json.dumps(result, indent=1))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text + "\n", encoding="utf-8")
+    return int(result.get("wrong", 0) > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,768 @@
+#include "board.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "hal.h"
+#include "robot.h"
+
+#define MOTORS SUREFOOT_MOTORS
+#define SECOND 1000000u
+#define WINDOW 10u /* seconds in which the quickest frame is looked for */
+#define WATCHDOG 20000u
+#define REASONS ((size_t)SUREFOOT_REASON_WATCHER + 1u)
+
+static const char *const mode_names[] = {"DISARMED", "POSITION", "PWM", "FAULT"};
+
+/* Least difference between arrival here and sending there, of frames that arrived in one second. */
+typedef struct {
+    uint64_t second;
+    int64_t least;
+} bucket;
+
+static struct {
+    /* The link to the host. */
+    surefoot_decoder decoder;
+    uint32_t sent;
+    uint16_t owner;
+    uint32_t last_number, old_numbers;
+    uint64_t last_received, clean_since; /* BOARD_NEVER: not clean */
+    bucket buckets[WINDOW + 1u];
+    size_t first_bucket, num_buckets;
+    /* Of each reason the times of the last refusals, the oldest at `oldest`; only their last 32 bits, so that after 71
+     * minutes a refusal may be left out. */
+    uint32_t refused[REASONS][LIMIT_REFUSALS];
+    uint8_t oldest[REASONS], refusals[REASONS];
+    /* Modes and commands. */
+    uint8_t mode, reason;
+    bool fresh, first; /* armed, and no step yet that holds the angles; no command yet */
+    uint32_t period, report_after, state_period;
+    uint64_t next_state, command_time;
+    uint32_t command, stale;
+    uint16_t dropped;
+    uint32_t dropped_in_a_row;
+    float order[MOTORS];
+    /* Readings of the last servo step. */
+    bool ticked, finite;
+    float angle[MOTORS], roll, pitch, voltage, temperature;
+    uint64_t low_since, energy; /* energy in uJ: a float would stop counting */
+} board;
+
+/* The text of the next fault: one buffer, since copies would take the stack. */
+
+static struct {
+    char chars[sizeof(((surefoot_fault *)0)->text)];
+    size_t length;
+} why;
+
+static void put(const char *more)
+{
+    while (*more != '\0' && why.length < sizeof(why.chars)) {
+        why.chars[why.length++] = *more++;
+    }
+}
+
+/* Begin a text. */
+static void say(const char *chars)
+{
+    why.length = 0;
+    put(chars);
+}
+
+static void put_whole(uint32_t number)
+{
+    char digits[11];
+    size_t at = sizeof(digits) - 1u;
+
+    digits[at] = '\0';
+    do {
+        digits[--at] = (char)('0' + number % 10u);
+        number /= 10u;
+    } while (number != 0u);
+    put(digits + at);
+}
+
+/* Put a number with so many decimals. */
+static void put_number(float number, int decimals)
+{
+    const float magnitude = fabsf(number);
+    uint32_t unit = 1, whole;
+    int k;
+
+    if (isnan(number)) {
+        put("nan");
+        return;
+    }
+    if (number < 0.0f) {
+        put("-");
+    }
+    if (!(magnitude < 1e6f)) {
+        put(isinf(number) ? "inf" : "1e6 or more");
+        return;
+    }
+    for (k = 0; k < decimals; k++) {
+        unit *= 10u;
+    }
+    whole = (uint32_t)lroundf(magnitude * (float)unit);
+    put_whole(whole / unit);
+    if (decimals > 0) {
+        put(".");
+        for (k = 0; k < decimals; k++) {
+            unit /= 10u;
+            put_whole(whole / unit % 10u);
+        }
+    }
+}
+
+/* Put a number of the table, without zeros at its end. */
+static void put_limit(float number)
+{
+    put_number(number, 3);
+    while (why.length > 0u && why.chars[why.length - 1u] == '0') {
+        why.length--;
+    }
+    if (why.length > 0u && why.chars[why.length - 1u] == '.') {
+        why.length--;
+    }
+}
+
+static void put_seconds(uint32_t microseconds)
+{
+    put_limit((float)microseconds / 1e6f);
+}
+
+/* To the host. */
+
+static void send(uint8_t type, const void *message)
+{
+    static uint8_t frame[SUREFOOT_FRAME_BYTES];
+
+    if (board.sent < UINT32_MAX) {
+        const size_t size = surefoot_encode(type, message, ++board.sent, hal_time(), frame);
+
+        (void)hal_write_line(frame, size); /* what the line has no room for is lost; a newer state follows */
+    }
+}
+
+/* Send a fault with the text that was said last. */
+static void send_fault(uint16_t session, uint8_t reason)
+{
+    surefoot_fault fault = {.session = session, .reason = reason};
+
+    memcpy(fault.text, why.chars, why.length);
+    send(SUREFOOT_FAULT, &fault);
+}
+
+/* Refuse a message with the text that was said last, at most LIMIT_REFUSALS times a second for each reason. */
+static void refuse(uint64_t now, uint16_t session, uint8_t reason)
+{
+    const size_t at = reason < REASONS ? reason : 0u;
+    uint32_t *const times = board.refused[at];
+    const uint8_t oldest = board.oldest[at];
+
+    if (board.refusals[at] == LIMIT_REFUSALS) {
+        if ((uint32_t)now - times[oldest] < SECOND) {
+            return;
+        }
+        times[oldest] = (uint32_t)now;
+        board.oldest[at] = (uint8_t)((oldest + 1u) % LIMIT_REFUSALS);
+    } else {
+        times[board.refusals[at]++] = (uint32_t)now;
+    }
+    send_fault(session, reason);
+}
+
+/* The link. */
+
+static bool link_is_silent(uint64_t now)
+{
+    return board.clean_since == BOARD_NEVER || now - board.last_received > LIMIT_CLEAN_GAP;
+}
+
+static void note_frame(uint64_t now)
+{
+    if (link_is_silent(now)) {
+        board.clean_since = now;
+    }
+    board.last_received = now;
+}
+
+static uint64_t clean_for(uint64_t now)
+{
+    return link_is_silent(now) ? 0u : now - board.clean_since;
+}
+
+static bool is_next(uint32_t number)
+{
+    if (number <= board.last_number) {
+        board.old_numbers++;
+        return false;
+    }
+    board.last_number = number;
+    return true;
+}
+
+/* Age of a frame that was sent at `sent` on the operator's clock: its delay beyond the quickest one's. */
+static int64_t age_of(uint64_t now, uint64_t sent)
+{
+    const uint64_t second = now / SECOND;
+    /* A clock beyond 2^62 us stands still, so that differences fit. */
+    const int64_t difference = (int64_t)now - (int64_t)(sent < (1ull << 62) ? sent : (1ull << 62));
+    int64_t least = difference;
+    bucket *newest;
+    size_t k;
+
+    while (board.num_buckets > 0u && board.buckets[board.first_bucket].second + WINDOW < second) {
+        board.first_bucket = (board.first_bucket + 1u) % (WINDOW + 1u);
+        board.num_buckets--;
+    }
+    newest = &board.buckets[(board.first_bucket + board.num_buckets + WINDOW) % (WINDOW + 1u)];
+    if (board.num_buckets == 0u || newest->second != second) {
+        newest = &board.buckets[(board.first_bucket + board.num_buckets) % (WINDOW + 1u)];
+        newest->second = second;
+        newest->least = difference;
+        board.num_buckets++;
+    } else if (difference < newest->least) {
+        newest->least = difference;
+    }
+    for (k = 0; k < board.num_buckets; k++) {
+        const int64_t one = board.buckets[(board.first_bucket + k) % (WINDOW + 1u)].least;
+
+        least = one < least ? one : least;
+    }
+    return difference - least;
+}
+
+static bool is_armed(void)
+{
+    return board.mode == SUREFOOT_MODE_POSITION || board.mode == SUREFOOT_MODE_PWM;
+}
+
+static uint64_t taken_until(void)
+{
+    if (board.owner == 0u) {
+        return 0u;
+    }
+    return is_armed() ? BOARD_NEVER : board.last_received + LIMIT_OWNER_TIMEOUT;
+}
+
+/* Modes. */
+
+static uint64_t sooner(uint64_t one, uint64_t other)
+{
+    return one < other ? one : other;
+}
+
+/* Damp, with the text that was said last. */
+static void fail(uint64_t now, uint8_t reason)
+{
+    if (board.mode == SUREFOOT_MODE_FAULT) {
+        return; /* the first reason is kept */
+    }
+    board.mode = SUREFOOT_MODE_FAULT;
+    board.reason = reason;
+    send_fault(board.owner, reason);
+    if (board.owner != 0u) {
+        board.next_state = sooner(board.next_state, now);
+    }
+}
+
+static void disarm(uint64_t now)
+{
+    board.mode = SUREFOOT_MODE_DISARMED;
+    if (board.owner != 0u) {
+        board.next_state = sooner(board.next_state, now + board.state_period);
+    }
+}
+
+/* The greater of two numbers, NaN if one of them is. */
+static float greater(float one, float other)
+{
+    return isnan(one) || one > other ? one : other;
+}
+
+/* Why motors must not move, by the sensors of the last servo step, which is said too; 0 if they may. */
+static uint8_t hazard(uint64_t now)
+{
+    const float tilt = greater(fabsf(board.roll), fabsf(board.pitch));
+    const char *seen = "";
+    uint8_t reason;
+
+    if (!board.ticked) {
+        return SUREFOOT_REASON_NONE;
+    }
+    reason = hal_hazard(&seen);
+    if (reason != SUREFOOT_REASON_NONE) {
+        say(seen);
+        return reason;
+    }
+    if (!board.finite) {
+        say("an angle or a speed of a motor is no number");
+        return SUREFOOT_REASON_NOT_FINITE;
+    }
+    if (!(tilt <= robot_handshake.tilt_limit)) {
+        say("tilt is ");
+        put_number(tilt, 2);
+        put(" rad; the limit is ");
+        put_limit(robot_handshake.tilt_limit);
+        return SUREFOOT_REASON_TILT;
+    }
+    if (board.low_since != BOARD_NEVER && now - board.low_since >= LIMIT_VOLTAGE_TIME) {
+        say("battery has ");
+        put_number(board.voltage, 2);
+        put(" V; the limit is ");
+        put_limit(robot_handshake.voltage_min);
+        return SUREFOOT_REASON_BATTERY;
+    }
+    if (!(board.temperature <= robot_handshake.temperature_max)) {
+        say("a motor has ");
+        put_number(board.temperature, 0);
+        put(" degC; the limit is ");
+        put_limit(robot_handshake.temperature_max);
+        return SUREFOOT_REASON_TEMPERATURE;
+    }
+    return SUREFOOT_REASON_NONE;
+}
+
+/* Messages. */
+
+static void answer_hello(uint64_t now, const surefoot_hello *hello)
+{
+    surefoot_handshake handshake = robot_handshake;
+    uint32_t period = hello->state_period;
+
+    period = period < LIMIT_STATE_PERIOD_MIN ? LIMIT_STATE_PERIOD_MIN : period;
+    board.state_period = period > LIMIT_STATE_PERIOD_MAX ? LIMIT_STATE_PERIOD_MAX : period;
+    handshake.session = board.owner;
+    send(SUREFOOT_HANDSHAKE, &handshake);
+    board.next_state = sooner(board.next_state, now + board.state_period);
+}
+
+static void start_session(uint64_t now, const surefoot_header *header, const surefoot_hello *hello)
+{
+    if (board.owner != 0u && now <= taken_until()) {
+        say("another operator has the robot");
+        refuse(now, hello->session, SUREFOOT_REASON_BUSY);
+        return;
+    }
+    disarm(now);
+    board.owner = hello->session;
+    board.last_number = header->sequence;
+    board.clean_since = BOARD_NEVER;
+    board.num_buckets = 0;
+    note_frame(now);
+    (void)age_of(now, header->time);
+    board.command = 0;
+    board.command_time = 0;
+    board.dropped = 0;
+    board.energy = 0;
+    answer_hello(now, hello);
+}
+
+static void arm(uint64_t now, const surefoot_arm *message)
+{
+    const uint8_t mode = message->mode;
+    const bool possible = mode == SUREFOOT_MODE_POSITION || (mode == SUREFOOT_MODE_PWM && LIMIT_DUTY > 0.0f);
+    uint8_t reason;
+
+    if (!possible || (is_armed() && mode != board.mode)) {
+        say("mode ");
+        put_whole(mode);
+        put(" can't be armed while ");
+        put(mode_names[board.mode]);
+        refuse(now, board.owner, SUREFOOT_REASON_MODE);
+        return;
+    }
+    if (message->command_period < robot_handshake.command_period_min
+        || message->command_period > robot_handshake.command_period_max
+        || message->report_after > message->command_period) {
+        say("command period is ");
+        put_number((float)message->command_period / 1e6f, 3);
+        put(" s; it must be ");
+        put_seconds(robot_handshake.command_period_min);
+        put(" to ");
+        put_seconds(robot_handshake.command_period_max);
+        refuse(now, board.owner, SUREFOOT_REASON_COMMAND);
+        return;
+    }
+    if (!is_armed() && board.reason != SUREFOOT_REASON_NONE && clean_for(now) < robot_handshake.rearm_after) {
+        say("the link must be clean for ");
+        put_seconds(robot_handshake.rearm_after);
+        put(" s (");
+        put(reason_names[board.reason]);
+        put(")");
+        refuse(now, board.owner, SUREFOOT_REASON_NOT_CLEAN);
+        return;
+    }
+    reason = hazard(now);
+    if (reason != SUREFOOT_REASON_NONE) {
+        refuse(now, board.owner, reason);
+        return;
+    }
+    board.period = message->command_period;
+    board.report_after = message->report_after;
+    if (!is_armed()) {
+        board.mode = mode;
+        board.reason = SUREFOOT_REASON_NONE;
+        board.command_time = now;
+        board.dropped_in_a_row = 0;
+        board.fresh = board.first = true;
+    }
+    board.next_state = now + board.report_after;
+}
+
+/* Drop a command, with the text that was said last. */
+static void drop(uint64_t now)
+{
+    board.dropped++;
+    board.dropped_in_a_row++;
+    if (is_armed() && board.dropped_in_a_row >= LIMIT_STALE_DROPS) {
+        fail(now, SUREFOOT_REASON_STALE);
+    }
+}
+
+static void take_command(uint64_t now, const surefoot_header *header, uint8_t mode, const float *values, int64_t age)
+{
+    size_t m;
+
+    if (board.mode != mode) {
+        board.dropped++;
+        if (board.mode != SUREFOOT_MODE_FAULT) { /* every state of a faulted robot has the reason */
+            say("a command came while ");
+            put(mode_names[board.mode]);
+            refuse(now, board.owner, SUREFOOT_REASON_MODE);
+        }
+        return;
+    }
+    if (age > (int64_t)(LIMIT_STALE_AFTER * (float)board.period)) {
+        board.stale++;
+        say("commands were late, the last by ");
+        put_number((float)age / 1e6f, 3);
+        put(" s");
+        drop(now);
+        return;
+    }
+    for (m = 0; m < MOTORS; m++) {
+        const bool position = mode == SUREFOOT_MODE_POSITION;
+        const float low = position ? robot_handshake.angle_low[m] : -LIMIT_DUTY;
+        const float high = position ? robot_handshake.angle_high[m] : LIMIT_DUTY;
+
+        if (!(values[m] >= low && values[m] <= high)) {
+            char name[sizeof(robot_handshake.motor_names[0]) + 1u] = {0};
+
+            memcpy(name, robot_handshake.motor_names[m], sizeof(robot_handshake.motor_names[0]));
+            board.dropped++;
+            say(name);
+            put(" was sent to ");
+            put_number(values[m], 3);
+            fail(now, SUREFOOT_REASON_COMMAND);
+            return;
+        }
+    }
+    if (board.first && mode == SUREFOOT_MODE_POSITION && board.ticked) {
+        float greatest = 0.0f;
+
+        for (m = 0; m < MOTORS; m++) {
+            greatest = greater(greatest, robot_handshake.servo_kp[m] * fabsf(values[m] - board.angle[m]));
+        }
+        if (!(greatest <= LIMIT_FIRST_TORQUE)) {
+            say("the first command would give ");
+            put_number(greatest, 1);
+            put(" N m at once; at most ");
+            put_limit(LIMIT_FIRST_TORQUE);
+            fail(now, SUREFOOT_REASON_COMMAND);
+            return;
+        }
+    }
+    board.first = board.fresh = false;
+    board.command = header->sequence;
+    board.command_time = now;
+    board.dropped_in_a_row = 0;
+    memcpy(board.order, values, sizeof(board.order));
+    board.next_state = now + board.report_after;
+}
+
+static void take_session_frame(uint64_t now, const surefoot_header *header, const uint8_t *payload)
+{
+    const uint8_t type = header->type;
+    const bool command = type == SUREFOOT_POSITION || type == SUREFOOT_PWM;
+    const int64_t age = age_of(now, header->time);
+    float values[MOTORS];
+    surefoot_hello hello;
+    surefoot_arm request;
+
+    if (!is_next(header->sequence)) {
+        if (command) {
+            say("commands came twice or out of order");
+            drop(now);
+        }
+        return;
+    }
+    note_frame(now);
+    switch (type) {
+    case SUREFOOT_POSITION:
+    case SUREFOOT_PWM:
+        /* Both have the session, then one float for each motor. */
+        memcpy(values, payload + sizeof(uint16_t), sizeof(values));
+        take_command(now, header, type == SUREFOOT_POSITION ? SUREFOOT_MODE_POSITION : SUREFOOT_MODE_PWM, values, age);
+        break;
+    case SUREFOOT_HELLO:
+        memcpy(&hello, payload, sizeof(hello));
+        answer_hello(now, &hello);
+        break;
+    case SUREFOOT_ARM:
+        memcpy(&request, payload, sizeof(request));
+        arm(now, &request);
+        break;
+    case SUREFOOT_DAMP:
+        say("the operator asked for it");
+        fail(now, SUREFOOT_REASON_HOST);
+        break;
+    case SUREFOOT_DISARM:
+        if (is_armed()) {
+            disarm(now);
+        }
+        break;
+    case SUREFOOT_BYE:
+        disarm(now);
+        board.owner = 0;
+        board.next_state = BOARD_NEVER;
+        break;
+    default: /* a robot's */
+        break;
+    }
+}
+
+static void take_frame(uint64_t now)
+{
+    const surefoot_header header = board.decoder.header;
+    const uint8_t *payload = surefoot_payload(&board.decoder);
+    uint16_t session = 0;
+
+    if (header.type == SUREFOOT_PING) {
+        /* It has no session and changes nothing: it is answered whatever its number. */
+        surefoot_pong pong;
+
+        if (board.owner != 0u) {
+            note_frame(now);
+        }
+        memcpy(&pong, payload, sizeof(pong));
+        send(SUREFOOT_PONG, &pong);
+        return;
+    }
+    if (header.type != SUREFOOT_PONG) { /* all others begin with it */
+        memcpy(&session, payload, sizeof(session));
+    }
+    if (header.type == SUREFOOT_HELLO && session != 0u && session != board.owner) {
+        surefoot_hello hello;
+
+        memcpy(&hello, payload, sizeof(hello));
+        start_session(now, &header, &hello);
+    } else if (session == 0u || session != board.owner) {
+        say("session ");
+        put_whole(session);
+        put(" is not known");
+        refuse(now, session, SUREFOOT_REASON_SESSION);
+    } else {
+        take_session_frame(now, &header, payload);
+    }
+}
+
+/* What hardware calls. */
+
+void board_start(void)
+{
+    memset(&board, 0, sizeof(board));
+    board.clean_since = board.next_state = board.low_since = BOARD_NEVER;
+    board.state_period = LIMIT_STATE_PERIOD_MAX;
+    hal_start();
+    hal_enable_motors();
+    hal_start_watchdog(WATCHDOG);
+}
+
+void board_receive(const uint8_t *bytes, size_t size)
+{
+    const uint64_t now = hal_time();
+    size_t k;
+
+    for (k = 0; k < size; k++) {
+        switch (surefoot_decode(&board.decoder, bytes[k])) {
+        case SUREFOOT_FRAME:
+            take_frame(now);
+            break;
+        case SUREFOOT_FOREIGN:
+            board.clean_since = BOARD_NEVER;
+            say("schema is " ROBOT_SCHEMA_TEXT);
+            refuse(now, 0, SUREFOOT_REASON_SCHEMA);
+            break;
+        case SUREFOOT_DAMAGED:
+        case SUREFOOT_UNKNOWN:
+            board.clean_since = BOARD_NEVER;
+            break;
+        case SUREFOOT_NOTHING:
+            break;
+        }
+    }
+}
+
+static void check(uint64_t now)
+{
+    const char *seen = "";
+    uint8_t reason;
+
+    if (now - board.command_time >= robot_handshake.command_timeout) {
+        say("no command for ");
+        put_seconds(robot_handshake.command_timeout);
+        put(" s");
+        fail(now, SUREFOOT_REASON_TIMEOUT);
+        return;
+    }
+    reason = hazard(now);
+    if (reason != SUREFOOT_REASON_NONE) {
+        fail(now, reason);
+        return;
+    }
+    reason = hal_sit(&seen);
+    if (reason != SUREFOOT_REASON_NONE && board.reason == SUREFOOT_REASON_NONE) {
+        board.reason = reason;
+        say(seen);
+        send_fault(board.owner, reason);
+    }
+}
+
+void board_tick(void)
+{
+    const uint64_t now = hal_time();
+    float speed[MOTORS], torque[MOTORS], temperature[MOTORS], attitude[3], rates[3], effort[MOTORS], power = 0.0f;
+    size_t m;
+
+    hal_read_motors(board.angle, speed, torque);
+    hal_read_imu(attitude, rates);
+    hal_read_temperatures(temperature);
+    board.roll = attitude[0];
+    board.pitch = attitude[1];
+    board.voltage = hal_read_voltage();
+    board.temperature = temperature[0];
+    board.finite = true;
+    for (m = 0; m < MOTORS; m++) {
+        board.temperature = greater(board.temperature, temperature[m]);
+        board.finite = board.finite && isfinite(board.angle[m]) && isfinite(speed[m]);
+        power += torque[m] * speed[m];
+    }
+    if (fabsf(power) < 1e9f) {
+        board.energy += (uint64_t)(fabsf(power) * (float)robot_handshake.servo_period);
+    }
+    board.ticked = true;
+    if (board.voltage >= robot_handshake.voltage_min) {
+        board.low_since = BOARD_NEVER;
+    } else {
+        board.low_since = sooner(board.low_since, now);
+    }
+    if (is_armed()) {
+        check(now);
+    }
+    if (is_armed() && board.fresh) {
+        /* Nothing was commanded yet: servos hold the present angles, motors get no duty. */
+        board.fresh = false;
+        for (m = 0; m < MOTORS; m++) {
+            board.order[m] = board.mode == SUREFOOT_MODE_POSITION ? board.angle[m] : 0.0f;
+        }
+    }
+    for (m = 0; m < MOTORS; m++) {
+        const float limit = robot_effort_limit[m];
+        float wanted = -robot_handshake.servo_kd[m] * speed[m]; /* damped */
+
+        if (board.mode == SUREFOOT_MODE_POSITION) {
+            wanted += robot_handshake.servo_kp[m] * (board.order[m] - board.angle[m]);
+        } else if (board.mode == SUREFOOT_MODE_PWM) {
+            wanted = board.order[m] * limit;
+        }
+        /* An effort that is no number is none. */
+        effort[m] = wanted > limit ? limit : wanted < -limit ? -limit : isnan(wanted) ? 0.0f : wanted;
+    }
+    hal_drive_motors(effort);
+    hal_feed_watchdog();
+}
+
+/* Return a number on the line: the nearest, clipped; the least for NaN. */
+static int32_t rounded(float number, float low, float high)
+{
+    return (int32_t)(!(number > low) ? low : number > high ? high : roundf(number));
+}
+
+void board_report(void)
+{
+    const uint64_t now = hal_time();
+    surefoot_state state = {.session = board.owner, .mode = board.mode, .reason = board.reason};
+    float angle[MOTORS], speed[MOTORS], torque[MOTORS], temperature[MOTORS], attitude[3], rates[3];
+    const uint64_t age = (now - board.command_time + 5u) / 10u;
+    uint64_t following;
+    size_t m;
+
+    if (now < board.next_state) {
+        return;
+    }
+    hal_read_motors(angle, speed, torque);
+    hal_read_imu(attitude, rates);
+    hal_read_temperatures(temperature);
+    state.command = board.command;
+    state.command_age = (uint16_t)(board.command != 0u && age < UINT16_MAX ? age : UINT16_MAX);
+    state.dropped = board.dropped;
+    memcpy(state.motor_angle, angle, sizeof(angle));
+    memcpy(state.motor_velocity, speed, sizeof(speed));
+    memcpy(state.roll_pitch_yaw, attitude, sizeof(attitude));
+    memcpy(state.angular_velocity_base, rates, sizeof(rates));
+    for (m = 0; m < MOTORS; m++) {
+        state.motor_torque[m] = (int16_t)rounded(torque[m] / 0.005f, INT16_MIN, INT16_MAX);
+        state.temperature[m] = (uint8_t)rounded(temperature[m], 0, UINT8_MAX);
+    }
+    state.energy = (float)board.energy / 1e6f;
+    state.voltage = (uint16_t)rounded(hal_read_voltage() * 1000.0f, 0, UINT16_MAX);
+    send(SUREFOOT_STATE, &state);
+    following = board.next_state + (is_armed() ? board.period : board.state_period);
+    board.next_state = following > now ? following : now + 1000u;
+}
+
+board_status board_show(void)
+{
+    board_status status = {
+        .robot = robot_handshake.robot,
+        .mode = board.mode,
+        .reason = board.reason,
+        .owner = board.owner,
+        .command_time = board.command_time,
+        .next_state = board.next_state,
+        .taken_until = taken_until(),
+        .frames = board.decoder.frames,
+        .damaged = board.decoder.damaged,
+        .foreign = board.decoder.foreign,
+        .unknown = board.decoder.unknown,
+        .old_numbers = board.old_numbers,
+        .stale = board.stale,
+    };
+
+    memcpy(status.order, board.order, sizeof(status.order));
+    return status;
+}
+
+void board_run(void)
+{
+    uint8_t bytes[64]; /* so few that what arrives does not hold up the servo */
+    uint64_t due;
+
+    board_start();
+    due = hal_time();
+    for (;;) {
+        uint64_t now;
+
+        board_receive(bytes, hal_read_line(bytes, sizeof(bytes)));
+        board_report();
+        now = hal_time();
+        if (now >= due) {
+            board_tick();
+            /* A step that comes late is not made up for. */
+            due = (now - due < robot_handshake.servo_period ? due : now) + robot_handshake.servo_period;
+        }
+        hal_idle();
+    }
+}

@@ -1,0 +1,205 @@
+/* The board's program when its surroundings are another program: surefoot's emulator.
+ *
+ * Events come by read_event, each answered by write_answer before the next one. Numbers are little-endian and packed.
+ * An event is
+ *
+ *     u8   what: 'T' a servo step, 'R' a state may be due, 'B' bytes of the line have come
+ *     u64  time [us]
+ *     u16  size of what follows: readings for T and R, bytes of the line for B
+ *
+ * and the answer a struct `answer`, followed by the bytes for the line. Before the first event the program writes its
+ * schema (u32) and its robot's name (24 bytes). Time passes with events alone. */
+#include "events.h"
+
+#include <string.h>
+
+#include "board.h"
+#include "hal.h"
+
+#define TEXT 80u
+
+#pragma pack(push, 1)
+typedef struct {
+    uint8_t what;
+    uint64_t time;
+    uint16_t size;
+} event;
+
+typedef struct {
+    float angle[SUREFOOT_MOTORS], speed[SUREFOOT_MOTORS], torque[SUREFOOT_MOTORS], temperature[SUREFOOT_MOTORS];
+    float roll_pitch_yaw[3], angular_velocity[3], voltage;
+    uint8_t hazard, sit;
+    char hazard_text[TEXT + 1u], sit_text[TEXT + 1u];
+} readings;
+
+typedef struct {
+    uint8_t mode, reason;
+    uint16_t owner;
+    uint64_t command_time, next_state, taken_until;
+    uint32_t frames, damaged, foreign, unknown, old_numbers, stale;
+    float effort[SUREFOOT_MOTORS], order[SUREFOOT_MOTORS];
+    uint8_t enabled;
+    uint32_t watchdog; /* us; 0: none */
+    uint32_t cycles; /* of the event */
+    uint32_t size;
+} answer;
+#pragma pack(pop)
+
+static uint64_t now;
+static readings seen;
+static float driven[SUREFOOT_MOTORS];
+static uint8_t enabled;
+static uint32_t watchdog;
+static uint8_t out[1u << 15];
+static size_t out_size;
+
+void hal_start(void)
+{
+}
+
+uint64_t hal_time(void)
+{
+    return now;
+}
+
+void hal_idle(void)
+{
+}
+
+size_t hal_read_line(uint8_t *bytes, size_t room)
+{
+    (void)bytes;
+    (void)room;
+    return 0; /* events bring them */
+}
+
+bool hal_write_line(const uint8_t *bytes, size_t size)
+{
+    if (size > sizeof(out) - out_size) {
+        return false;
+    }
+    memcpy(out + out_size, bytes, size);
+    out_size += size;
+    return true;
+}
+
+void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS], float torque[SUREFOOT_MOTORS])
+{
+    memcpy(angle, seen.angle, sizeof(seen.angle));
+    memcpy(speed, seen.speed, sizeof(seen.speed));
+    memcpy(torque, seen.torque, sizeof(seen.torque));
+}
+
+void hal_drive_motors(const float effort[SUREFOOT_MOTORS])
+{
+    memcpy(driven, effort, sizeof(driven));
+}
+
+void hal_enable_motors(void)
+{
+    enabled = 1;
+}
+
+void hal_read_temperatures(float temperature[SUREFOOT_MOTORS])
+{
+    memcpy(temperature, seen.temperature, sizeof(seen.temperature));
+}
+
+void hal_read_imu(float roll_pitch_yaw[3], float angular_velocity[3])
+{
+    memcpy(roll_pitch_yaw, seen.roll_pitch_yaw, sizeof(seen.roll_pitch_yaw));
+    memcpy(angular_velocity, seen.angular_velocity, sizeof(seen.angular_velocity));
+}
+
+float hal_read_voltage(void)
+{
+    return seen.voltage;
+}
+
+uint8_t hal_hazard(const char **text)
+{
+    *text = seen.hazard_text;
+    return seen.hazard;
+}
+
+uint8_t hal_sit(const char **text)
+{
+    *text = seen.sit_text;
+    return seen.sit;
+}
+
+void hal_start_watchdog(uint32_t microseconds)
+{
+    watchdog = microseconds; /* the emulator has one */
+}
+
+void hal_feed_watchdog(void)
+{
+}
+
+static void reply(uint32_t cycles)
+{
+    const board_status status = board_show();
+    answer made = {
+        .mode = status.mode,
+        .reason = status.reason,
+        .owner = status.owner,
+        .command_time = status.command_time,
+        .next_state = status.next_state,
+        .taken_until = status.taken_until,
+        .frames = status.frames,
+        .damaged = status.damaged,
+        .foreign = status.foreign,
+        .unknown = status.unknown,
+        .old_numbers = status.old_numbers,
+        .stale = status.stale,
+        .enabled = enabled,
+        .watchdog = watchdog,
+        .cycles = cycles & 0xFFFFFFu,
+        .size = (uint32_t)out_size,
+    };
+
+    memcpy(made.effort, driven, sizeof(driven));
+    memcpy(made.order, status.order, sizeof(status.order));
+    write_answer(&made, sizeof(made));
+    write_answer(out, out_size);
+    out_size = 0;
+}
+
+static void take_readings(const uint8_t *content)
+{
+    memcpy(&seen, content, sizeof(seen));
+    seen.hazard_text[TEXT] = seen.sit_text[TEXT] = '\0';
+}
+
+void run_events(void)
+{
+    static readings of_servo;
+    static uint8_t content[UINT16_MAX];
+    const uint32_t schema = SUREFOOT_SCHEMA;
+    event next;
+
+    board_start();
+    write_answer(&schema, sizeof(schema));
+    write_answer(board_show().robot, 24);
+    while (read_event(&next, sizeof(next)) && read_event(content, next.size)) {
+        const uint32_t before = read_cycles();
+
+        now = next.time;
+        if (next.what == 'B') {
+            board_receive(content, next.size);
+        } else if (next.size == sizeof(seen)) {
+            take_readings(content);
+            if (next.what == 'T') {
+                of_servo = seen;
+                board_tick();
+            } else {
+                board_report();
+                seen = of_servo; /* a state's readings may be older or noisier */
+            }
+        } else {
+            return; /* it is not the emulator, or that of another robot */
+        }
+        reply(read_cycles() - before);
+    }
+}

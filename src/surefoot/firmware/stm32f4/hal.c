@@ -1,0 +1,126 @@
+/* The board of hal.h on an STM32F405: clock, serial line (USART1, pins A9 and A10) and watchdog, without any library.
+ * Motors and sensors are in a file of their own. */
+#include "hal.h"
+
+#include "board.h"
+#include "motors.h"
+#include "registers.h"
+
+#define CLOCK 168u /* MHz */
+#define STEP 250u  /* us between two interrupts of the system timer: states are sent that exactly */
+#define RING 1024u /* bytes; a power of two */
+
+static volatile uint64_t steps;
+static volatile uint32_t received, sent; /* bytes that have come, and that have left */
+static uint32_t taken, written;          /* of these, read by the program; and put on their way */
+static volatile uint8_t in[RING];
+static uint8_t out[RING];
+
+void tick_interrupt(void)
+{
+    steps++;
+}
+
+void line_interrupt(void)
+{
+    if ((USART_SR(USART1) & USART_SR_RXNE) != 0u) {
+        const uint8_t byte = (uint8_t)USART_DR(USART1);
+
+        if (received - taken < RING) { /* otherwise it is lost, and its frame is damaged */
+            in[received % RING] = byte;
+            received++;
+        }
+    }
+}
+
+void hal_start(void)
+{
+    RCC_AHB1ENR |= 1u;
+    RCC_APB2ENR |= 1u << 4;
+    GPIOA_MODER |= (2u << 18) | (2u << 20);
+    GPIOA_AFRH |= (7u << 4) | (7u << 8);
+    USART_BRR(USART1) = (CLOCK * 500000u + 460800u) / 921600u;
+    USART_CR1(USART1) = USART_CR1_UE | USART_CR1_TE | USART_CR1_RE | USART_CR1_RXNEIE;
+    NVIC_ISER(USART1_IRQ / 32u) = 1u << (USART1_IRQ % 32u);
+    SYST_RVR = CLOCK * STEP - 1u;
+    SYST_CVR = 0;
+    SYST_CSR = 7;
+    start_motors();
+}
+
+uint64_t hal_time(void)
+{
+    static uint64_t last;
+    uint64_t before, now;
+    uint32_t left;
+
+    do {
+        before = steps;
+        left = SYST_CVR;
+    } while (before != steps);
+    now = before * STEP + (CLOCK * STEP - 1u - left) / CLOCK;
+    last = now > last ? now : last; /* the timer may have begun anew before its interrupt came */
+    return last;
+}
+
+/* The interrupt of an empty transmitter is left out: the program comes here every few microseconds. */
+static void send_some(void)
+{
+    while (sent != written && (USART_SR(USART1) & USART_SR_TXE) != 0u) {
+        USART_DR(USART1) = out[sent % RING];
+        sent++;
+    }
+}
+
+void hal_idle(void)
+{
+    send_some();
+    if (sent == written && received == taken) {
+        __asm volatile("wfi");
+    }
+}
+
+size_t hal_read_line(uint8_t *bytes, size_t room)
+{
+    size_t size = 0;
+
+    while (size < room && taken != received) {
+        bytes[size++] = in[taken % RING];
+        taken++;
+    }
+    return size;
+}
+
+bool hal_write_line(const uint8_t *bytes, size_t size)
+{
+    size_t k;
+
+    if (size > RING - (written - sent)) {
+        return false;
+    }
+    for (k = 0; k < size; k++) {
+        out[written % RING] = bytes[k];
+        written++;
+    }
+    send_some();
+    return true;
+}
+
+void hal_start_watchdog(uint32_t microseconds)
+{
+    IWDG_KR = 0x5555;
+    IWDG_PR = 0; /* 32 kHz / 4 */
+    IWDG_RLR = microseconds / 125u;
+    IWDG_KR = 0xCCCC;
+}
+
+void hal_feed_watchdog(void)
+{
+    IWDG_KR = 0xAAAA;
+}
+
+int main(void)
+{
+    board_run();
+    return 0;
+}

@@ -1,0 +1,207 @@
+"""A board whose program is the firmware in C: it moves the robot as the program in Python does."""
+
+from __future__ import annotations
+
+import os
+import random
+import select
+import subprocess
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from compiled_firmware import compiled, needs_gcc, needs_qemu
+from firmware import fuzz
+
+pytest.importorskip("mujoco")
+
+from surefoot.cli.main import main
+from surefoot.deploy.board.signals import Sensors
+from surefoot.deploy.messages import (
+    Arm,
+    Fault,
+    Handshake,
+    Hello,
+    Message,
+    Mode,
+    Packet,
+    Ping,
+    Pong,
+    Position,
+    Pwm,
+    Reason,
+    State,
+)
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, encode_frame
+from surefoot.emulator.firmware_process import FirmwareProcess
+from surefoot.errors import SurefootError
+from surefoot.firmware.project import build_firmware, write_sources
+from surefoot.robot import RobotDescription
+
+pytestmark = needs_gcc
+ME = 7
+EIGHT = np.zeros(8)
+READINGS = (EIGHT, EIGHT[:3], EIGHT[:3], 0.0, 16.0, EIGHT + 25.0)
+"""Torques, attitude, rates, energy, voltage and temperatures."""
+
+
+@pytest.mark.parametrize(
+    ("robot_name", "words"),
+    [("minitaur", ()), ("minitaur", ("swap-motors=2", "flip-sign=5", "motor-hot=95@0.3")), ("go2", ())],
+)
+def test_both_programs_move_the_robot_alike(rigs, robot_name, words):
+    pair = rigs(RobotDescription.load(robot_name), *words, noise=True)
+    for rig in pair:
+        rig.arm()
+        for k in range(50):
+            rig.walk(1, rig.angles + 0.3 * np.sin(0.2 * k + np.arange(len(rig.angles))))
+        rig.run(60_000)
+    states = [[frame.message for frame in rig.states] for rig in pair]
+    assert [rig.mode for rig in pair] == [pair[0].mode] * 2
+    assert [frame.message.text for frame in pair[0].faults] == [frame.message.text for frame in pair[1].faults]
+    assert len(states[0]) == len(states[1]) > 50
+    assert [frame.time for frame in pair[0].states] == [frame.time for frame in pair[1].states]
+    for name, tolerance in (("motor_angle", 2e-6), ("motor_velocity", 2e-4), ("roll_pitch_yaw", 1e-6)):
+        one, other = (np.array([getattr(state, name) for state in run]) for run in states)
+        np.testing.assert_allclose(one, other, atol=tolerance)
+    for name in ("mode", "reason", "command_age", "dropped", "voltage"):
+        assert [getattr(state, name) for state in states[0]] == [getattr(state, name) for state in states[1]]
+    # The firmware adds up the work by what it reads, a servo latency late.
+    assert states[1][-1].energy == pytest.approx(states[0][-1].energy, rel=0.1)
+
+
+class Direct:
+    """The firmware of a Minitaur alone, and an operator; a servo step at each call of `tick`."""
+
+    def __init__(self, robot: RobotDescription) -> None:
+        self.firmware, self.now, self.number = FirmwareProcess(compiled(robot), "minitaur", 8), 0, 0
+        self.seen = Sensors(np.linspace(0.0, 0.7, 8), np.linspace(-3.0, 4.0, 8), *READINGS)
+
+    def send(self, *messages: Message) -> None:
+        for message in messages:
+            self.number += 1
+            self.firmware.receive(self.now, encode_frame(Codec(8), message, self.number, self.now / 1e6))
+
+    def tick(self, **changes: np.ndarray) -> np.ndarray:
+        self.now += 1000
+        return self.firmware.tick(self.now, replace(self.seen, **changes))
+
+    def arm(self, mode: Mode) -> None:
+        self.tick()
+        self.send(Hello(ME, 0.01), Arm(ME, int(mode), 0.006, 0.006))
+
+
+@pytest.fixture
+def direct(robot) -> Direct:
+    return Direct(robot)
+
+
+def test_its_servos_are_proportional_and_derivative_and_damped_motors_brake(direct):
+    angle, speed = direct.seen.motor_angle, direct.seen.motor_velocity
+    np.testing.assert_allclose(direct.tick(), -0.015 * speed, rtol=1e-6)
+    direct.arm(Mode.POSITION)
+    target = np.linspace(0.5, 2.4, 8)
+    direct.send(Position(ME, target))
+    duty = np.clip(1.0 * (target - angle) - 0.015 * speed, -1.0, 1.0)
+    assert 2 < (duty == 1.0).sum() < 8
+    np.testing.assert_allclose(direct.tick(), duty, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("roll_pitch_yaw", [0.0, 1.01, 0.0], Reason.TILT),
+        ("roll_pitch_yaw", [-1.01, 0.0, 0.0], Reason.TILT),
+        ("roll_pitch_yaw", [0.0, np.nan, 0.0], Reason.TILT),
+        ("roll_pitch_yaw", [np.nan, 0.0, 0.0], Reason.TILT),
+        ("motor_angle", [0.0, np.nan, *[0.0] * 6], Reason.NOT_FINITE),
+        ("motor_velocity", [0.0, np.inf, *[0.0] * 6], Reason.NOT_FINITE),
+    ],
+)
+def test_a_reading_beyond_its_limit_or_no_number_damps(direct, name, value, reason):
+    direct.arm(Mode.PWM)
+    direct.send(Pwm(ME, EIGHT + 0.5))
+    np.testing.assert_array_equal(direct.tick(), EIGHT + 0.5)
+    effort = direct.tick(**{name: np.array(value)})
+    assert (direct.firmware.mode, direct.firmware.reason) == (Mode.FAULT, reason)
+    assert np.isfinite(effort).all()
+    assert (np.abs(effort) <= (1.0 if name == "motor_velocity" else 0.1)).all()
+
+
+def test_a_program_that_is_no_firmware_of_the_robot_is_refused(robot, tmp_path, capsys):
+    quiet = tmp_path / "quiet"
+    quiet.write_text("#!/bin/sh\nexit 3\n")
+    with pytest.raises(SurefootError, match="Permission denied"):
+        FirmwareProcess(quiet, "minitaur", 8)
+    quiet.chmod(0o755)
+    with pytest.raises(SurefootError, match="has ended with code 3"):
+        FirmwareProcess(quiet, "minitaur", 8)
+    with pytest.raises(SurefootError, match="is not one of robot solo8"):
+        FirmwareProcess(compiled(robot), "solo8", 8)
+    words = ["--firmware", str(tmp_path / "none"), "--duration", "0.01"]
+    for more, message in (([], "No such file"), (["--set", "servo_kp=2"], "a firmware has its own, in its robot.h")):
+        assert main(["emulate", *words, *more]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert message in error
+
+
+def test_errors_of_the_compiler_are_one_line(robot, tmp_path):
+    write_sources(tmp_path, robot)
+    (tmp_path / "core" / "board.c").write_text("int x = y;")
+    with pytest.raises(SurefootError, match=r"error: .y. undeclared"):
+        build_firmware(tmp_path)
+    with pytest.raises(SurefootError, match=r"the firmware does not compile: .*no-such-cc"):
+        build_firmware(tmp_path, "CC=no-such-cc")
+
+
+def test_mutated_frames_find_no_error_of_memory_or_of_a_count(robot):
+    # benchmarks/firmware.py sends a million.
+    result = fuzz(4000, 2, compiled(robot))
+    assert result["wrong"] == 0
+    assert result["received"] > 1000
+    assert len(result["servo_steps"]) == 4
+
+
+@needs_qemu
+def test_the_firmware_of_the_stm32f405_answers_on_its_serial_line_and_does_not_arm_without_motors(robot):
+    # The Makefile links it into 32 KiB of flash and 8 KiB of RAM. Its clock, interrupts and line are those of QEMU.
+    elf = compiled(robot, target="board.elf")
+    words = ["-M", "netduinoplus2", "-nographic", "-monitor", "none", "-serial", "stdio", "-kernel", str(elf)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(["qemu-system-arm", *words], stdin=pipe, stdout=pipe, bufsize=0) as process:
+        decoder, start, number = Decoder(Codec(8)), time.monotonic(), 0
+        packets: list[Packet] = []
+
+        def send(message: Message) -> None:
+            nonlocal number
+            number += 1
+            process.stdin.write(encode_frame(Codec(8), message, number, time.monotonic() - start))
+
+        def wait_for(kind: type[Message], count: int = 1) -> list[Packet]:
+            found: list[Packet] = []
+            while len(found) < count:
+                assert select.select([process.stdout], [], [], 10.0)[0], packets
+                found += [
+                    one for one in decoder.feed(os.read(process.stdout.fileno(), 4096)) if type(one.message) is kind
+                ]
+            return found
+
+        try:
+            while not select.select([process.stdout], [], [], 0.1)[0]:  # what comes before it has started is lost
+                send(Ping(3))
+            wait_for(Pong)
+            send(Hello(ME, 0.020))
+            (handshake,) = wait_for(Handshake)
+            assert handshake.message.robot == "minitaur"
+            states = wait_for(State, 10)
+            assert np.diff([state.time for state in states]) == pytest.approx(0.020, abs=0.005)
+            assert np.isnan(states[-1].message.motor_angle).all()
+            process.stdin.write(random.Random(1).randbytes(20_000) + b"\0")
+            send(Arm(ME, int(Mode.POSITION), 0.006, 0.006))
+            (fault,) = wait_for(Fault)
+            assert (fault.message.session, fault.message.reason) == (ME, Reason.NOT_FINITE)
+        finally:
+            process.kill()
