@@ -123,10 +123,12 @@ def main() -> None:
             data = build_policy(case.specification, networks[case.policy], robot, case.policy, {})
             policy = PolicyRuntime.parse(data)
             diagnosis = diagnose(policy, robot, task_from_contract(policy.contract, robot), threads=options.threads)
-            fitting = [one for one in diagnosis.ranked if one.correction is not None]
-            is_right = [same(one.correction.specification, right[case.policy], robot) for one in fitting]
+            proposed = [one.correction.specification for one in diagnosis.ranked if one.correction is not None]
+            is_right = [same(one, right[case.policy], robot) for one in proposed]
             answer = diagnosis.mistake
-            best = max((one.score for one, fits in zip(fitting, is_right, strict=True) if fits), default=float("nan"))
+            best = max(
+                (one.score for one, fits in zip(diagnosis.ranked, is_right, strict=True) if fits), default=float("nan")
+            )
             if case.kind == RIGHT:
                 result = "false alarm" if diagnosis.is_shown else "left alone"
             elif answer is None or not is_right[0]:

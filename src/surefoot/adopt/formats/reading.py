@@ -23,4 +23,4 @@ def pick(kind: type[T], data: Mapping[str, Any]) -> T:
 
 def first_names(terms: Mapping[str, str]) -> dict[str, str]:
     """Return the first name of each term in a format's table of terms by name."""
-    return {term: name for name, term in reversed(terms.items())}
+    return {term: name for name, term in reversed([*terms.items()])}
