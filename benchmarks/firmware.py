@@ -10,8 +10,8 @@ firmware. An error of memory, an undefined operation, a wait of over 5 s, a coun
 decoder in Python, or a motor that gets more than its limit is an error, and the script ends with 1.
 
 `faults`: `surefoot deploy` in lockstep on the firmware. Each fault begins while the robot rises, while the policy runs,
-and while it sits down. A row has how long after that the motors are driven [ms] in each, how long at most after the last
-command that the robot accepted, and how many of the three runs left the robot armed.
+and while it sits down. A row has how long after that the motors are driven [ms] in each, how long at most after the
+last command that the robot accepted, and how many of the three runs left the robot armed.
 
 `runs`: `surefoot deploy trot-robust` in lockstep for 10 s, on robots with other noise, with the program in Python, with
 the firmware, and with the firmware on an STM32F405 in QEMU.
@@ -163,7 +163,7 @@ def run_fault(word: str, phase: str, program: Path) -> tuple[float, float, bool]
 
 
 def run_faults(program: Path) -> list[dict[str, Any]]:
-    """Return a row a fault: milliseconds until damped in each phase, the longest after a command, and runs left armed."""
+    """Return a row a fault: times until the motors are damped [ms], and how many runs left the robot armed."""
     rows = []
     for word in FAULTS:
         results = {phase: run_fault(word, phase, program) for phase in PHASES}
@@ -192,7 +192,7 @@ def measure_stm32f4(folder: Path) -> dict[str, Any]:
         nonlocal number
         number += 1
         firmware.receive(now, encode_frame(CODEC, message, number, now / 1e6))
-        note(type(message).__name__)
+        note(type(message).__name__.lower())
 
     def note(what: str) -> None:
         # The timer counts 168 a microsecond of the emulated time, of which an instruction takes a nanosecond.
@@ -204,18 +204,18 @@ def measure_stm32f4(folder: Path) -> dict[str, Any]:
         if now % 6000 == 0:
             send(messages.Position(7, zeros + 1.5), now)
         firmware.tick(now, seen)
-        note("servo step")
+        note("step")
         if now >= firmware.next_state:
             firmware.report(now, lambda: seen)
-            note("State")
+            note("state")
     instructions = {what: max(values) for what, values in counts.items()}
-    return {"flash": text + data, "ram_without_stack": data + bss, "instructions": instructions}
+    return {"flash": text + data, "ram_without_stack": data + bss, **instructions}
 
 
 def run_policies(runs: int, folder: Path) -> list[dict[str, Any]]:
     """Deploy a policy on all programs; return a row a program."""
     programs: dict[str, tuple[object, ...]] = {"Python": ()}
-    for name, target in (("C", "board"), ("C in QEMU", "board-qemu")):
+    for name, target in (("C", "board"), ("QEMU", "board-qemu")):
         programs[name] = ("--firmware", build_firmware(folder, target=target))
     rows = []
     for name, options in programs.items():

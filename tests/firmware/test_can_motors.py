@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compiled_firmware import needs_gcc
+from compiled_firmware import compiled, needs_gcc, needs_qemu
 
 from surefoot.firmware.project import write_sources
 from surefoot.robot import RobotDescription
@@ -167,3 +167,9 @@ def test_frames_of_others_on_the_bus_have_no_effect(bus):
     for number, name in ((99, 0), (0, 0), (1, 5)):
         bus.c.put(name, bytes([number, *[255] * 7]))
     np.testing.assert_array_equal(bus.read(), before)
+
+
+@needs_qemu
+def test_it_fits_the_stm32f405_with_its_bus():
+    drivers = "drivers/can_motors.c stm32f4/can_bus.c drivers/no_sensors.c"
+    assert compiled(RobotDescription.load("go2"), None, None, "board.elf", f"DRIVERS={drivers}").exists()
