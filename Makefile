@@ -10,7 +10,7 @@ CODE   := src tests examples benchmarks docs
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup demo test lint format bench docs clean distclean FORCE
+.PHONY: help setup demo test style lint format bench docs clean distclean FORCE
 
 help: ## Show these targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-18s %s\n", $$1, $$2 }'
@@ -56,12 +56,18 @@ $(BROWSER): $(READY)
 	@$(BIN)/python tests/chromium.py
 	@touch $(BROWSER)
 
-test: lint $(BROWSER) ## Check style and types, then run the tests (ARGS="-k gait" for some)
-	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder $(ARGS)
+# Types are checked beside the tests, which often wait; the summary of the tests comes last.
+test: style $(BROWSER) ## Check style and types, and run the tests (ARGS="-k gait" for some)
+	@nice $(BIN)/mypy & types=$$!; \
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS); tests=$$?; \
+	wait $$types || { echo "surefoot: mypy has found errors, printed above" >&2; exit 1; }; \
+	exit $$tests
 
-lint: $(READY) ## Check style and types
+style: $(READY)
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+
+lint: style ## Check style and types
 	@$(BIN)/mypy
 
 format: $(READY) ## Format the code and fix what can be fixed

@@ -1,203 +1,166 @@
 """Does `surefoot doctor` name the mistake in an adopted policy's configuration?
 
-Twenty configurations are made from those of two policies of rl_sar (`data/rl_sar`), each wrong in one way, drawn with a
-seed. Each is adopted and examined in simulation. Prints a line a configuration and the count.
+Configurations are made from those of two policies of rl_sar (`data/rl_sar`), each wrong in one way: a change of
+`adopt/mistakes.py` is applied to the right one. A seed draws a policy and a kind of mistake, no pair twice before all
+were drawn, and a change of that kind. Each configuration is adopted and examined as the doctor does.
 
-    python benchmarks/adopted_mistakes.py [--count 20] [--seed 1] [--out results/adopted_mistakes.json]
+    python benchmarks/adopted_mistakes.py [--seeds 0 1] [--count 20] [--minutes 30]
+
+Number -1 and -2 of a seed are the right configurations, in which nothing must be found. Rows go to
+results/adopted_mistakes.csv; those that are there already are not run again.
+
+A mistake is named, if the specification that the doctor proposes first means exactly what the right one means: the same
+observation for all readings, the same motor angles for all actions, the same gains and control step.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import math
+import csv
+import re
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from surefoot.adopt.adoption import FORMATS, load_network
 from surefoot.adopt.builder import NetworkSizes, PolicyMaker, build_policy, check_specification
-from surefoot.adopt.examination import Answer, Diagnosis, examine, stated_specification
-from surefoot.adopt.mistakes import corrections, joint_orders
+from surefoot.adopt.examination import diagnose
+from surefoot.adopt.mistakes import Correction, corrections
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.task.contract_mapping import task_from_contract
 
-DATA = Path(__file__).resolve().parents[1] / "data" / "rl_sar"
-NETWORKS = {"himloco": DATA / "himloco" / "himloco.pt", "robot_lab": DATA / "robot_lab" / "policy.pt"}
-Change = Callable[[PolicySpecification], PolicySpecification]
+ROOT = Path(__file__).resolve().parents[1]
+NETWORKS = {
+    name: ROOT / "data" / "rl_sar" / name / file
+    for name, file in (("himloco", "himloco.pt"), ("robot_lab", "policy.pt"))
+}
+RIGHT = "none"
+"""Kind of mistake of a right configuration."""
+RESULTS = ROOT / "results" / "adopted_mistakes.csv"
 
 
-def place(spec: PolicySpecification, term: str) -> int:
-    """Return the place of a term."""
-    return [str(one.term) for one in spec.observations].index(term)
+class Case(NamedTuple):
+    """A configuration to examine."""
+
+    policy: str
+    kind: str
+    mistake: str
+    specification: PolicySpecification
 
 
-def with_term(term: str, **changes: object) -> Change:
-    """Return a change of a term's fields."""
-
-    def change(spec: PolicySpecification) -> PolicySpecification:
-        terms, k = list(spec.observations), place(spec, term)
-        terms[k] = replace(terms[k], **changes)  # type: ignore[arg-type]
-        return replace(spec, observations=tuple(terms))
-
-    return change
+def kind_of(change: Correction) -> str:
+    """Return the kind of a change: what it is about, without which part of it."""
+    if change.field == "joint_signs":
+        return "sign of joints"
+    return re.sub(r"'s .*| \(.*", "", change.text.partition(":")[0])
 
 
-def scaled(term: str, factor: float, columns: tuple[int, ...] = ()) -> Change:
-    """Return a change of a term's scale, of some of its numbers or of all."""
-
-    def change(spec: PolicySpecification) -> PolicySpecification:
-        own = spec.observations[place(spec, term)].scale
-        if not columns:
-            scale = tuple(factor * x for x in own) if isinstance(own, tuple) else factor * own
-            return with_term(term, scale=scale)(spec)
-        scales = np.broadcast_to(own, 3) * [factor if k in columns else 1.0 for k in range(3)]
-        return with_term(term, scale=tuple(scales.tolist()))(spec)
-
-    return change
-
-
-def swapped(first: str, second: str) -> Change:
-    """Return a change in which two terms change places."""
-
-    def change(spec: PolicySpecification) -> PolicySpecification:
-        terms, i, k = list(spec.observations), place(spec, first), place(spec, second)
-        terms[i], terms[k] = terms[k], terms[i]
-        return replace(spec, observations=tuple(terms))
-
-    return change
-
-
-def times(factor: float, *names: str) -> Change:
-    """Return a change in which numbers of the specification are multiplied."""
-
-    def change(spec: PolicySpecification) -> PolicySpecification:
-        values: dict[str, Any] = {name: getattr(spec, name) for name in names}
-        for name, value in values.items():
-            values[name] = tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
-        return replace(spec, **values)
-
-    return change
-
-
-def ordered(robot: RobotDescription, name: str) -> Change:
-    """Return a change of the order of joints."""
-    return lambda spec: replace(spec, joints=joint_orders(robot)[name])
-
-
-def turned_history(spec: PolicySpecification) -> PolicySpecification:
-    """Return a specification with its histories the other way round."""
-    return replace(spec, observations=tuple(replace(term, steps=term.steps[::-1]) for term in spec.observations))
-
-
-def turned_abduction(spec: PolicySpecification) -> PolicySpecification:
-    """Return a specification with the other sense of abduction."""
-    signs = [-1.0 if "hip" in joint else 1.0 for joint in spec.joints]
-    pose = tuple(sign * angle for sign, angle in zip(signs, spec.default_pose, strict=True))
-    return replace(spec, joint_signs=tuple(signs), default_pose=pose)
-
-
-def mistakes(robot: RobotDescription) -> dict[str, Change]:
-    """Return the mistakes by name."""
-    return {
-        "order FR FL RR RL": ordered(robot, "FR FL RR RL, leg by leg"),
-        "order FL FR RL RR": ordered(robot, "FL FR RL RR, leg by leg"),
-        "order FL RL FR RR": ordered(robot, "FL RL FR RR, leg by leg"),
-        "sense of abduction": turned_abduction,
-        "sign of gravity": scaled("gravity", -1.0),
-        "scale of angular velocity forgotten": with_term("angular_velocity", scale=1.0),
-        "angular velocity in degrees": scaled("angular_velocity", 180 / math.pi),
-        "scale of joint speeds forgotten": with_term("joint_speeds", scale=1.0),
-        "joint positions in degrees": scaled("joint_positions", 180 / math.pi),
-        "default pose not subtracted": with_term("joint_positions", relative=False),
-        "sign of yaw in commands": scaled("command", -1.0, (2,)),
-        "scale of commands halved": scaled("command", 0.5),
-        "yaw first in commands": with_term("command", columns=(2, 0, 1)),
-        "angular velocity and gravity exchanged": swapped("angular_velocity", "gravity"),
-        "command and angular velocity exchanged": swapped("command", "angular_velocity"),
-        "joint positions and speeds exchanged": swapped("joint_positions", "joint_speeds"),
-        "actions twice as large": times(2.0, "action_scale"),
-        "actions half as large": times(0.5, "action_scale"),
-        "gains twice as large": times(2.0, "kp", "kd"),
-        "proportional gain four times as large": times(4.0, "kp"),
-        "derivative gain four times as large": times(4.0, "kd"),
-        "control step halved": times(0.5, "control_step"),
-        "history the other way round": turned_history,
-        "history by term": lambda spec: replace(spec, history_by="term"),
-    }
+def meaning(specification: PolicySpecification, robot: RobotDescription) -> list[np.ndarray]:
+    """Return all numbers that decide what the policy sees and what its actions do."""
+    maker = PolicyMaker(specification, NetworkSizes(None, len(specification.joints)), robot)
+    weight, offset, scale = maker.observation_map()
+    action, middle, to_motors = maker.target_map()
+    gains = [np.broadcast_to(maker.per_motor(gain), robot.num_motors) for gain in (specification.kp, specification.kd)]
+    step = np.array(specification.control_step)
+    return [weight * scale, offset * scale, action[:, None] * to_motors, middle @ to_motors, *gains, step]
 
 
 def same(one: PolicySpecification, other: PolicySpecification, robot: RobotDescription) -> bool:
     """Return whether two specifications mean the same."""
+    pairs = zip(meaning(one, robot), meaning(other, robot), strict=True)
+    return all(x.shape == y.shape and np.allclose(x, y, rtol=1e-9, atol=1e-9) for x, y in pairs)
 
-    def meaning(spec: PolicySpecification) -> list[np.ndarray]:
-        maker = PolicyMaker(spec, NetworkSizes(None, len(spec.joints)), robot)
-        weight, offset, scale = maker.observation_map()
-        action, middle, to_motors = maker.target_map()
-        gains = [np.broadcast_to(maker.per_motor(gain), robot.num_motors) for gain in (spec.kp, spec.kd)]
-        return [
-            weight * scale,
-            offset * scale,
-            action[:, None] * to_motors,
-            middle @ to_motors,
-            *gains,
-            np.array(spec.control_step),
-        ]
 
-    return all(x.shape == y.shape and np.allclose(x, y) for x, y in zip(meaning(one), meaning(other), strict=True))
+def draw(right: dict[str, PolicySpecification], robot: RobotDescription, seed: int) -> Iterator[Case]:
+    """Yield wrong configurations without end."""
+    kinds: dict[tuple[str, str], list[Correction]] = {}
+    for name, specification in right.items():
+        for change in corrections(specification, robot):
+            if not same(change.specification, specification, robot):
+                kinds.setdefault((name, kind_of(change)), []).append(change)
+    random, pairs = np.random.default_rng(seed), list(kinds)
+    while True:
+        for k in random.permutation(len(pairs)):
+            (name, kind), changes = pairs[k], kinds[pairs[k]]
+            change = changes[random.integers(len(changes))]
+            text = (
+                change.text.replace("they should be", "they were made")
+                .replace("it should be", "it was made")
+                .replace("should change", "changed")
+            )
+            yield Case(name, kind, text, change.specification)
 
 
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--count", type=int, default=20, help="configurations of each seed")
+    parser.add_argument("--minutes", type=float, default=1e9, help="no configuration is begun after that")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--out", type=Path, help="file (.json) for the results")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="table (.csv)")
     options = parser.parse_args()
+    end = time.monotonic() + 60 * options.minutes
     robot = RobotDescription.load("go2")
-    cases = []
-    right, networks = {}, {}
-    for name, path in NETWORKS.items():
-        right[name] = FORMATS["rl_sar"].read(path.parent / "config.yaml", robot)
-        networks[name] = load_network(path, path.read_bytes(), check_specification(right[name], robot))
-        changes = {what: change(right[name]) for what, change in mistakes(robot).items()}
-        cases += [(name, what, spec) for what, spec in changes.items() if not same(spec, right[name], robot)]
-    chosen = np.random.default_rng(options.seed).permutation(len(cases))[: options.count]
-    named = likely = 0
-    rows = []
-    for name, what, wrong in (cases[k] for k in sorted(chosen)):
-        started = time.monotonic()
-        policy = PolicyRuntime.parse(build_policy(wrong, networks[name], robot, name, {}))
-        task = task_from_contract(policy.contract, robot)
-        tried = corrections(stated_specification(policy.contract), robot)
-        diagnosis = Diagnosis.from_answers(examine(policy, robot, task, [None, *tried], threads=options.threads))
-
-        # An order of joints is tried with and without the numbers of each joint: the same text for both.
-        right_texts = {one.text for one in tried if same(one.specification, right[name], robot)}
-
-        def is_right(answer: Answer | None, texts: set[str] = right_texts) -> bool:
-            return answer is not None and answer.correction is not None and answer.correction.text in texts
-
-        mistake = diagnosis.mistake
-        first, among = is_right(mistake), any(map(is_right, diagnosis.alike))
-        named, likely = named + first, likely + (first or among)
-        result = "named" if first else "as likely as another" if among else "not named"
-        text = mistake.correction.text if mistake is not None and mistake.correction is not None else "nothing found"
-        score = diagnosis.own.score
-        rows.append({"policy": name, "mistake": what, "result": result, "answer": text, "score": round(score, 3)})
-        print(f"{name}: {what}: {result}: {text} (score {score:.2f}; {time.monotonic() - started:.0f} s)", flush=True)
-    print(f"named: {named} of {len(chosen)}; with those that are as likely: {likely}")
-    if options.out is not None:
-        counts = {"kinds": len(mistakes(robot)), "named": named, "likely": likely, "configurations": len(chosen)}
-        text = json.dumps({**counts, "seed": options.seed, "rows": rows}, indent=1)
-        options.out.write_text(text + "\n")
+    right = {name: FORMATS["rl_sar"].read(path.parent / "config.yaml", robot) for name, path in NETWORKS.items()}
+    widths = {name: check_specification(one, robot) for name, one in right.items()}
+    networks = {name: load_network(path, path.read_bytes(), widths[name]) for name, path in NETWORKS.items()}
+    rows: list[dict[str, object]] = []
+    if options.out.exists():
+        with options.out.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+    done = {(str(row["seed"]), str(row["number"])) for row in rows}
+    for seed in options.seeds:
+        cases = draw(right, robot, seed)
+        plan = [(-1 - k, Case(name, RIGHT, "", one)) for k, (name, one) in enumerate(right.items())]
+        plan += [(number, next(cases)) for number in range(options.count)]
+        for number, case in plan:
+            if (str(seed), str(number)) in done or time.monotonic() > end:
+                continue
+            started = time.process_time()
+            data = build_policy(case.specification, networks[case.policy], robot, case.policy, {})
+            policy = PolicyRuntime.parse(data)
+            diagnosis = diagnose(policy, robot, task_from_contract(policy.contract, robot), threads=options.threads)
+            proposed = [one.correction.specification for one in diagnosis.ranked if one.correction is not None]
+            is_right = [same(one, right[case.policy], robot) for one in proposed]
+            answer = diagnosis.mistake
+            best = max(
+                (one.score for one, fits in zip(diagnosis.ranked, is_right, strict=True) if fits), default=float("nan")
+            )
+            if case.kind == RIGHT:
+                result = "false alarm" if diagnosis.is_shown else "left alone"
+            elif answer is None or not is_right[0]:
+                result = "nothing named" if answer is None else "another named"
+            else:
+                result = "named, robots show it" if diagnosis.is_shown else "named by its unusual number"
+            row = {
+                "seed": seed,
+                "number": number,
+                "policy": case.policy,
+                "kind": case.kind,
+                "mistake": case.mistake,
+                "result": result,
+                "answer": answer.correction.text if answer is not None and answer.correction is not None else "",
+                "score": f"{diagnosis.own.score:.3f}",
+                "answer_score": f"{answer.score:.3f}" if answer is not None else "",
+                "right_score": "" if np.isnan(best) else f"{best:.3f}",
+                "right_rank": is_right.index(True) + 1 if any(is_right) else "",
+                "seconds": f"{time.process_time() - started:.0f}",
+            }
+            rows.append(row)
+            print(row, flush=True)
+            with options.out.open("w", newline="") as file:
+                writer = csv.DictWriter(file, list(row), lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(rows)
+        results = Counter(str(row["result"]) for row in rows if str(row["seed"]) == str(seed))
+        print(f"seed {seed}: {', '.join(f'{count} {result}' for result, count in results.most_common())}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Deploy a policy on a Go2 over DDS, in real time on the loopback: does it walk, how even are commands, what faults do.
 
-    python benchmarks/go2_dds.py runs emulated vendor fitted --count 10 [--busy 2] [--speed 1.0]
+    python benchmarks/go2_dds.py runs emulated vendor fitted --count 10 [--busy 2] [--speed 1.0] [--policy FILE]
     python benchmarks/go2_dds.py faults [NAME ...] [--phase run ...]
 
 `emulated` is surefoot's own robot; `vendor` and `fitted` are two variants of one that surefoot did not write
@@ -44,6 +44,8 @@ from go2_runs import (
 
 from surefoot.deploy.motion_runner import UP
 
+POLICY = "go2-steer"
+"""Of rows that name none."""
 RESULTS = Path(__file__).parents[1] / "results" / "go2_dds"
 SETTLED = 3.0
 """Time [s] after which the speed of a run counts."""
@@ -67,7 +69,7 @@ def percentile(values: np.ndarray, share: float) -> float:
     return float(np.percentile(values, share)) if len(values) else float("nan")
 
 
-def walk(kind: str, speed: float, busy: int, number: int, duration: float, domain: int) -> dict[str, Any]:
+def walk(kind: str, speed: float, busy: int, number: int, duration: float, domain: int, policy: str) -> dict[str, Any]:
     """Return the figures of one run."""
     loads: dict[str, list[float]] = {}
 
@@ -81,7 +83,8 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
         robot = Robot(kind, domain, folder)
         witness = Witness(domain)
         bare = BareLoop()
-        deploy = Deploy(domain, folder, "--duration", duration, "--commands", steer_forward(folder, speed))
+        steering = steer_forward(folder, speed)
+        deploy = Deploy(domain, folder, "--duration", duration, "--commands", steering, policy=policy)
         try:
             actions = [(UP + 0.5, read_loads), (UP + duration - 0.5, read_loads)]
             watch(deploy, witness, actions, PATIENCE + duration)
@@ -93,7 +96,8 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
             bare_figures = bare.end()
         seen = witness.commands()
         run = (report.get("runs") or [{}])[0]
-        row: dict[str, Any] = {"robot": kind, "command": speed, "busy": busy, "number": number, "exit_code": code}
+        row: dict[str, Any] = {"policy": Path(policy).stem, "robot": kind, "command": speed, "busy": busy}
+        row |= {"number": number, "exit_code": code}
         row["ended"] = run.get("ended", errors.strip()[:200])
         row["what"] = run.get("what", "")
         if kind == "emulated":
@@ -177,7 +181,7 @@ def save(name: str, keys: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
     table: dict[tuple[str, ...], dict[str, Any]] = {}
     if path.exists():
         with path.open(newline="") as file:
-            table = {tuple(row[key] for key in keys): row for row in csv.DictReader(file)}
+            table = {tuple(row.get(key) or POLICY for key in keys): row for row in csv.DictReader(file)}
     for row in rows:
         row = {key: f"{value:.5g}" if isinstance(value, float) else value for key, value in row.items()}
         table[tuple(str(row[key]) for key in keys)] = row
@@ -198,6 +202,7 @@ def main() -> None:
     runs.add_argument("--busy", type=int, default=0, help="programs beside it that need a processor each")
     runs.add_argument("--speed", type=float, default=0.5)
     runs.add_argument("--duration", type=float, default=10.0)
+    runs.add_argument("--policy", default=POLICY, help="name or file")
     faults = commands.add_parser("faults")
     faults.add_argument("names", nargs="*", metavar="FAULT")
     faults.add_argument("--phase", nargs="*", metavar="PHASE", default=[*PHASES])
@@ -215,9 +220,9 @@ def main() -> None:
         options = parser.parse_args(["runs"])
     for kind in options.robots or ROBOTS:
         for number in range(options.count):
-            row = walk(kind, options.speed, options.busy, number, options.duration, options.domain)
+            row = walk(kind, options.speed, options.busy, number, options.duration, options.domain, options.policy)
             print(row, flush=True)
-            save("runs", ("robot", "command", "busy", "number"), [row])
+            save("runs", ("policy", "robot", "command", "busy", "number"), [row])
 
 
 if __name__ == "__main__":

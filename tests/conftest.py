@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import functools
 import os
 import time
 from collections.abc import Callable, Generator, Iterator
@@ -14,6 +15,7 @@ import pytest
 from _pytest.runner import runtestprotocol
 from hypothesis import settings
 from processes import BUSY, Emulator, TooBusyError, Watchman, emulators
+from xdist.scheduler import LoadFileScheduling
 
 from surefoot.report.figures import style
 from surefoot.robot import RobotDescription
@@ -30,15 +32,42 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 settings.register_profile("surefoot", deadline=None, derandomize=True)
 settings.load_profile("surefoot")
 
+REALTIME = "surefoot/realtime"
+"""Where pytest's cache has the names of tests in real time."""
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the files that have slow tests, so that none is left alone at the end; those with real time come last.
 
-    pytest-xdist (`--dist loadfile`) takes files in this order, and keeps a file's tests on one worker, for the fixtures
-    that they share.
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Return more workers than processors: tests often wait for processes that they have started."""
+    return min(3 * (os.cpu_count() or 1) // 2, 5)
+
+
+class RealTimeLast(LoadFileScheduling):
+    """Each file's tests on one worker, for the fixtures that they share; those in real time are a unit of their own."""
+
+    @functools.cached_property
+    def _realtime(self) -> set[str]:
+        return set(self.config.cache.get(REALTIME, ()))
+
+    def _split_scope(self, nodeid: str) -> str:
+        return super()._split_scope(nodeid) + " in real time" * (nodeid in self._realtime)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileScheduling | None:
+    """Keep tests in real time apart, which wait until all other tests have ended."""
+    return RealTimeLast(config, log) if hasattr(config, "cache") and config.getvalue("dist") == "loadfile" else None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Begin with the files that have slow tests, so that none is left alone at the end; tests in real time come last.
+
+    pytest-xdist (`--dist loadfile`) takes units of work in this order.
     """
-    slow, realtime = ({item.path for item in items if item.get_closest_marker(name)} for name in ("slow", "realtime"))
-    items.sort(key=lambda item: (item.path in realtime, item.path not in slow))
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: (item.get_closest_marker("realtime") is not None, item.path not in slow))
+    if cache := getattr(config, "cache", None):  # none with `-p no:cacheprovider`
+        cache.set(REALTIME, [item.nodeid for item in items if item.get_closest_marker("realtime")])
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -59,13 +88,12 @@ def pytest_terminal_summary(terminalreporter: TerminalReporter) -> Generator[Non
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Give a test marked `realtime` the processors for itself where pytest-xdist runs tests side by side."""
-    if not hasattr(item.config, "workerinput") or item.config.cache is None:
+    cache = getattr(item.config, "cache", None)
+    if not hasattr(item.config, "workerinput") or cache is None:
         return (yield)
-    folder = item.config.cache.mkdir("turns")
-    with (folder / "turn").open("w") as turn, (folder / "running").open("w") as running:
-        fcntl.flock(turn, fcntl.LOCK_EX)  # who waits for the others to end lets no new one begin
+    # Other tests go on meanwhile: one in real time begins when there is no other at all.
+    with (cache.mkdir("turns") / "running").open("w") as running:
         fcntl.flock(running, fcntl.LOCK_EX if item.get_closest_marker("realtime") else fcntl.LOCK_SH)
-        fcntl.flock(turn, fcntl.LOCK_UN)
         return (yield)
 
 

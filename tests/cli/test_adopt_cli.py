@@ -101,14 +101,14 @@ def test_doctor_without_a_robot_examines_adopted_policies_alone(capsys):
 def test_doctor_names_what_it_tried(adopted, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("surefoot.adopt.mistakes._PARTS", ())
     monkeypatch.setattr("surefoot.adopt.examination.DURATION", 1.0)
-    monkeypatch.setattr("surefoot.adopt.examination.SETTLE", 0.2)
+    monkeypatch.setattr("surefoot.adopt.examination.FIRST", 0.2)
     assert main(["doctor", str(adopted), "--threads", "1", "--out", str(tmp_path / "page"), "--json"]) == 3
     result = json.loads(capsys.readouterr().out)
     assert [check["name"] for check in result["checks"]][:2] == ["stand", "forward"]
     assert result["checks"][-1]["name"] == "specification"
     page = (tmp_path / "page" / "examination.html").read_text()
     assert "<video" in page
-    assert "does it do what it is told?" in page
+    assert "does it follow commands?" in page
     assert 'src="http' not in page
 
 

@@ -1,9 +1,8 @@
 """A policy as the files that other deployers read: for policies whose actions are motor angles.
 
 The deployer's observation is unscaled; nodes in front of the policy's graph make the raw observation of the contract
-out of it, and nodes behind it
-the deployer's action. Both are written so that the deployer's own arithmetic gives the same
-motor angles as surefoot's, up to the limits of the joints, which the deployer does not know.
+out of it, and nodes behind it the deployer's action. Both are written so that the deployer's own arithmetic gives the
+same motor angles as surefoot's, up to the limits of the joints, which the deployer does not know.
 """
 
 from __future__ import annotations
@@ -19,6 +18,8 @@ from onnx import helper
 
 from surefoot import __version__
 from surefoot.adopt.builder import NetworkSizes, PolicyMaker
+from surefoot.adopt.formats import isaac_lab, rl_sar
+from surefoot.adopt.formats.reading import first_names
 from surefoot.adopt.onnx_network import run_model
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.arrays import Array
@@ -67,14 +68,7 @@ def export_rl_sar(policy: PolicyRuntime, data: bytes, robot: RobotDescription, f
         SurefootError: a policy whose actions are no motor angles, or one that keeps or observes what rl_sar has not.
     """
     made = _translate(policy, data, robot, by_term=False)
-    names = {
-        "command": "commands",
-        "angular_velocity": "ang_vel",
-        "gravity": "gravity_vec",
-        "joint_positions": "dof_pos",
-        "joint_speeds": "dof_vel",
-        "last_action": "actions",
-    }
+    names = first_names(rl_sar.TERMS)
     count, decimation = robot.num_motors, max(round(made.control_step / _PHYSICS_STEP), 1)
     torque = np.broadcast_to(getattr(robot.actuator, "torque_limit", 0.0), count).astype(float)
     # The gains of standing up are the data sheet's: a policy's are often too soft for it.
@@ -134,14 +128,7 @@ def export_mjlab(policy: PolicyRuntime, data: bytes, robot: RobotDescription, fo
         SurefootError: as `export_rl_sar`.
     """
     made = _translate(policy, data, robot, by_term=True)
-    names = {
-        "command": "command",
-        "angular_velocity": "base_ang_vel",
-        "gravity": "projected_gravity",
-        "joint_positions": "joint_pos",
-        "joint_speeds": "joint_vel",
-        "last_action": "actions",
-    }
+    names = first_names(isaac_lab.TERMS)
 
     def numbers(values: Array) -> str:
         return ",".join(f"{value:.9g}" for value in values)

@@ -12,21 +12,21 @@ import numpy as np
 
 from surefoot.adopt.builder import check_specification
 from surefoot.adopt.specification import PolicySpecification, Term
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
 _FACTORS = (0.05, 0.25, 0.5, 2.0, 4.0, 20.0, math.pi / 180, 180 / math.pi)
 """Usual scales, and what may have been forgotten or applied twice: .05, .25, .5, 2 and degrees."""
 _RATIOS = (0.25, 0.5, 2.0, 4.0)
-_USUAL_SCALES = {
-    "command": (1.0, 2.0, 0.25),
-    "angular_velocity": (1.0, 0.25, 0.2),
-    "joint_positions": (1.0,),
-    "joint_speeds": (1.0, 0.05),
-    "last_action": (1.0,),
-}
+_USUAL_COMMANDS = ((1.0, 1.0, 1.0), (2.0, 2.0, 0.25))
+"""Scales of commands: Isaac Lab's and legged_gym's."""
+_USUAL_RATES = ((0.25, 0.05), (0.2, 0.05), (1.0, 1.0))
+"""Scales of angular velocity and joint speeds: legged_gym's, unitree_rl_lab's and mjlab's."""
 _USUAL_ACTIONS = (0.1, 0.125, 0.2, 0.25, 0.3, 0.5)
-_USUAL_DAMPING = (0.015, 0.06)
+_USUAL_GAINS = (15.0, 60.0)
+"""Range of the proportional gains [N m/rad] of robots of this size."""
+_USUAL_DAMPING = (0.018, 0.07)
 """Range of derivative over proportional gain [s]."""
 _USUAL_STEP = 0.02
 
@@ -40,8 +40,6 @@ class Correction(NamedTuple):
     """The mistake, in words."""
     specification: PolicySpecification
     """With the change."""
-    usual: bool = True
-    """Whether its numbers are usual ones: of changes after which a robot walks alike, these are believed first."""
 
 
 def corrections(specification: PolicySpecification, robot: RobotDescription) -> list[Correction]:
@@ -49,8 +47,12 @@ def corrections(specification: PolicySpecification, robot: RobotDescription) -> 
     found: dict[str, Correction] = {}
     for part in _PARTS:
         for correction in part(specification, robot):
-            if correction.specification != specification and fits(correction.specification, robot):
-                found.setdefault(repr(correction.specification), correction)
+            changed = correction.specification
+            if changed == specification:
+                continue
+            # What is observed of the same joints fits the robot in any case.
+            if replace(changed, observations=specification.observations) == specification or fits(changed, robot):
+                found.setdefault(repr(changed), correction)
     return list(found.values())
 
 
@@ -61,6 +63,46 @@ def fits(specification: PolicySpecification, robot: RobotDescription) -> bool:
     except SurefootError:
         return False
     return True
+
+
+def unusual_numbers(spec: PolicySpecification) -> tuple[str, ...]:
+    """Return which numbers of a specification are not the usual ones of a framework, by what they are."""
+    sizes = {str(term.term): _sizes(term) for term in spec.observations}
+    rates = [sizes.get(name, np.array([np.nan])) for name in ("angular_velocity", "joint_speeds")]
+    kp, kd = np.asarray(spec.kp), np.asarray(spec.kd)
+    ratio = kd / np.maximum(kp, 1e-6)
+    usual = {
+        "scale of command": "command" not in sizes
+        or any(np.allclose(sizes["command"], one) for one in _USUAL_COMMANDS),
+        "scales of angular velocity and joint speeds": any(
+            all(np.isnan(size[0]) or np.allclose(size, number) for size, number in zip(rates, pair, strict=True))
+            for pair in _USUAL_RATES
+        ),
+        "scale of joint positions": np.allclose(sizes.get("joint_positions", 1.0), 1.0),
+        "scale of last action": np.allclose(sizes.get("last_action", 1.0), 1.0),
+        "scale of actions": np.isclose(np.abs(_column(spec.action_scale)), _USUAL_ACTIONS).any(axis=1).all(),
+        "gains": _is_within(kp, _USUAL_GAINS) and _is_within(ratio, _USUAL_DAMPING),
+        "control step": math.isclose(spec.control_step, _USUAL_STEP),
+    }
+    return tuple(name for name, fits in usual.items() if not fits)
+
+
+def _is_within(values: Array, bounds: tuple[float, float]) -> bool:
+    return bool(np.all((values >= bounds[0]) & (values <= bounds[1])))
+
+
+def _column(value: float | Sequence[float]) -> Array:
+    return np.atleast_1d(np.asarray(value, float))[:, None]
+
+
+def _sizes(term: Term) -> Array:
+    """Return the sizes of a term's scales: of a vector's numbers in their own order."""
+    scales = np.abs(np.atleast_1d(term.scale))
+    if term.term not in _VECTORS:
+        return scales
+    sizes, columns = np.full(3, np.nan), list(term.columns or range(3))
+    sizes[columns] = scales
+    return np.where(np.isnan(sizes), np.nanmax(sizes), sizes)
 
 
 def joint_orders(robot: RobotDescription) -> dict[str, tuple[str, ...]]:
@@ -160,13 +202,13 @@ def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
         for factor in _FACTORS:
             text = f"scale of {what}: it should be {_numbers(_times(term.scale, factor))}, {factor:.3g} times as large"
             scaled = _scaled(term, factor)
-            yield Correction("observations", text, _with_term(spec, place, scaled), _is_usual(scaled))
+            yield Correction("observations", text, _with_term(spec, place, scaled))
         if term.term == "command":
             for factor in _FACTORS[1:5]:
                 for part, chosen in (("speeds", (0, 1)), ("yaw rate", (2,))):
                     text = f"scale of command's {part}: it should be {factor:g} times as large"
                     scaled = _scaled(term, factor, chosen)
-                    yield Correction("observations", text, _with_term(spec, place, scaled), _is_usual(scaled))
+                    yield Correction("observations", text, _with_term(spec, place, scaled))
         if term.term == "joint_positions":
             text = "joint positions: they should be " + (
                 "angles themselves" if term.relative else "less the default pose"
@@ -175,12 +217,7 @@ def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
         if term.term == "last_action" and spec.action_scale != 1.0:
             scale = spec.action_scale
             text = "last action: it should be the scaled one, in rad"
-            yield Correction("observations", text, _with_term(spec, place, replace(term, scale=scale)), False)
-
-
-def _is_usual(term: Term) -> bool:
-    """Return whether the scales of a term are usual ones."""
-    return bool(np.isclose(np.abs(np.atleast_1d(term.scale))[:, None], _USUAL_SCALES[term.term]).any(axis=1).all())
+            yield Correction("observations", text, _with_term(spec, place, replace(term, scale=scale)))
 
 
 def _numbers(value: float | Sequence[float]) -> str:
@@ -266,8 +303,7 @@ def _actions(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Cor
     for factor in _RATIOS:
         scale = _times(spec.action_scale, factor)
         text = f"scale of actions: it should be {_numbers(scale)}, {factor:g} times as large"
-        usual = bool(np.isclose(np.atleast_1d(scale)[:, None], _USUAL_ACTIONS).any(axis=1).all())
-        yield Correction("action_scale", text, replace(spec, action_scale=scale), usual)
+        yield Correction("action_scale", text, replace(spec, action_scale=scale))
     negated = replace(spec, action_scale=_times(spec.action_scale, -1.0))
     yield Correction("action_scale", "sign of actions: it should be the other one", negated)
 
@@ -277,23 +313,16 @@ def _timing(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
         for factor in _RATIOS:
             value = _times(getattr(spec, name), factor)
             text = f"{what}: they should be {_numbers(value)} {unit}, {factor:g} times as large"
-            changed = replace(spec, **{name: value})
-            yield Correction(name, text, changed, _is_damped_as_usual(changed))
+            yield Correction(name, text, replace(spec, **{name: value}))
     for factor in _RATIOS:
         kp, kd = _times(spec.kp, factor), _times(spec.kd, factor)
         text = f"gains: kp should be {_numbers(kp)} and kd {_numbers(kd)}, {factor:g} times as large"
-        changed = replace(spec, kp=kp, kd=kd)
-        yield Correction("kp", text, changed, _is_damped_as_usual(changed))
+        yield Correction("kp", text, replace(spec, kp=kp, kd=kd))
     for factor in _RATIOS:
         step = spec.control_step * factor
         if 0.004 <= step <= 0.05:
             text = f"control step: it should be {1e3 * step:g} ms"
-            yield Correction("control_step", text, replace(spec, control_step=step), math.isclose(step, _USUAL_STEP))
-
-
-def _is_damped_as_usual(spec: PolicySpecification) -> bool:
-    ratio = np.asarray(spec.kd) / np.maximum(spec.kp, 1e-6)
-    return bool(np.all((ratio >= _USUAL_DAMPING[0]) & (ratio <= _USUAL_DAMPING[1])) and 15 <= np.max(spec.kp) <= 100)
+            yield Correction("control_step", text, replace(spec, control_step=step))
 
 
 _PARTS = (_orders, _signs, _scales, _frames, _histories, _actions, _timing)

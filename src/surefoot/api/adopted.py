@@ -42,18 +42,16 @@ def examine_policy(
     Raises:
         SurefootError: a policy that was not adopted, or a world that does not exist.
     """
-    from surefoot.adopt.examination import Diagnosis, check_answers, examine, stated_specification
-    from surefoot.adopt.mistakes import Correction, corrections
+    from surefoot.adopt.examination import check_answers, diagnose, stated_specification
+    from surefoot.adopt.mistakes import Correction
     from surefoot.world.registry import find_world
 
     find_world(world)
     runtime, description, task = load_policy(find_policy(policy), robot)
     if runtime.contract.commands is None:
         raise SurefootError(f"policy '{runtime.contract.name}' follows no commands; only one that does is examined")
-    tried = corrections(stated_specification(runtime.contract), description)
-    with ProgressBar(f"{len(tried)} usual mistakes") as bar:
-        answers = examine(runtime, description, task, [None, *tried], world, seed, threads, bar.advance)
-    diagnosis = Diagnosis.from_answers(answers)
+    with ProgressBar("usual mistakes") as bar:
+        diagnosis = diagnose(runtime, description, task, world, seed, threads, bar.advance)
     checks, files = check_answers(diagnosis), []
     if out is not None:
         from surefoot.adopt.examination import Corrected, run_task
@@ -65,11 +63,11 @@ def examine_policy(
         videos = []
         shown: list[tuple[str, Correction | None]] = [("as it is", None)]
         if diagnosis.mistake is not None and diagnosis.mistake.correction is not None:
-            shown.append((diagnosis.mistake.correction.text, diagnosis.mistake.correction))
+            shown.append((f"changed; {diagnosis.mistake.correction.text}", diagnosis.mistake.correction))
         for k, (title, correction) in enumerate(shown):
             chosen = stated_specification(runtime.contract) if correction is None else correction.specification
             corrected = Corrected(runtime, description, [chosen])
-            whole = run_task(task, corrected.makers[0], answers[0])
+            whole = run_task(task, corrected.makers[0], diagnosis.own)
             (trace,) = run_episodes(
                 corrected, whole, 1, find_world(world), seed, 1, world_name=world, policy_name=runtime.contract.name
             )

@@ -7,19 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.evaluation.rollout import Policy, Progress, run_to_end
-from surefoot.evaluation.tracking import MotionRecorder
+from surefoot.evaluation.rollout import Policy, Progress, run_episodes
+from surefoot.evaluation.tracking import STRIDE, Tracking, distance_along
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.robot.randomization import Ranges
-from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import TaskConfig
-from surefoot.task.env import LocomotionEnv
 from surefoot.task.pushes import PushConfig
 from surefoot.world.registry import find_world
 
@@ -125,50 +121,26 @@ def measure(
         threads: of the simulation; 0: one a core.
         progress: called with the share that is done.
     """
-    task = condition.change(task, robot)
-    env = LocomotionEnv(task, episodes, find_world(condition.world), seed, autoreset=False, threads=threads)
-    observation, _ = env.reset()
-    motion = MotionRecorder(env)
-    heat, along = np.zeros((episodes, robot.num_motors)), np.zeros(episodes)
-    before = env.truth
-
-    def act(observation: NDArray[np.float32]) -> Array:
-        return env.gait.action(policy.feedback(observation))
-
-    def record(start: Array, seen: NDArray[np.float32]) -> None:
-        nonlocal before
-        motion.record()
-        going = env.readings.time > start
-        heat[going] += env.truth.heat[going]
-        along[going] += _distance_along(env, before.base_position_world)[going]
-        before = env.truth
-
-    runs = run_to_end(act, env, observation, progress=progress, record=record)
-    tracking = motion.tracking(runs.steps)
-    time = runs.steps.to_numpy() * float(env.nominal.control_step[0])
-    energy = float((runs.power.to_numpy() * time).sum())
-    hottest = int(heat.sum(axis=0).argmax())
-    covered = float(along.sum())
+    traces = run_episodes(
+        policy, condition.change(task, robot), episodes, find_world(condition.world), seed, threads, progress
+    )
+    tracking = Tracking.from_traces(traces, float(traces[0].meta["gait_period"] or STRIDE))
+    time = sum(trace.duration for trace in traces)
+    energy = sum(float(trace.energy.sum()) for trace in traces)
+    distance = sum(map(distance_along, traces))
+    heat = np.sum([trace.motor_heat.sum(axis=0) for trace in traces], axis=0)
+    hottest = int(heat.argmax())
     return {
         "condition": condition.name,
         "episodes": episodes,
-        "falls": int(runs.fell.sum()),
+        "falls": sum(trace.fell for trace in traces),
         **{f"rmse_{name}": float(value) for name, value in zip(COMMANDS, tracking.rmse, strict=True)},
         **{f"rmse_stride_{name}": float(value) for name, value in zip(COMMANDS, tracking.rmse_stride, strict=True)},
-        "power": energy / time.sum(),
-        "cost_of_transport": energy / (robot.weight * covered) if covered > 0 else float("nan"),
+        "power": energy / time,
+        "cost_of_transport": energy / (robot.weight * distance) if distance > 0 else float("nan"),
         "hottest_motor": robot.motor_names[hottest],
-        "hottest_heat": float(heat[:, hottest].sum() / time.sum()),
+        "hottest_heat": float(heat[hottest] / time),
     }
-
-
-def _distance_along(env: LocomotionEnv, before: Array) -> Array:
-    """Return how far robots went along their commands in the last control step (N,) [m]; 0 without a speed."""
-    assert env.commands is not None
-    moved = in_heading_frame(env.truth.base_position_world - before, env.truth.roll_pitch_yaw[:, 2])[:, :2]
-    command = env.commands.filtered_command[:, :2]
-    speed = np.linalg.norm(command, axis=1)
-    return np.asarray((moved * command).sum(axis=1) / np.where(speed > 0, speed, 1.0))
 
 
 COLUMNS = {

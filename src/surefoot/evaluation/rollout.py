@@ -118,6 +118,7 @@ class EpisodeRecorder:
                 "foot_contact": truth.foot_contact,
                 "foot_position_world": env.world.foot_positions(),
                 "motor_saturation": truth.motor_saturation,
+                "motor_heat": truth.heat,
                 "true_motor_angle": truth.motor_angle,
                 "command": self.command,
                 "reward": env.reward,

@@ -198,8 +198,8 @@ class CommandSchedule(CommandGenerator):
 
     def update(self, time: Array) -> None:
         """Set the commands of robots whose episodes are `time` (N,) [s] old."""
-        for i, now in enumerate(time):
-            self.command[i] = self.at(now, i)
+        for k in range(min(len(self._schedules), len(time))):
+            self.command[k :: len(self._schedules)] = self.at(time[k :: len(self._schedules)], k)
 
     def at(self, time: ArrayLike, robot: int = 0) -> Array:
         """Return a robot's commands (..., 3) at times (...) [s]."""

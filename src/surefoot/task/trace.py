@@ -60,7 +60,7 @@ LOG = "log"
 """World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
 time of their row, readings are taken right after, times may repeat, and everything but time may be NaN. Its `params`
 are the gains that came with the commands, and with `read_at_row` readings were taken exactly at the times of rows."""
-_OPTIONAL = ("command", "push_force_world", "reward", "motor_saturation")
+_OPTIONAL = ("command", "push_force_world", "reward", "motor_saturation", "motor_heat")
 """Arrays that are not in the file where all is NaN."""
 _NO_ARRAYS = {"meta", "robot_archive"}
 # Arrays that may be NaN: a robot without motion capture or foot switches does not measure them.
@@ -124,6 +124,8 @@ class EpisodeTrace:
     motor_saturation: Array = field(default_factory=_absent)
     """(T, M) fraction of the control step's servo steps in which the motor was at its limit, 0 to 1: DC motors at full
     duty, joint actuators at the torque that there is at their speed. NaN as above."""
+    motor_heat: Array = field(default_factory=_absent)
+    """(T, M) J that each motor's windings turned into heat during the control step. NaN as above."""
     meta: dict[str, Any] = field(default_factory=dict)
     """The entries of `TraceMeta`, and others that JSON can hold."""
     robot_archive: bytes = b""
@@ -234,7 +236,7 @@ def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict
         "command": (steps, 3),
         "push_force_world": (steps, 3),
         "reward": (steps,),
-        "motor_saturation": (steps, motors),
+        **dict.fromkeys(("motor_saturation", "motor_heat"), (steps, motors)),
     }
 
 

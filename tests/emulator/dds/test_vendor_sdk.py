@@ -52,9 +52,10 @@ def domain_0() -> Iterator[int]:
 def test_the_vendors_cpp_sdk_reads_states_and_stands_the_robot_up(go2, domain_0: int) -> None:
     pytest.importorskip("unitree_interface")
     robot = go2(domain_0)
-    read = client("read", 1000)
-    assert read["crc_errors"] == 0
-    assert read["hz"] == pytest.approx(500, abs=10)
+    read = client("read", 500)
+    assert (read["crc_errors"], read["states"]) == (0, 500)
+    # The SDK keeps the newest state only: some are lost between two looks, which hardly moves the median.
+    assert read["gap_ms"]["median"] == pytest.approx(2.0, abs=0.2)
     np.testing.assert_allclose(read["accelerometer"], [0, 0, 9.81], atol=0.3)
     q = client("stand")["q"]
     np.testing.assert_allclose(q, [0.0, 0.67, -1.3] * 4, atol=0.15)  # its frames have head 0 0 and level flag 0

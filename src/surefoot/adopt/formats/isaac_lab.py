@@ -12,13 +12,13 @@ from surefoot.adopt.specification import PerJoint, Range, Term, TermName
 TERMS: dict[str, TermName] = {
     **dict.fromkeys(("base_ang_vel", "imu_ang_vel", "angular_velocity"), "angular_velocity"),
     **dict.fromkeys(("projected_gravity", "gravity"), "gravity"),
-    **dict.fromkeys(("velocity_commands", "keyboard_velocity_commands", "command", "commands"), "command"),
-    **dict.fromkeys(("joint_pos_rel", "joint_pos"), "joint_positions"),
-    **dict.fromkeys(("joint_vel_rel", "joint_vel"), "joint_speeds"),
-    **dict.fromkeys(("last_action", "actions", "prev_actions"), "last_action"),
+    **dict.fromkeys(("command", "commands", "velocity_commands", "keyboard_velocity_commands"), "command"),
+    **dict.fromkeys(("joint_pos", "joint_pos_rel"), "joint_positions"),
+    **dict.fromkeys(("joint_vel", "joint_vel_rel"), "joint_speeds"),
+    **dict.fromkeys(("actions", "last_action", "prev_actions"), "last_action"),
     "gait_phase": "clock",
 }
-"""Terms by the names that they usually have."""
+"""Terms by the names that they usually have, mjlab's own first."""
 UNMEASURED = {
     "base_lin_vel": "is the speed of the base, which no sensor of a robot gives",
     "height_scan": "is the height of the ground, which the robot does not see",

@@ -19,3 +19,8 @@ def pick(kind: type[T], data: Mapping[str, Any]) -> T:
     """
     names = {item.name for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
     return from_mapping(kind, {key: value for key, value in data.items() if key in names and value is not None})
+
+
+def first_names(terms: Mapping[str, str]) -> dict[str, str]:
+    """Return the first name of each term in a format's table of terms by name."""
+    return {term: name for name, term in reversed([*terms.items()])}

@@ -12,11 +12,22 @@ from typing import Any, Literal
 
 from surefoot.adopt.builder import unknown_term
 from surefoot.adopt.formats.reading import pick
-from surefoot.adopt.specification import PerJoint, PolicySpecification, Term
+from surefoot.adopt.specification import PerJoint, PolicySpecification, Term, TermName
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.robot import RobotDescription
 
+TERMS: dict[str, TermName] = {
+    "commands": "command",
+    "gravity_vec": "gravity",
+    "dof_pos": "joint_positions",
+    "dof_vel": "joint_speeds",
+    "actions": "last_action",
+    **dict.fromkeys(("ang_vel", "ang_vel_body", "ang_vel_world", "ang_vel_axis"), "angular_velocity"),
+}
+"""Terms by their names."""
+_CLOCKS = {"phase": (4.0, 8.0, 16.0), "g1_phase": (0.8,)}
+"""Periods [s] of the clocks of an observation."""
 _UNMEASURED = {"lin_vel": "is the speed of the base, which no sensor of a robot gives"}
 
 
@@ -111,19 +122,17 @@ def _hardware_names(base: dict[str, Any], robot: RobotDescription) -> list[str]:
 
 def _terms(name: str, table: _Config, steps: tuple[int, ...]) -> list[Term]:
     """Return the terms of an observation of rl_sar."""
-    scales: dict[str, tuple[Any, PerJoint]] = {
-        "commands": ("command", table.commands_scale),
-        "gravity_vec": ("gravity", table.gravity_vec_scale),
-        "dof_pos": ("joint_positions", table.dof_pos_scale),
-        "dof_vel": ("joint_speeds", table.dof_vel_scale),
-        "actions": ("last_action", 1.0),
-        **{f"ang_vel{frame}": ("angular_velocity", table.ang_vel_scale) for frame in ("", "_body", "_world", "_axis")},
-    }
-    clocks = {"phase": (4.0, 8.0, 16.0), "g1_phase": (0.8,)}
-    if name in scales:
-        term, scale = scales[name]
-        return [Term(term, scale=scale, steps=steps)]
-    if name in clocks:
+    if name in TERMS:
+        scales: dict[str, PerJoint] = {
+            "command": table.commands_scale,
+            "gravity": table.gravity_vec_scale,
+            "joint_positions": table.dof_pos_scale,
+            "joint_speeds": table.dof_vel_scale,
+            "angular_velocity": table.ang_vel_scale,
+        }
+        term = TERMS[name]
+        return [Term(term, scale=scales.get(term, 1.0), steps=steps)]
+    if name in _CLOCKS:
         step = table.dt * table.decimation
-        return [Term("clock", period=period, start=step / period, steps=steps) for period in clocks[name]]
-    raise unknown_term(name, {**scales, **clocks}, _UNMEASURED)
+        return [Term("clock", period=period, start=step / period, steps=steps) for period in _CLOCKS[name]]
+    raise unknown_term(name, {**TERMS, **_CLOCKS}, _UNMEASURED)

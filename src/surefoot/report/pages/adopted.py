@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from surefoot import __version__
-from surefoot.adopt.examination import Answer, Diagnosis
+from surefoot.adopt.examination import GOOD, MAX_ERROR, REPEATS, Answer, Diagnosis
 from surefoot.check_result import CheckResult
 from surefoot.files import atomic_write
 from surefoot.report.pages import html
@@ -35,7 +35,7 @@ def write_page(
         checks: what `check_answers` says.
         videos: titles and files (.mp4).
     """
-    title = f"{name}: does it do what it is told?"
+    title = f"{name}: does it follow commands?"
     labels = {True: "pass", False: "FAIL", None: "not done"}
     rows = [html.row(("check", "", "result", "to do"), "tttt", "th")]
     for check in checks:
@@ -44,30 +44,50 @@ def write_page(
         )
     parts = [
         f"<h1>{escape(title)}</h1>",
-        f'<p class="quiet">Simulated in {escape(world)}; one robot for each command and each usual mistake. '
-        f"No robot has run it. surefoot {escape(__version__)}.</p>",
+        f"<p>{escape(_verdict(diagnosis))}</p>",
+        f'<p class="quiet">Simulated in {escape(world)}; no robot has run it. surefoot {escape(__version__)}.</p>',
         f"<table>{''.join(rows)}</table>",
         "<h2>What was tried</h2>",
-        _tried([diagnosis.own, *diagnosis.ranked[:_LISTED]]),
+        _tried([diagnosis.own, *diagnosis.ranked[:_LISTED]], len(diagnosis.ranked)),
         *_videos(videos),
     ]
     atomic_write(path, html.page(title, parts))
     return path
 
 
-def _tried(answers: Sequence[Answer]) -> str:
+def _verdict(diagnosis: Diagnosis) -> str:
+    """Return in words how the policy follows commands, and what should be changed."""
+    own, mistake = diagnosis.own, diagnosis.mistake
+    good, fell = int((own.scores >= GOOD).sum()), int(own.fell.sum())
+    text = (
+        f"As it is, the policy follows {good} of {len(own.scores)} commands{f' and falls at {fell}' if fell else ''}."
+    )
+    if mistake is None or mistake.correction is None:
+        return f"{text} No usual mistake explains it." if good < len(own.scores) else text
+    if not diagnosis.is_shown:
+        return f"{text} A number is unusual, although robots do not show it. {mistake.correction.text}."
+    after = int((mistake.scores >= GOOD).sum())
+    return f"{text} Most likely mistake: {mistake.correction.text}. With that changed it follows {after}."
+
+
+def _tried(answers: Sequence[Answer], count: int) -> str:
     names = answers[0].commands
     rows = [html.row(("change", *names, "score"), f"t{'n' * len(names)}n", "th")]
     for answer in answers:
         text = "as it is" if answer.correction is None else answer.correction.text
         scores = [f"{score:.2f}" for score in answer.scores]
         rows.append(html.row((text, *scores, f"{answer.score:.2f}"), f"t{'n' * len(names)}n"))
-    note = "Scores: 1 follows the command exactly; 0 falls, or errs by .5 m/s forward, .4 m/s sideways or .8 rad/s."
+    note = (
+        f"{count} changes of the configuration were tried, each with one robot for each of some commands; those below "
+        f"again with {REPEATS} other robots for each command. The most likely is the first; one that leads to unusual "
+        "numbers is less likely than its score. Scores: 1 follows the command exactly; 0 falls, or errs by "
+        f"{MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s sideways or {MAX_ERROR[2]:g} rad/s."
+    )
     return f'<p class="quiet">{note}</p><div class="wide"><table>{"".join(rows)}</table></div>'
 
 
 def _videos(videos: Sequence[tuple[str, Path]]) -> list[str]:
-    parts = ["<h2>Videos</h2>"] if videos else []
+    parts = ["<h2>Videos</h2>", "<p>One robot is given all commands of the first table in turn.</p>"] if videos else []
     for title, path in videos:
         data = base64.b64encode(path.read_bytes()).decode()
         source = f'<video controls muted width="640" src="data:video/mp4;base64,{data}"></video>'
