@@ -89,7 +89,11 @@ def draw(right: dict[str, PolicySpecification], robot: RobotDescription, seed: i
         for k in random.permutation(len(pairs)):
             (name, kind), changes = pairs[k], kinds[pairs[k]]
             change = changes[random.integers(len(changes))]
-            text = change.text.replace("should be", "was made").replace("should change", "changed")
+            text = (
+                change.text.replace("they should be", "they were made")
+                .replace("it should be", "it was made")
+                .replace("should change", "changed")
+            )
             yield Case(name, kind, text, change.specification)
 
 

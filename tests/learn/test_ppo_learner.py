@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import torch
 
+from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.robot.randomization import load_ranges
@@ -53,6 +54,26 @@ def test_a_fall_costs_fall_cost_once_and_no_other_reward_changes():
     torch.testing.assert_close(with_cost, rewards - 10.0 * 2.5 * fell.float())
     # Figures are without the cost.
     assert float(learner.env.returns.min()) > -1.0
+
+
+def test_exploration_stays_under_a_limit_that_falls():
+    preset = load_train_config("trot")
+    config = replace(
+        preset,
+        num_envs=4,
+        steps_per_update=10,
+        steps=80,
+        threads=1,
+        learning_threads=1,
+        ppo=replace(preset.ppo, init_std=0.4, final_std=0.1),
+    )
+    learner = PpoLearner(config, SimWorld)
+    for limit in (0.25, 0.1, 0.1):  # half of the run is over after an update of 4 x 10 steps
+        learner.update()
+        assert float(learner.policy.distribution.log_std_param.detach().exp().max()) <= limit + 1e-6
+    assert float(learner.policy.distribution.log_std_param.detach().exp().min()) > 0.08
+    with pytest.raises(SurefootError, match=r"ppo.final_std is 0.5; it must be at most ppo.init_std, 0.4"):
+        replace(config.ppo, final_std=0.5)
 
 
 @pytest.mark.parametrize("preset", ["trot-robust", "gallop-robust"])

@@ -291,7 +291,7 @@ def _commands(limits: CommandLimits | None, chosen: Sequence[str]) -> tuple[tupl
 
 
 MARGIN = 0.06
-"""How much likelier a change must be than none for it to be named."""
+"""How much likelier a change must be than none for it to be named, if it does not lead to usual numbers."""
 ALIKE = 0.03
 """Difference within which two changes can't be distinguished."""
 UNUSUAL = 0.08
@@ -321,9 +321,10 @@ class Diagnosis:
     def mistake(self) -> Answer | None:
         """The change that makes it walk, or walk clearly better or with usual numbers; None: there is none."""
         best = self.ranked[0] if self.ranked else None
-        if best is None or best.likelihood < self.own.likelihood + MARGIN or best.score < GOOD:
+        if best is None or best.score < GOOD:
             return None
-        return best
+        margin = ALIKE if best.unusual < self.own.unusual else MARGIN
+        return best if best.likelihood >= self.own.likelihood + margin else None
 
     @property
     def is_shown(self) -> bool:

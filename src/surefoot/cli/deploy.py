@@ -99,7 +99,7 @@ def main(argv: list[str]) -> int:
             raise SurefootError(f"policy '{contract.name}' must not run on this robot: {error}")
 
     with StopSignals() as stop, contextlib.ExitStack() as stack:
-        link = command.open_link(robot, (contract.servo_kp, contract.servo_kd))
+        link = command.open_link(robot, contract)
         title = f"{contract.name} on {robot.name}, {command.address}" + (", dry run" if command.dry_run else "")
         commands: CommandSource | None = None
         monitor: RunMonitor

@@ -86,7 +86,7 @@ def main(argv: list[str]) -> int:
     console = make_console()
     if not command.json:
         console.print(f"policy '{policy.contract.name}' for {robot.name}, {command.address}")
-    link = command.open_link(robot, (policy.contract.servo_kp, policy.contract.servo_kd), may_ask=False)
+    link = command.open_link(robot, policy.contract, may_ask=False)
     results = []
     try:
         for result in examine(link, policy, robot, command.rack, command.ground, command.pings, command.steps):

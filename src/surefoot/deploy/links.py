@@ -33,6 +33,7 @@ def open_dds_link(
     interface: str,
     domain: int = 0,
     gains: tuple[ArrayLike, ArrayLike] | None = None,
+    silence: float = 0.0,
     release: Callable[[str], bool] = lambda name: False,
     hand_back: bool = False,
 ) -> RobotLink:
@@ -43,6 +44,7 @@ def open_dds_link(
         interface: name of the network interface that leads to it.
         domain: number of the DDS domain.
         gains: kp and kd of all motors, or of each [N m/rad, N m s/rad]; the data sheet's, if not given.
+        silence: least time [s] without a command after which the motors are damped; the data sheet's, if that is more.
         release: gets the name of the robot's own controller, if it is active, and returns whether the robot is to lie
             down and its controller to be released.
         hand_back: select the robot's own controller when the link is closed.
@@ -52,6 +54,6 @@ def open_dds_link(
     """
     from surefoot.deploy.dds.dds_link import DdsLink, inspect, make_config
 
-    config = make_config(robot, interface, domain, gains)
+    config = make_config(robot, interface, domain, gains, silence)
     checks = inspect(config, robot, release)
     return DdsLink(config, hand_back=hand_back, checks=checks)

@@ -35,6 +35,8 @@ class PPOConfig:
     """Learn from every sample's mirror image too: for robots and reference gaits that are left-right symmetric."""
     init_std: Annotated[float, Within(0, 100, above=True)] = 0.6
     """Standard deviation of the first policy's normalized actions, which go from -1 to 1."""
+    final_std: Annotated[float, Within(0, 100)] = 0.0
+    """Greatest standard deviation at the end of the run; the limit falls linearly from init_std. 0: no limit."""
     epochs: Annotated[int, Within(1, 1000)] = 5
     """Passes over the samples of an update."""
     minibatches: Annotated[int, Within(1, 1_000_000)] = 4
@@ -66,6 +68,10 @@ class PPOConfig:
     def __post_init__(self) -> None:
         """Refuse numbers out of bounds."""
         check_bounds(self, "ppo")
+        if self.final_std > self.init_std:
+            raise SurefootError(
+                f"ppo.final_std is {self.final_std:g}; it must be at most ppo.init_std, {self.init_std:g}"
+            )
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import os
 import time
 from collections.abc import Mapping
@@ -176,6 +177,7 @@ class PpoLearner:
         torch.set_num_threads(self._threads)
         losses = algorithm.update()
         self.update_count += 1
+        self._limit_std()
         returns, lengths, distances, durations = np.concatenate(episodes, axis=1)
         return UpdateFigures(
             steps=self.steps,
@@ -197,6 +199,14 @@ class PpoLearner:
             if env.commands is None
             else dict(zip(COMMANDS, map(float, np.sqrt(squares / config.steps_per_update)), strict=True)),
         )
+
+    def _limit_std(self) -> None:
+        """Keep the exploration under a limit that falls during the run, if the configuration has one."""
+        ppo = self.config.ppo
+        if ppo.final_std:
+            limit = ppo.init_std + (ppo.final_std - ppo.init_std) * min(self.steps / self.config.steps, 1.0)
+            with torch.no_grad():
+                self.policy.distribution.log_std_param.clamp_(max=math.log(limit))
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the actions of the deterministic policy (N, A) for observations (N, O * history)."""

@@ -272,6 +272,12 @@ def test_the_priority_of_processes(shared: Operator) -> None:
     assert check_priority([os.getppid()]).passed is None
 
 
+def test_the_keeper_waits_for_three_steps_of_a_slow_policy(go2: RobotDescription) -> None:
+    assert make_config(go2, "lo", DOMAIN).limits.command_timeout == 0.055
+    slow = make_config(go2, "lo", DOMAIN, silence=0.06)
+    assert slow.limits.command_timeout == slow.handshake.command_timeout == 0.06
+
+
 def test_another_robot_is_refused(robot: RobotDescription) -> None:
     with pytest.raises(SurefootError, match="speaks with a Unitree Go2; minitaur must have its joint actuators"):
         make_config(robot, "lo", DOMAIN)

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import tyro
-from numpy.typing import ArrayLike
 
 from surefoot.cli.helpers.options import Port, ask_to_release
 from surefoot.configuration import Within
+from surefoot.deploy.checks import WATCHDOG_STEPS
 from surefoot.deploy.links import open_dds_link, open_link
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
+from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 
 
@@ -67,8 +68,8 @@ class LinkOptions(SerialOptions):
             option = "--lockstep" if self.lockstep else "--port"
             raise SurefootError(f"{option} and --link dds don't go together; --port is a serial one")
 
-    def open_link(self, robot: RobotDescription, gains: tuple[ArrayLike, ArrayLike], may_ask: bool = True) -> RobotLink:
-        """Open the link to a robot; one without a board of its own gets these gains, kp and kd.
+    def open_link(self, robot: RobotDescription, contract: Contract, may_ask: bool = True) -> RobotLink:
+        """Open the link to a robot; one without a board of its own gets the gains and the watchdog of a policy.
 
         `may_ask`: ask at a terminal whether a Go2's own controller is to be released.
         """
@@ -78,4 +79,5 @@ class LinkOptions(SerialOptions):
         def release(name: str) -> bool:
             return self.release or (may_ask and sys.stdin.isatty() and ask_to_release(name))
 
-        return open_dds_link(robot, str(self.interface), self.domain, gains, release, self.hand_back)
+        gains, silence = (contract.servo_kp, contract.servo_kd), WATCHDOG_STEPS * contract.control_step
+        return open_dds_link(robot, str(self.interface), self.domain, gains, silence, release, self.hand_back)

@@ -35,9 +35,15 @@ _ENDING = 5.0
 
 
 def make_config(
-    robot: RobotDescription, interface: str, domain: int, gains: tuple[ArrayLike, ArrayLike] | None = None
+    robot: RobotDescription,
+    interface: str,
+    domain: int,
+    gains: tuple[ArrayLike, ArrayLike] | None = None,
+    silence: float = 0.0,
 ) -> LinkConfig:
-    """Return what the keeper needs of a robot; `gains` of its servos in place of the data sheet's.
+    """Return what the keeper needs of a robot.
+
+    `gains` of its servos are in place of the data sheet's; the keeper waits for commands for `silence` [s] at least.
 
     Raises:
         SurefootError: a robot whose motors are not a Go2's.
@@ -48,6 +54,7 @@ def make_config(
             f"this order: {choices(MOTOR_NAMES)}"
         )
     limits = replace(Limits.from_robot(robot), duty=0.0, first_torque=FIRST_TORQUE)
+    limits = replace(limits, command_timeout=max(limits.command_timeout, silence))
     handshake = make_handshake(robot, limits, FIRMWARE, STATE_PERIOD)
     if gains is not None:
         kp, kd = (np.broadcast_to(np.asarray(gain, float), len(MOTOR_NAMES)) for gain in gains)
