@@ -9,6 +9,8 @@ BROWSER := $(VENV)/.browser
 CODE   := src tests examples benchmarks docs
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Tests start some hundred processes: each would compile the sources that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo test style lint format bench docs clean distclean FORCE
 
