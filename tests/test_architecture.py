@@ -107,7 +107,9 @@ def is_allowed(module: str, target: str) -> bool:
 
 
 def test_every_import_is_allowed():
-    wrong = [(name, target) for name, targets in imports().items() for target in targets if not is_allowed(name, target)]
+    wrong = [
+        (name, target) for name, targets in imports().items() for target in targets if not is_allowed(name, target)
+    ]
     assert wrong == []
 
 
