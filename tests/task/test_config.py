@@ -124,6 +124,14 @@ def test_beside_a_relative_reference_bounds_are_narrowed_to_what_legs_allow() ->
     assert lowest + gait.low[-1] >= 0.35
 
 
+def test_the_base_of_a_robots_task_is_its_own_task_of_that_name():
+    steer, robust, preset = load_task("steer", "go2")[0], load_task("steer-robust", "go2")[0], load_task("steer")[0]
+    assert robust.reference == steer.reference != preset.reference
+    assert robust.params == steer.params
+    assert robust.randomize
+    assert not steer.randomize
+
+
 def test_a_task_lays_its_own_values_over_those_of_its_base(tmp_path: Path) -> None:
     base = load_task("trot", "go2")[0]
     changed = "base: trot\nrobot: go2\nreference: {foot: {height: 0.7}}\nmax_steps: 7\ntrain: {steps: 5}\n"

@@ -51,6 +51,8 @@ def step_motion(
         last_feedback=np.full((1, 8), 0.2),
         command=np.array([[0.06, -0.1, 0.48]]),
         heading_error=np.array([-0.3]),
+        last_stride_error=np.array([[0.04, 0.0, -0.08]]),
+        stride=0.4,
     )
 
 
@@ -64,6 +66,8 @@ EXPECTED = {
     "track_yaw_rate": math.exp(-1),  # (.8 - .48) / 4 = .08, the width
     "velocity_error": 0.12,
     "yaw_rate_error": 0.08,
+    "stride_velocity_error": 0.045,  # (.04 + .1 / .4 (.24 - .04)) / 2
+    "stride_yaw_rate_error": 0.005,  # (-.08 + .1 / .4 (.32 + .08)) / 4
     "heading_error": 0.3,
     "vertical_speed": 0.0025,  # (.1 / 2)^2
     "roll_pitch_rate": 0.05,  # (.4 / 4)^2 + (.8 / 4)^2

@@ -26,6 +26,8 @@ from surefoot.world.interface import Readings, Simulation, SimulationFactory, Tr
 
 __all__ = ["LocomotionEnv", "LocomotionSingleEnv", "SimulationFactory"]
 
+_STRIDE = 0.5
+"""Duration of a stride [s] of gaits without a periodic reference."""
 Camera = Callable[[Array, Array, Array], NDArray[np.uint8]]
 """Takes pictures (N, height, width, 3) of robots: base positions (N, 3), orientations (N, 4), motor angles (N, M)."""
 
@@ -64,7 +66,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": ["rgb_array"]}  # noqa: RUF012
-    arrays = ("steps", "returns", "start_position", "feedback", "over", "history")
+    arrays = ("steps", "returns", "start_position", "feedback", "stride_error", "over", "history")
     """Names of the arrays that change over time."""
 
     def __init__(
@@ -125,6 +127,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.reward = np.zeros(self.num_envs)
         self.reward_terms: dict[str, Array] = {}
         self.command_error = np.zeros((self.num_envs, 3))
+        self.stride_error = np.zeros((self.num_envs, 3))
+        """See `StepMotion.stride_error`."""
         self.readings: Readings = self.world.readings()
         self.truth: Truth = self.world.truth()
         self._begin(np.arange(self.num_envs))
@@ -136,7 +140,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             self.world.set_params(rows, self.randomizer.draw(rows))
         self.readings = self.world.reset(rows)
         self.over[rows] = False
-        self.steps[rows], self.returns[rows], self.feedback[rows] = 0, 0.0, 0.0
+        self.steps[rows], self.returns[rows], self.feedback[rows], self.stride_error[rows] = 0, 0.0, 0.0, 0.0
         self.truth = self.world.truth()
         self.start_position[rows] = self.truth.base_position_world[rows]
         if self.source is not None and self.commands is not None:
@@ -195,10 +199,10 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         motion = self._motion(before, last)
         reward, self.reward_terms = step_reward(task.reward, task.reward_limits, motion)
         if self.source is not None and self.commands is not None:
-            self.command_error = motion.command_error
+            self.command_error, self.stride_error = motion.command_error, motion.stride_error
             self.source.update(self.readings.time)
             self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
-        for part in (reward, self.command_error, *self.reward_terms.values()):
+        for part in (reward, self.command_error, self.stride_error, *self.reward_terms.values()):
             part[diverged | self.over] = 0.0
         self.reward = reward
         self.steps += ~self.over
@@ -268,6 +272,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             last_feedback=last_feedback,
             command=zero if self.commands is None else self.commands.filtered_command,
             heading_error=zero[:, 0] if self.commands is None else self.commands.heading_error,
+            last_stride_error=self.stride_error,
+            stride=self.gait.reference.period or _STRIDE,
         )
 
     def _episode_figures(self, ended: NDArray[np.bool_]) -> dict[str, Array]:

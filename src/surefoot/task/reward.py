@@ -91,6 +91,10 @@ class StepMotion:
     """Speeds forward and to the left and yaw rate that are followed, without the correction of the heading (N, 3)."""
     heading_error: Array
     """Heading that is held less the robot's (N,) [rad]."""
+    last_stride_error: Array
+    """`stride_error` at the end of the step before (N, 3)."""
+    stride: float
+    """Duration of a stride [s]."""
 
     @cached_property
     def _rates(self) -> tuple[Array, Array]:
@@ -116,6 +120,12 @@ class StepMotion:
         """Mean speeds forward and to the left and yaw rate less the command (N, 3) [m/s, m/s, rad/s]."""
         velocity, turn = self._rates
         return np.column_stack([velocity[:, :2], turn[:, 2]]) - self.command
+
+    @cached_property
+    def stride_error(self) -> Array:
+        """Command error, averaged exponentially over a stride (N, 3) [m/s, m/s, rad/s]."""
+        share = np.minimum(self.duration / self.stride, 1.0)[:, None]
+        return np.asarray(self.last_stride_error + share * (self.command_error - self.last_stride_error))
 
     @property
     def velocity_error(self) -> Array:
@@ -167,6 +177,16 @@ TERMS: dict[str, Term] = {
     "track_yaw_rate": Term("1", lambda m: np.exp(-(m.yaw_rate_error**2) / 0.08**2), f"{_RUDIN}; narrower"),
     "velocity_error": Term("|e|, sqrt(g l)", lambda m: np.hypot(*m.velocity_error.T), "as the measure"),
     "yaw_rate_error": Term("|e|, sqrt(g / l)", lambda m: np.abs(m.yaw_rate_error), "as above"),
+    "stride_velocity_error": Term(
+        "|e| of the average over a stride, sqrt(g l)",
+        lambda m: np.hypot(*m.stride_error[:, :2].T) / m.scales.speed,
+        "as the measure over strides: a speed that goes up and down in a stride hides a mean that is off",
+    ),
+    "stride_yaw_rate_error": Term(
+        "|e| of the average over a stride, sqrt(g / l)",
+        lambda m: np.abs(m.stride_error[:, 2]) / m.scales.rate,
+        "as above",
+    ),
     "heading_error": Term("|e|, rad", lambda m: np.abs(m.heading_error), "heading that is held"),
     "vertical_speed": Term("v_z^2, g l", lambda m: m.velocity[:, 2] ** 2, _RUDIN),
     "roll_pitch_rate": Term("w^2, g / l", lambda m: (m.turn[:, :2] ** 2).sum(axis=1), _RUDIN),
