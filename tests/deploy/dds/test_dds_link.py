@@ -106,6 +106,7 @@ def again(shared: Operator, body: Go2) -> Operator:
     return shared
 
 
+@pytest.mark.realtime
 def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, body: Go2) -> None:
     time.sleep(0.1)
     assert body.read() == []  # nothing before the motors are armed
