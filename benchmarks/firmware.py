@@ -3,6 +3,7 @@
     python benchmarks/firmware.py fuzz [--frames 1000000]       # results/firmware/fuzz.json
     python benchmarks/firmware.py faults                        # results/firmware/faults.csv
     python benchmarks/firmware.py runs [--runs 10]              # results/firmware/runs.csv
+    python benchmarks/firmware.py live [--runs 10]              # results/firmware/live.csv
     python benchmarks/firmware.py stm32f4                       # results/firmware/stm32f4.json
 
 `fuzz`: frames with fields at random, in any order and by several operators, go over a bad line (`link_soak.py`) to the
@@ -10,11 +11,14 @@ firmware. An error of memory, an undefined operation, a wait of over 5 s, a coun
 decoder in Python, or a motor that gets more than its limit is an error, and the script ends with 1.
 
 `faults`: `surefoot deploy` in lockstep on the firmware. Each fault begins while the robot rises, while the policy runs,
-and while it sits down. `damped_ms` is how long after that the motors are damped, and `driven_ms` how long they are
-driven after the last command that the robot accepted.
+and while it sits down. A row has how long after that the motors are driven [ms] in each, how long at most after the
+last command that the robot accepted, and how many of the three runs left the robot armed.
 
 `runs`: `surefoot deploy trot-robust` in lockstep for 10 s, on robots with other noise, with the program in Python, with
 the firmware, and with the firmware on an STM32F405 in QEMU.
+
+`live`: the same in real time, behind a socket, with both firmwares: control steps missed, the greatest age of a state,
+and how often the emulated robot was more than 10 ms behind real time.
 
 `stm32f4`: bytes of flash and RAM of the STM32F405's firmware, which is linked into 32 and 8 KiB, and instructions that
 QEMU counts (`-icount shift=0`) in a servo step and for messages.
@@ -35,7 +39,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from emulated import deploy
+from emulated import SUREFOOT, deploy
 from link_soak import BadLine
 
 from surefoot.deploy import messages
@@ -135,35 +139,45 @@ def fuzz(frames: int, seed: int, program: Path) -> dict[str, Any]:
     }
 
 
-def run_fault(word: str, phase: str, program: Path) -> dict[str, Any]:
-    """Deploy a policy with a fault; return its row."""
+def run_fault(word: str, phase: str, program: Path) -> tuple[float, float, bool]:
+    """Deploy a policy with a fault.
+
+    Returns:
+        how long after its beginning, and after the last command that the robot accepted, motors were driven [ms];
+        whether the robot was armed at the end.
+    """
     bench = import_module("fault_bench")
-    name, begins = word.partition("=")[0], PHASES[phase]
-    seen: dict[str, float] = {"damped": np.nan, "accepted": 0.0, "begins": np.nan}
-    armed = True
+    begins, accepted, driven, armed = np.inf, 0.0, 0.0, True
 
     def observe(board: Any) -> None:
         def look(now: int) -> None:
-            nonlocal armed
+            nonlocal begins, accepted, driven, armed
             firmware, injector = board.firmware, board.injector
-            if firmware.armed and injector.armed_at is not None:
-                seen["begins"] = injector.armed_at / 1e6 + begins
-                seen["accepted"] = max(seen["accepted"], firmware.command_time / 1e6)
-                if now / 1e6 >= seen["begins"]:
-                    seen["damped"] = now / 1e6
             armed = firmware.armed
+            if armed and injector.armed_at is not None:
+                begins = injector.armed_at / 1e6 + PHASES[phase]
+                accepted, driven = max(accepted, firmware.command_time / 1e6), now / 1e6
 
         board.on_step.append(look)
 
     with tempfile.TemporaryDirectory() as folder:
-        scenario = bench.Scenario((word.format(begins),), duration=0.4)
-        done = bench.play(scenario, Path(folder) / "run", Path(folder), ("--firmware", str(program)), observe)
-    return {
-        **{"fault": name, "phase": phase, "code": done.code, "ended": done.run["ended"], "reason": done.run["reason"]},
-        "damped_ms": round(1e3 * (seen["damped"] - seen["begins"]), 1),
-        "driven_ms": round(1e3 * (seen["damped"] - seen["accepted"]), 1),
-        "armed_at_end": int(armed),
-    }
+        scenario = bench.Scenario((word.format(PHASES[phase]),), duration=0.4)
+        bench.play(scenario, Path(folder) / "run", Path(folder), ("--firmware", str(program)), observe)
+    return 1e3 * max(driven - begins, 0.0), 1e3 * (driven - accepted), armed
+
+
+def run_faults(program: Path) -> list[dict[str, Any]]:
+    """Return a row a fault: times until the motors are damped [ms], and how many runs left the robot armed."""
+    rows = []
+    for word in FAULTS:
+        results = {phase: run_fault(word, phase, program) for phase in PHASES}
+        row: dict[str, Any] = {"fault": word.partition("=")[0]}
+        row |= {phase: round(after, 1) for phase, (after, _, _) in results.items()}
+        row["after_command"] = round(max(late for _, late, _ in results.values()), 1)
+        row["armed"] = sum(armed for _, _, armed in results.values())
+        print(row, flush=True)
+        rows.append(row)
+    return rows
 
 
 def measure_stm32f4(folder: Path) -> dict[str, Any]:
@@ -182,7 +196,7 @@ def measure_stm32f4(folder: Path) -> dict[str, Any]:
         nonlocal number
         number += 1
         firmware.receive(now, encode_frame(CODEC, message, number, now / 1e6))
-        note(type(message).__name__)
+        note(type(message).__name__.lower())
 
     def note(what: str) -> None:
         # The timer counts 168 a microsecond of the emulated time, of which an instruction takes a nanosecond.
@@ -194,40 +208,75 @@ def measure_stm32f4(folder: Path) -> dict[str, Any]:
         if now % 6000 == 0:
             send(messages.Position(7, zeros + 1.5), now)
         firmware.tick(now, seen)
-        note("servo step")
+        note("step")
         if now >= firmware.next_state:
             firmware.report(now, lambda: seen)
-            note("State")
+            note("state")
     instructions = {what: max(values) for what, values in counts.items()}
-    return {"flash": text + data, "ram_without_stack": data + bss, "instructions": instructions}
+    return {"flash": text + data, "ram_without_stack": data + bss, **instructions}
 
 
 def run_policies(runs: int, folder: Path) -> list[dict[str, Any]]:
-    """Deploy a policy on all programs; return a row a run."""
+    """Deploy a policy on all programs; return a row a program."""
     programs: dict[str, tuple[object, ...]] = {"Python": ()}
-    for name, target in (("C", "board"), ("C in QEMU", "board-qemu")):
+    for name, target in (("C", "board"), ("QEMU", "board-qemu")):
         programs[name] = ("--firmware", build_firmware(folder, target=target))
     rows = []
     for name, options in programs.items():
-        for seed in range(1, runs + 1):
-            traces = deploy("trot-robust", "--duration", 10, robot=("--seed", seed, *options))
-            (row,) = measure_runs(traces, "mujoco").to_dict("records")
-            (trace,) = traces
-            rows.append(
-                {
-                    **{"program": name, "seed": seed, "seconds": trace.duration, "distance": row["distance"]},
-                    **{"power": row["power"], "fell": int(row["fell"]), "ended": trace.meta["ended"]},
-                    "dropped": int(trace.meta.get("dropped", 0)),
-                }
-            )
-            print(rows[-1], flush=True)
+        traces = [
+            trace
+            for seed in range(1, runs + 1)
+            for trace in deploy("trot-robust", "--duration", 10, robot=("--seed", seed, *options))
+        ]
+        table = measure_runs(traces, "mujoco")
+        rows.append(
+            {
+                **{"program": name, "runs": len(traces), "falls": int(table.fell.sum())},
+                "to_the_end": sum(trace.meta["ended"] == "time" for trace in traces),
+                **{"distance": table.distance.mean(), "distance_low": table.distance.min()},
+                **{"distance_high": table.distance.max(), "power": table.power.mean()},
+            }
+        )
+        print(rows[-1], flush=True)
+    return rows
+
+
+def run_live(runs: int, folder: Path) -> list[dict[str, Any]]:
+    """Deploy a policy in real time; return a row a program."""
+    rows = []
+    for name, target in (("C", "board"), ("QEMU", "board-qemu")):
+        firmware, socket = build_firmware(folder, target=target), folder / f"{name}.sock"
+        results: list[dict[str, Any]] = []
+        behind = 0
+        for _ in range(runs):
+            words: list[object] = [*SUREFOOT, "emulate", "--firmware", firmware, "--socket", socket]
+            with subprocess.Popen(
+                list(map(str, words)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            ) as robot:
+                assert robot.stdout is not None
+                robot.stdout.readline()
+                words = [*SUREFOOT, "deploy", "trot-robust", "--port", socket, "--duration", 10, "--json"]
+                words += ["--out", folder / "live"]
+                done = subprocess.run(list(map(str, words)), capture_output=True, text=True, check=False)
+                robot.terminate()
+                _, summary = robot.communicate()
+            behind += int(summary.partition("; behind ")[2].split()[0])
+            (result,) = json.loads(done.stdout)["runs"] if done.stdout else [{"ended": done.stderr[-200:]}]
+            print(name, result["ended"], flush=True)
+            results.append(result)
+        ended = [result for result in results if result["ended"] == "time"]
+        row: dict[str, Any] = {"program": name, "runs": runs, "to_the_end": len(ended), "behind": behind}
+        row["missed"] = sum(result["timing"]["missed"] for result in ended)
+        row["state_age_max_ms"] = max(result["timing"]["state_age_max_ms"] for result in ended)
+        print(row, flush=True)
+        rows.append(row)
     return rows
 
 
 def main() -> int:
     """Measure, and write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["fuzz", "faults", "runs", "stm32f4"])
+    parser.add_argument("what", choices=["fuzz", "faults", "runs", "live", "stm32f4"])
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--runs", type=int, default=10)
     parser.add_argument("--seed", type=int, default=1)
@@ -240,17 +289,15 @@ def main() -> int:
         if options.what == "runs":
             write_csv(results / "runs.csv", run_policies(options.runs, folder))
             return 0
+        if options.what == "live":
+            write_csv(results / "live.csv", run_live(options.runs, folder))
+            return 0
         if options.what == "stm32f4":
             return write_json(results / "stm32f4.json", measure_stm32f4(folder))
         program = build_firmware(folder, SANITIZE)
         if options.what == "fuzz":
             return write_json(results / "fuzz.json", fuzz(options.frames, options.seed, program))
-        rows = []
-        for word in FAULTS:
-            for phase in PHASES:
-                rows.append(run_fault(word, phase, program))
-                print(rows[-1], flush=True)
-        write_csv(results / "faults.csv", rows)
+        write_csv(results / "faults.csv", run_faults(program))
     return 0
 
 

@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,9 +52,11 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_help_is_fast_and_names_the_commands():
-    start = time.perf_counter()
+    before = os.times()
     done = run_surefoot("--help")
-    assert time.perf_counter() - start < 2
+    after = os.times()
+    # The processor time: a busy computer takes longer.
+    assert after.children_user + after.children_system - before.children_user - before.children_system < 1.0
     assert done.returncode == 0
     for command in ("train", "evaluate", "play"):
         assert command in done.stdout

@@ -108,7 +108,6 @@ def test_a_signal_ends_the_emulator_and_removes_its_link(emulate, tmp_path, numb
     assert "Traceback" not in output
 
 
-@pytest.mark.realtime
 def test_the_emulator_reports_when_it_cannot_keep_real_time(capsys):
     assert main(["emulate", "--fault", "overload=2", "--duration", "0.5"]) == 0
     lines = capsys.readouterr().err.splitlines()

@@ -23,7 +23,6 @@ from processes import Emulator
 
 DOMAIN = 60 + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 CLIENTS = Path(__file__).parents[2] / "vendor_clients.py"
-pytestmark = pytest.mark.realtime
 
 
 def client(*words: object) -> dict[str, Any]:
@@ -49,6 +48,7 @@ def domain_0() -> Iterator[int]:
         yield 0
 
 
+@pytest.mark.realtime
 def test_the_vendors_cpp_sdk_reads_states_and_stands_the_robot_up(go2, domain_0: int) -> None:
     pytest.importorskip("unitree_interface")
     robot = go2(domain_0)
@@ -63,6 +63,7 @@ def test_the_vendors_cpp_sdk_reads_states_and_stands_the_robot_up(go2, domain_0:
     assert re.search(r"commands received \d{3,}, damaged 0", output)
 
 
+@pytest.mark.realtime
 def test_the_vendors_python_sdk_releases_the_robot_and_stands_it_up(go2, tmp_path: Path) -> None:
     pytest.importorskip("unitree_sdk2py")
     seen = tmp_path / "seen.csv"

@@ -633,7 +633,8 @@ static void check(uint64_t now)
 void board_tick(void)
 {
     const uint64_t now = hal_time();
-    float speed[MOTORS], torque[MOTORS], temperature[MOTORS], attitude[3], rates[3], effort[MOTORS], power = 0.0f;
+    float speed[MOTORS], torque[MOTORS], temperature[MOTORS], attitude[3], rates[3], power = 0.0f;
+    motor_order order[MOTORS];
     size_t m;
 
     hal_read_motors(board.angle, speed, torque);
@@ -670,17 +671,19 @@ void board_tick(void)
     }
     for (m = 0; m < MOTORS; m++) {
         const float limit = robot_effort_limit[m];
-        float wanted = -robot_handshake.servo_kd[m] * speed[m]; /* damped */
+        const bool position = board.mode == SUREFOOT_MODE_POSITION, pwm = board.mode == SUREFOOT_MODE_PWM;
+        float wanted;
 
-        if (board.mode == SUREFOOT_MODE_POSITION) {
-            wanted += robot_handshake.servo_kp[m] * (board.order[m] - board.angle[m]);
-        } else if (board.mode == SUREFOOT_MODE_PWM) {
-            wanted = board.order[m] * limit;
-        }
+        /* Damped motors have the servo's own derivative gain. */
+        order[m].target = position ? board.order[m] : 0.0f;
+        order[m].kp = position ? robot_handshake.servo_kp[m] : 0.0f;
+        order[m].kd = pwm ? 0.0f : robot_handshake.servo_kd[m];
+        order[m].feedforward = pwm ? board.order[m] * limit : 0.0f;
+        wanted = order[m].feedforward + order[m].kp * (order[m].target - board.angle[m]) - order[m].kd * speed[m];
         /* An effort that is no number is none. */
-        effort[m] = wanted > limit ? limit : wanted < -limit ? -limit : isnan(wanted) ? 0.0f : wanted;
+        order[m].effort = wanted > limit ? limit : wanted < -limit ? -limit : isnan(wanted) ? 0.0f : wanted;
     }
-    hal_drive_motors(effort);
+    hal_drive_motors(order);
     hal_feed_watchdog();
 }
 

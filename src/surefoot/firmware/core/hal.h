@@ -11,6 +11,15 @@
 
 #include "surefoot_wire.h"
 
+/* What a motor does. A plain drive takes the effort alone. One with a PD law of its own may take the rest instead: with
+ * its own angle q and speed w, torque or duty = feedforward + kp (target - q) - kd w. */
+typedef struct {
+    float effort;      /* duty of a DC motor, -1 to 1, or torque [N m] of a joint actuator */
+    float target;      /* rad */
+    float kp, kd;      /* effort per rad, and per rad/s */
+    float feedforward; /* effort */
+} motor_order;
+
 /* Start clock, serial line, sensors and motor drivers; motors are off. */
 void hal_start(void);
 /* Microseconds since the start; never goes back. */
@@ -25,8 +34,8 @@ bool hal_write_line(const uint8_t *bytes, size_t size);
 
 /* Present angles, speeds and torques; torques are those of the currents. */
 void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS], float torque[SUREFOOT_MOTORS]);
-/* Duty of each DC motor, -1 to 1, or torque [N m] of each joint actuator, until the next call. */
-void hal_drive_motors(const float effort[SUREFOOT_MOTORS]);
+/* What each motor does until the next call. */
+void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS]);
 /* Switch the motor drivers on. They stay on: damped motors are driven too. */
 void hal_enable_motors(void);
 /* Temperature of each motor [degC]. */

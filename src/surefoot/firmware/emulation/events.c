@@ -90,9 +90,13 @@ void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS],
     memcpy(torque, seen.torque, sizeof(seen.torque));
 }
 
-void hal_drive_motors(const float effort[SUREFOOT_MOTORS])
+void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
 {
-    memcpy(driven, effort, sizeof(driven));
+    size_t m;
+
+    for (m = 0; m < SUREFOOT_MOTORS; m++) {
+        driven[m] = order[m].effort;
+    }
 }
 
 void hal_enable_motors(void)

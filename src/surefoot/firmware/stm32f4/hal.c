@@ -1,9 +1,9 @@
 /* The board of hal.h on an STM32F405: clock, serial line (USART1, pins A9 and A10) and watchdog, without any library.
- * Motors and sensors are in a file of their own. */
+ * Motors and sensors are in drivers/. */
 #include "hal.h"
 
 #include "board.h"
-#include "motors.h"
+#include "drivers.h"
 #include "registers.h"
 
 #define CLOCK 168u /* MHz */
@@ -46,6 +46,7 @@ void hal_start(void)
     SYST_CVR = 0;
     SYST_CSR = 7;
     start_motors();
+    start_sensors();
 }
 
 uint64_t hal_time(void)

@@ -1,4 +1,4 @@
-/* Those registers of an STM32F405 that this firmware uses. Source: ST, RM0090 rev. 19; Arm, ARMv7-M reference manual. */
+/* Registers of an STM32F405 that this firmware uses. Source: ST, RM0090 rev. 19; Arm, ARMv7-M reference manual. */
 #ifndef REGISTERS_H
 #define REGISTERS_H
 
@@ -13,17 +13,14 @@
 #define RCC_AHB1ENR REGISTER(0x40023830u)
 #define RCC_APB1ENR REGISTER(0x40023840u)
 #define RCC_APB2ENR REGISTER(0x40023844u)
-#define RCC_CSR REGISTER(0x40023874u)
 #define FLASH_ACR REGISTER(0x40023C00u)
 
 /* Port A. */
 #define GPIOA_MODER REGISTER(0x40020000u)
-#define GPIOA_AFRL REGISTER(0x40020020u)
 #define GPIOA_AFRH REGISTER(0x40020024u)
 
-/* Serial lines: USART1 on the bus APB2 (84 MHz), USART2 on APB1 (42 MHz). */
+/* Serial line, on the bus APB2 of 84 MHz. */
 #define USART1 0x40011000u
-#define USART2 0x40004400u
 #define USART_SR(base) REGISTER((base) + 0x00u)
 #define USART_DR(base) REGISTER((base) + 0x04u)
 #define USART_BRR(base) REGISTER((base) + 0x08u)
@@ -46,9 +43,10 @@
 #define SYST_RVR REGISTER(0xE000E014u)
 #define SYST_CVR REGISTER(0xE000E018u)
 #define NVIC_ISER(n) REGISTER(0xE000E100u + 4u * (n))
-#define SCB_ICSR REGISTER(0xE000ED04u)
+#define NVIC_ICER(n) REGISTER(0xE000E180u + 4u * (n))
+#define CAN1_TX_IRQ 19u
+#define CAN1_RX0_IRQ 20u
 #define SCB_AIRCR REGISTER(0xE000ED0Cu)
 #define SCB_CPACR REGISTER(0xE000ED88u)
-#define SCB_ICSR_PENDSTSET (1u << 26)
 
 #endif

@@ -9,6 +9,8 @@ int main(void);
 void reset(void);
 void tick_interrupt(void);
 void line_interrupt(void);
+__attribute__((weak)) void can_transmit_interrupt(void);
+__attribute__((weak)) void can_receive_interrupt(void);
 
 /* An interrupt that should not come, or a fault of the core: begin anew. */
 static void restart(void)
@@ -23,7 +25,10 @@ __attribute__((section(".vectors"), used)) static void (*const vectors[16 + USAR
     [1] = reset,
     [2 ... 14] = restart,
     [15] = tick_interrupt,
-    [16 ... 15 + USART1_IRQ] = restart,
+    [16 ... 15 + CAN1_TX_IRQ] = restart,
+    [16 + CAN1_TX_IRQ] = can_transmit_interrupt,
+    [16 + CAN1_RX0_IRQ] = can_receive_interrupt,
+    [17 + CAN1_RX0_IRQ ... 15 + USART1_IRQ] = restart,
     [16 + USART1_IRQ] = line_interrupt,
 };
 

@@ -1,14 +1,12 @@
-/* The board's program on an emulated microcontroller, run by surefoot's emulator. Events and answers go through QEMU's
- * own standard input and output, by Arm's semihosting: a serial line of QEMU takes some 40 us a byte. */
-#include <stdint.h>
+#include "semihosting.h"
 
-#include "events.h"
-#include "registers.h"
+#include <stdint.h>
 
 #define SYS_OPEN 1u
 #define SYS_WRITE 5u
 #define SYS_READ 6u
 #define SYS_EXIT 0x18u
+#define APPLICATION_EXIT 0x20026u
 
 static uintptr_t input, output;
 
@@ -28,7 +26,13 @@ static uintptr_t open_file(const char *name, uintptr_t length, uintptr_t mode)
     return call(SYS_OPEN, arguments);
 }
 
-bool read_event(void *bytes, size_t size)
+void open_host(void)
+{
+    input = open_file("/dev/stdin", 10, 1);
+    output = open_file("/dev/stdout", 11, 5);
+}
+
+bool read_host(void *bytes, size_t size)
 {
     uint8_t *at = bytes;
 
@@ -45,36 +49,16 @@ bool read_event(void *bytes, size_t size)
     return true;
 }
 
-void write_answer(const void *bytes, size_t size)
+void write_host(const void *bytes, size_t size)
 {
     const uintptr_t arguments[] = {output, (uintptr_t)bytes, size};
 
     if (size > 0u && call(SYS_WRITE, arguments) != 0u) {
-        (void)call(SYS_EXIT, (const void *)0x20026u);
+        end_host();
     }
 }
 
-uint32_t read_cycles(void)
+void end_host(void)
 {
-    return 0xFFFFFFu - SYST_CVR;
-}
-
-void tick_interrupt(void)
-{
-}
-
-void line_interrupt(void)
-{
-}
-
-int main(void)
-{
-    SYST_RVR = 0xFFFFFFu;
-    SYST_CVR = 0;
-    SYST_CSR = 5; /* no interrupt */
-    input = open_file("/dev/stdin", 10, 1);
-    output = open_file("/dev/stdout", 11, 5);
-    run_events();
-    (void)call(SYS_EXIT, (const void *)0x20026u);
-    return 0;
+    (void)call(SYS_EXIT, (const void *)APPLICATION_EXIT);
 }

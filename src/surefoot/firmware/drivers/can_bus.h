@@ -1,0 +1,19 @@
+/* A CAN bus with frames of 8 bytes and identifiers of 11 bits. */
+#ifndef CAN_BUS_H
+#define CAN_BUS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+typedef struct {
+    uint16_t id;
+    uint8_t data[8];
+} can_frame;
+
+void can_start(void);
+/* Put a frame on its way; false, if there is no room. */
+bool can_send(const can_frame *frame);
+/* Take the oldest frame that has arrived; false, if there is none. */
+bool can_receive(can_frame *frame);
+
+#endif

@@ -1,0 +1,153 @@
+/* Motors with drives of their own on a CAN bus: a template, for drives that take position, speed, kp, kd and torque in
+ * one frame of 8 bytes, and answer each with theirs. Actuators of the MIT Mini Cheetah, and many made after them, do.
+ *
+ * To adapt: identifiers, ranges and zeros below, by the drive's manual; then the layout, if its frames differ. A bus of
+ * 1 Mbit/s carries four motors a millisecond: two frames of some 120 bits each. With more, use several buses, or a longer
+ * servo_period in core/robot.h. Let the drives switch themselves off when no frame comes for some 20 ms.
+ *
+ * The drives close the servo's loop themselves, with the gains of core/robot.h and limits of their own. */
+#include "can_bus.h"
+#include "drivers.h"
+#include "hal.h"
+
+#define FIRST_ID 1u          /* of motor 0; the others follow */
+#define SILENCE 10000u       /* us without an answer, after which a motor counts as off */
+#define MAX_ANGLE 12.5f      /* rad; frames hold -MAX to MAX */
+#define MAX_SPEED 45.0f      /* rad/s */
+#define MAX_TORQUE 24.0f     /* N m */
+#define MAX_KP 500.0f        /* N m/rad; frames hold 0 to MAX */
+#define MAX_KD 5.0f          /* N m s/rad */
+#define TEMPERATURE_OFFSET 0 /* degC that the byte 0 stands for */
+
+/* Angle [rad] of this program when the drive reads 0, and 1 or -1 where the drive turns the other way. */
+static const float zero[SUREFOOT_MOTORS] = {0};
+static const float direction[SUREFOOT_MOTORS] = {[0 ... SUREFOOT_MOTORS - 1] = 1.0f};
+
+static struct {
+    float angle, speed, torque, temperature;
+    uint8_t error;
+    bool heard;
+    uint64_t time;
+} seen[SUREFOOT_MOTORS];
+
+/* A number from low to high as so many bits; the nearest that fits, 0 torque and gain for what is no number. */
+static uint32_t pack(float number, float low, float high, uint32_t bits)
+{
+    const uint32_t most = (1u << bits) - 1u;
+
+    if (!(number >= low)) {
+        number = number < low ? low : 0.0f;
+    }
+    number = number > high ? high : number;
+    return (uint32_t)((number - low) / (high - low) * (float)most + 0.5f);
+}
+
+static float unpack(uint32_t number, float low, float high, uint32_t bits)
+{
+    return low + (high - low) * (float)number / (float)((1u << bits) - 1u);
+}
+
+/* Frames that a drive takes as words: seven bytes FF, and one that says what. */
+static void send_word(uint16_t motor, uint8_t word)
+{
+    const can_frame frame = {(uint16_t)(FIRST_ID + motor), {0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, word}};
+
+    (void)can_send(&frame);
+}
+
+static void take_answers(void)
+{
+    can_frame frame;
+
+    while (can_receive(&frame)) {
+        const uint8_t *const d = frame.data;
+        const uint32_t motor = (uint32_t)d[0] - FIRST_ID; /* the answer's identifier is the master's, 0 */
+        uint32_t p, v, t;
+
+        if (frame.id != 0u || motor >= SUREFOOT_MOTORS) {
+            continue;
+        }
+        p = (uint32_t)d[1] << 8 | d[2];
+        v = (uint32_t)d[3] << 4 | d[4] >> 4;
+        t = (uint32_t)(d[4] & 15) << 8 | d[5];
+        seen[motor].angle = zero[motor] + direction[motor] * unpack(p, -MAX_ANGLE, MAX_ANGLE, 16);
+        seen[motor].speed = direction[motor] * unpack(v, -MAX_SPEED, MAX_SPEED, 12);
+        seen[motor].torque = direction[motor] * unpack(t, -MAX_TORQUE, MAX_TORQUE, 12);
+        seen[motor].temperature = (float)(d[6] + TEMPERATURE_OFFSET);
+        seen[motor].error = d[7];
+        seen[motor].heard = true;
+        seen[motor].time = hal_time();
+    }
+}
+
+void start_motors(void)
+{
+    can_start();
+}
+
+void hal_enable_motors(void)
+{
+    uint16_t m;
+
+    for (m = 0; m < SUREFOOT_MOTORS; m++) {
+        send_word(m, 0xFC);
+    }
+}
+
+void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS], float torque[SUREFOOT_MOTORS])
+{
+    int m;
+
+    take_answers();
+    for (m = 0; m < SUREFOOT_MOTORS; m++) {
+        angle[m] = seen[m].angle;
+        speed[m] = seen[m].speed;
+        torque[m] = seen[m].torque;
+    }
+}
+
+void hal_read_temperatures(float temperature[SUREFOOT_MOTORS])
+{
+    int m;
+
+    for (m = 0; m < SUREFOOT_MOTORS; m++) {
+        temperature[m] = seen[m].temperature;
+    }
+}
+
+void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
+{
+    uint16_t m;
+
+    for (m = 0; m < SUREFOOT_MOTORS; m++) {
+        const float angle = direction[m] * (order[m].target - zero[m]);
+        const uint32_t p = pack(angle, -MAX_ANGLE, MAX_ANGLE, 16), v = pack(0.0f, -MAX_SPEED, MAX_SPEED, 12);
+        const uint32_t kp = pack(order[m].kp, 0.0f, MAX_KP, 12), kd = pack(order[m].kd, 0.0f, MAX_KD, 12);
+        const uint32_t t = pack(direction[m] * order[m].feedforward, -MAX_TORQUE, MAX_TORQUE, 12);
+        const can_frame frame = {
+            (uint16_t)(FIRST_ID + m),
+            {(uint8_t)(p >> 8), (uint8_t)p, (uint8_t)(v >> 4), (uint8_t)((v & 15u) << 4 | kp >> 8), (uint8_t)kp,
+             (uint8_t)(kd >> 4), (uint8_t)((kd & 15u) << 4 | t >> 8), (uint8_t)t},
+        };
+
+        (void)can_send(&frame); /* one that the bus has no room for is lost; a newer one follows */
+    }
+}
+
+uint8_t hal_hazard(const char **text)
+{
+    const uint64_t now = hal_time();
+    int m;
+
+    for (m = 0; m < SUREFOOT_MOTORS; m++) {
+        if (!seen[m].heard || now - seen[m].time > SILENCE) {
+            *text = "a motor's drive does not answer";
+            return SUREFOOT_REASON_MOTOR_OFF;
+        }
+        if (seen[m].error != 0u) {
+            *text = "a motor's drive reports an error";
+            return SUREFOOT_REASON_MOTOR_OFF;
+        }
+    }
+    return SUREFOOT_REASON_NONE;
+}

@@ -1,0 +1,46 @@
+/* No motors: where to begin. The link works, `surefoot doctor` sees the robot, and it does not arm.
+ *
+ * Replace the functions one by one, in the order of README.md: readings first, hal_drive_motors last. */
+#include <math.h>
+
+#include "drivers.h"
+#include "hal.h"
+
+void start_motors(void)
+{
+}
+
+void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS], float torque[SUREFOOT_MOTORS])
+{
+    int m;
+
+    for (m = 0; m < SUREFOOT_MOTORS; m++) {
+        angle[m] = NAN;   /* rad, in the order and with the signs of core/robot.h */
+        speed[m] = NAN;   /* rad/s */
+        torque[m] = 0.0f; /* N m, of the current */
+    }
+}
+
+void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
+{
+    (void)order; /* a plain drive takes `effort`, one with a PD law of its own the other numbers */
+}
+
+void hal_enable_motors(void)
+{
+}
+
+void hal_read_temperatures(float temperature[SUREFOOT_MOTORS])
+{
+    int m;
+
+    for (m = 0; m < SUREFOOT_MOTORS; m++) {
+        temperature[m] = NAN; /* degC */
+    }
+}
+
+uint8_t hal_hazard(const char **text)
+{
+    (void)text;
+    return SUREFOOT_REASON_NONE;
+}
