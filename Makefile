@@ -58,9 +58,12 @@ $(BROWSER): $(READY)
 	@$(BIN)/python tests/chromium.py
 	@touch $(BROWSER)
 
-# Types are checked beside the tests, which often wait; the summary of the tests comes last.
+# Types are checked beside the tests, which often wait; the summary of the tests comes last. In a fresh clone, kernels are
+# compiled before, and not in each of the processes.
 test: style $(BROWSER) ## Check style and types, and run the tests (ARGS="-k gait" for some)
 	@nice $(BIN)/mypy & types=$$!; \
+	test -e src/surefoot/actuator/__pycache__/kernels.sha256 || \
+	  $(BIN)/python -m surefoot emulate --duration 0.01 >/dev/null 2>&1; \
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS); tests=$$?; \
 	wait $$types || { echo "surefoot: mypy has found errors, printed above" >&2; exit 1; }; \
 	exit $$tests

@@ -3,6 +3,7 @@
     python benchmarks/firmware.py fuzz [--frames 1000000]       # results/firmware/fuzz.json
     python benchmarks/firmware.py faults                        # results/firmware/faults.csv
     python benchmarks/firmware.py runs [--runs 10]              # results/firmware/runs.csv
+    python benchmarks/firmware.py live [--runs 10]              # results/firmware/live.csv
     python benchmarks/firmware.py stm32f4                       # results/firmware/stm32f4.json
 
 `fuzz`: frames with fields at random, in any order and by several operators, go over a bad line (`link_soak.py`) to the
@@ -15,6 +16,9 @@ last command that the robot accepted, and how many of the three runs left the ro
 
 `runs`: `surefoot deploy trot-robust` in lockstep for 10 s, on robots with other noise, with the program in Python, with
 the firmware, and with the firmware on an STM32F405 in QEMU.
+
+`live`: the same in real time, behind a socket, with both firmwares: control steps missed, the greatest age of a state,
+and how often the emulated robot was more than 10 ms behind real time.
 
 `stm32f4`: bytes of flash and RAM of the STM32F405's firmware, which is linked into 32 and 8 KiB, and instructions that
 QEMU counts (`-icount shift=0`) in a servo step and for messages.
@@ -35,7 +39,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from emulated import deploy
+from emulated import SUREFOOT, deploy
 from link_soak import BadLine
 
 from surefoot.deploy import messages
@@ -237,10 +241,42 @@ def run_policies(runs: int, folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
+def run_live(runs: int, folder: Path) -> list[dict[str, Any]]:
+    """Deploy a policy in real time; return a row a program."""
+    rows = []
+    for name, target in (("C", "board"), ("QEMU", "board-qemu")):
+        firmware, socket = build_firmware(folder, target=target), folder / f"{name}.sock"
+        results: list[dict[str, Any]] = []
+        behind = 0
+        for _ in range(runs):
+            words: list[object] = [*SUREFOOT, "emulate", "--firmware", firmware, "--socket", socket]
+            with subprocess.Popen(
+                list(map(str, words)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            ) as robot:
+                assert robot.stdout is not None
+                robot.stdout.readline()
+                words = [*SUREFOOT, "deploy", "trot-robust", "--port", socket, "--duration", 10, "--json"]
+                words += ["--out", folder / "live"]
+                done = subprocess.run(list(map(str, words)), capture_output=True, text=True, check=False)
+                robot.terminate()
+                _, summary = robot.communicate()
+            behind += int(summary.partition("; behind ")[2].split()[0])
+            (result,) = json.loads(done.stdout)["runs"] if done.stdout else [{"ended": done.stderr[-200:]}]
+            print(name, result["ended"], flush=True)
+            results.append(result)
+        ended = [result for result in results if result["ended"] == "time"]
+        row: dict[str, Any] = {"program": name, "runs": runs, "to_the_end": len(ended), "behind": behind}
+        row["missed"] = sum(result["timing"]["missed"] for result in ended)
+        row["state_age_max_ms"] = max(result["timing"]["state_age_max_ms"] for result in ended)
+        print(row, flush=True)
+        rows.append(row)
+    return rows
+
+
 def main() -> int:
     """Measure, and write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["fuzz", "faults", "runs", "stm32f4"])
+    parser.add_argument("what", choices=["fuzz", "faults", "runs", "live", "stm32f4"])
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--runs", type=int, default=10)
     parser.add_argument("--seed", type=int, default=1)
@@ -252,6 +288,9 @@ def main() -> int:
         write_sources(folder, ROBOT)
         if options.what == "runs":
             write_csv(results / "runs.csv", run_policies(options.runs, folder))
+            return 0
+        if options.what == "live":
+            write_csv(results / "live.csv", run_live(options.runs, folder))
             return 0
         if options.what == "stm32f4":
             return write_json(results / "stm32f4.json", measure_stm32f4(folder))

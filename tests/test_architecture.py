@@ -53,6 +53,8 @@ ROBOT_SIDE = [
     "cli.doctor",
     "cli.emulate",
     "cli.deploy",
+    "cli.firmware",
+    "firmware.project",
     "cli.identify",
     "identify.experiment_runner",
     "identify.registry",

@@ -153,7 +153,7 @@ def test_command_that_is_not_repeated_ends(running: Running):
         running.until(lambda: running.drive.robot.rows and running.last.command[0] == 0.5)
         begin = time.monotonic()
         running.until(lambda: running.last.command[0] == 0.0)
-        assert 2.0 < time.monotonic() - begin < 5.0
+        assert 2.0 < time.monotonic() - begin < 10.0
 
 
 def test_file_of_commands_replaces_the_page(running: Running, tmp_path: Path):

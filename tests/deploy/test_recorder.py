@@ -188,7 +188,7 @@ def test_a_blocked_disk_does_not_block_the_run(tmp_path, monkeypatch):
     start = time.monotonic()
     for _ in range(40):
         file.add(bytes(100_000))
-    assert time.monotonic() - start < 0.5
+    assert time.monotonic() - start < 2.0
     assert 25 < file.waiting < 40
     file.close()
     assert file.stopped == "the disk does not answer"

@@ -75,7 +75,7 @@ def test_both_programs_move_the_robot_alike(rigs, robot_name, words):
     for name in ("mode", "reason", "command_age", "dropped", "voltage"):
         assert [getattr(state, name) for state in states[0]] == [getattr(state, name) for state in states[1]]
     # The firmware adds up the work by what it reads, a servo latency late.
-    assert states[1][-1].energy == pytest.approx(states[0][-1].energy, rel=0.1)
+    assert states[1][-1].energy == pytest.approx(states[0][-1].energy, rel=0.02)
 
 
 class Direct:

@@ -41,6 +41,7 @@ class FirmwareBoard(EmulatedBoard):
 
     def _start(self) -> None:
         self.firmware = FirmwareProcess(self._program, self.plant.robot.name, self.plant.robot.num_motors)
+        self.firmware.share_priority()
 
     def _receive(self) -> None:
         self.firmware.receive(self.now, self._line.inbound.take())
@@ -54,6 +55,8 @@ class FirmwareBoard(EmulatedBoard):
         return super()._decide()
 
     def _compute_order(self, now: int) -> MotorOrder:
+        if not self._fed:
+            self.firmware.share_priority()  # which the loop has raised by now
         self._fed = now
         if self.plant.ticks % self.plant.servo_every:
             return self._last  # a servo that runs less often than the physics

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import struct
@@ -109,6 +110,14 @@ class FirmwareProcess:
         """Send a state if one is due, with the readings of `read`."""
         if now >= self.next_state:
             self._exchange(b"R", now, _pack(read(), _NOTHING, _NOTHING))
+
+    def share_priority(self) -> None:
+        """Give the process's threads the priority that this process has, so that it does not wait for a slower one."""
+        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+        if parameters.sched_priority:
+            for thread in Path(f"/proc/{self._process.pid}/task").iterdir():
+                with contextlib.suppress(OSError):  # it has just ended
+                    os.sched_setscheduler(int(thread.name), policy, parameters)
 
     def _exchange(self, what: bytes, now: int, content: bytes) -> None:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +93,9 @@ class Plant:
         self._row = np.empty(2 * motors + 6)
         self.temperature = np.full(motors, self.power.ambient)
         self.energy = self.current = self._used = 0.0
+        steps = round(float(self.params.servo_latency[0]) / robot.timing.servo_step)
+        self._torques: deque[Array] = deque(maxlen=max(steps, 1))
+        """Torques of the last servo steps, for a microcontroller that computes the servos itself."""
         self._contact = np.zeros(len(robot.legs))
         self._order: MotorOrder | JointOrder
         self._obey(MotorOrder(Mode.DISARMED, np.zeros(motors)))
@@ -193,10 +197,14 @@ class Plant:
         )
 
     def servo_readings(self) -> Sensors:
-        """Return what a microcontroller reads that computes the servos itself: motors as old as the servo latency."""
+        """Return what a microcontroller reads that computes the servos itself, once a servo step.
+
+        Angles, speeds and torques are as old as the servo latency.
+        """
         actuation, motors = self.world.actuation, self.robot.num_motors
         seen = self._look(0.0, float(self.params.servo_latency[0])).copy()
         now, speed = actuation.sample[0].copy(), seen[motors : 2 * motors]
+        self._torques.append(actuation.motor_torque[0].copy())
         tilt, rate = now[-6:-3], now[-3:]
         read_imu(tilt[None], rate[None], self._seconds, self.params)
         if actuation.joint[0]:
@@ -207,7 +215,7 @@ class Plant:
         return Sensors(
             motor_angle=seen[:motors],
             motor_velocity=speed,
-            motor_torque=actuation.motor_torque[0].copy(),
+            motor_torque=self._torques[0],
             roll_pitch_yaw=tilt,
             angular_velocity_base=rate,
             energy=self.energy,

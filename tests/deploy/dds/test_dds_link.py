@@ -86,6 +86,8 @@ def operator(go2: RobotDescription, body: Go2) -> Iterator[Operator]:
     body.reset()
     operator = Operator(go2)
     yield operator
+    for child in operator.link.children:  # they would damp the motors for a while
+        os.kill(child.pid, signal.SIGKILL)
     operator.link.close()
 
 
