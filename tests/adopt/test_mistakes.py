@@ -161,7 +161,7 @@ def test_a_fall_that_no_mistake_explains_is_said():
     assert own.score == 0.0
     diagnosis = Diagnosis.from_answers([own, answer(made("a"), [0.2] * 3)])
     first, *_, last = check_answers(diagnosis)
-    assert first.message == "asked +0.00, +0.00, +0.00 (m/s, m/s, rad/s), fell after 1.0 s"
+    assert first.message == "asked forward 0.00, left 0.00 m/s, turn 0.00 rad/s; it fell after 1.0 s"
     assert last.message.endswith("what is wrong is another thing, or several things")
 
 

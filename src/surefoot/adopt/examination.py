@@ -374,11 +374,12 @@ def check_answers(diagnosis: Diagnosis) -> list[CheckResult]:
     for k, (name, command, velocity, score) in enumerate(
         zip(own.commands, own.command, own.velocity, own.scores, strict=True)
     ):
-        asked, went = (", ".join(f"{number:+.2f}" for number in np.nan_to_num(row)) for row in (command, velocity))
-        message = f"asked {asked} (m/s, m/s, rad/s), went {went}"
-        if own.fell[k]:
-            time = DURATION * own.stood[:, k].min()
-            message = f"asked {asked} (m/s, m/s, rad/s), fell after {time:.1f} s"
+        asked, went = (
+            "forward {:.2f}, left {:.2f} m/s, turn {:.2f} rad/s".format(*(np.round(np.nan_to_num(row), 2) + 0.0))
+            for row in (command, velocity)
+        )
+        end = f"it fell after {DURATION * own.stood[:, k].min():.1f} s" if own.fell[k] else f"it went {went}"
+        message = f"asked {asked}; {end}"
         results.append(judge(name, bool(score >= GOOD), message, "", remedy, float(score)))
     tried = f"{len(diagnosis.ranked)} usual mistakes tried"
     if mistake is None:

@@ -214,10 +214,10 @@ def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
                 "angles themselves" if term.relative else "less the default pose"
             )
             yield Correction("observations", text, _with_term(spec, place, replace(term, relative=not term.relative)))
-        if term.term == "last_action" and spec.action_scale != 1.0:
-            scale = spec.action_scale
-            text = "last action: it should be the scaled one, in rad"
-            yield Correction("observations", text, _with_term(spec, place, replace(term, scale=scale)))
+        if term.term == "last_action":
+            for scale, which in ((spec.action_scale, "the scaled one, in rad"), (1.0, "as the network gave it")):
+                text = f"last action: it should be {which}"
+                yield Correction("observations", text, _with_term(spec, place, replace(term, scale=scale)))
 
 
 def _numbers(value: float | Sequence[float]) -> str:

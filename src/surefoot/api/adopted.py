@@ -72,7 +72,7 @@ def examine_policy(
                 corrected, whole, 1, find_world(world), seed, 1, world_name=world, policy_name=runtime.contract.name
             )
             path = film(description, trace, out / f"{('as-it-is', 'corrected')[k]}.mp4")
-            videos.append((title, path))
+            videos.append((f"{title}; it fell after {trace.duration:.1f} s" if trace.fell else title, path))
         page = write_page(out / "examination.html", runtime.contract.name, world, diagnosis, checks, videos)
         files = [page, *(path for _, path in videos)]
     return Examined(runtime.contract.name, description, checks, files)

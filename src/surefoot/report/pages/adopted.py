@@ -13,8 +13,8 @@ from surefoot.check_result import CheckResult
 from surefoot.files import atomic_write
 from surefoot.report.pages import html
 
-_LISTED = 15
-"""Changes on the page."""
+_LISTED, _SHOWN = 15, 0.05
+"""Changes on the page at most, and the least score of one."""
 
 
 def write_page(
@@ -48,7 +48,9 @@ def write_page(
         f'<p class="quiet">Simulated in {escape(world)}; no robot has run it. surefoot {escape(__version__)}.</p>',
         f"<table>{''.join(rows)}</table>",
         "<h2>What was tried</h2>",
-        _tried([diagnosis.own, *diagnosis.ranked[:_LISTED]], len(diagnosis.ranked)),
+        _tried(
+            [diagnosis.own, *(one for one in diagnosis.ranked[:_LISTED] if one.score >= _SHOWN)], len(diagnosis.ranked)
+        ),
         *_videos(videos),
     ]
     atomic_write(path, html.page(title, parts))
@@ -78,9 +80,10 @@ def _tried(answers: Sequence[Answer], count: int) -> str:
         scores = [f"{score:.2f}" for score in answer.scores]
         rows.append(html.row((text, *scores, f"{answer.score:.2f}"), f"t{'n' * len(names)}n"))
     note = (
-        f"{count} changes of the configuration were tried, each with one robot for each of some commands; those below "
-        f"again with {REPEATS} other robots for each command. The most likely is the first; one that leads to unusual "
-        "numbers is less likely than its score. Scores: 1 follows the command exactly; 0 falls, or errs by "
+        f"{count} changes of the configuration were tried, each with one robot for each of some commands; the best "
+        f"again, those below, with {REPEATS} other robots for each command. The most likely is the first; one that "
+        "leads to unusual numbers is less likely than its score. Scores: 1 follows the command exactly; 0 falls, or "
+        "errs by "
         f"{MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s sideways or {MAX_ERROR[2]:g} rad/s."
     )
     return f'<p class="quiet">{note}</p><div class="wide"><table>{"".join(rows)}</table></div>'
