@@ -260,7 +260,9 @@ def run_live(runs: int, folder: Path) -> list[dict[str, Any]]:
             done = subprocess.run(words, capture_output=True, text=True, check=False)
             process.terminate()
             _, summary = process.communicate()
-        result = json.loads(done.stdout)["runs"][0] if done.stdout else {"ended": "refused", "what": done.stderr[-200:]}
+        result: dict[str, Any] = {"ended": "refused", "what": done.stderr[-200:]}
+        if done.stdout:
+            (result,) = json.loads(done.stdout)["runs"]
         row = rows.setdefault(
             name, {"program": name, "runs": 0, "to_the_end": 0, "behind": 0, "missed": 0, "age_ms": 0.0}
         )
