@@ -80,7 +80,7 @@ def test_a_run_is_recorded_and_ends_with_damped_motors(body: Go2, tmp_path: Path
     assert np.isfinite(trace.motor_angle).all()
     frames = body.read()
     held = [frame for frame in frames if not frame.damps]
-    assert {(frame.kp, frame.kd) for frame in held} == {(70.0, 2.0)}  # the policy's
+    assert {(frame.kp, frame.kd) for frame in held} == {(40.0, 1.0)}  # the policy's
     assert held[0].jump < 0.1
     assert frames[-1].damps
     assert result["frames"]["damaged"] == 0

@@ -99,7 +99,7 @@ def test_a_policy_over_foot_trajectories_goes_as_far_as_in_simulation(emulate, t
 
 
 def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
-    robot = emulate("--robot", "go2", "--ideal-sensors")
+    robot = emulate("--robot", "go2", "--ideal-sensors", "--set", "servo_kp=40", "servo_kd=1")
     robot.board.on_step.append(CaptureWriter(tmp_path / "capture.csv", robot.board.plant).see)
     rows = ("time,forward,sideways,yaw_rate", "0.5,0.5,0,0", "2.5,0,0,0", "3.3,0,0,0.6", "5.3,0,0,0", "5.9,0,0,9")
     (tmp_path / "way.csv").write_text("\n".join(rows))

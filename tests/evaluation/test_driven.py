@@ -42,7 +42,7 @@ def test_a_command_is_cut_to_the_limits_and_followed(robot: DrivenRobot):
     robot.command([10.0, 0.0, 0.0])
     run(robot, 2.0)
     assert robot.rows[-1].command[0] == pytest.approx(top)
-    assert run(robot, 1.0)[:, 0].mean() == pytest.approx(top, abs=0.15)
+    assert run(robot, 1.0)[:, 0].mean() == pytest.approx(top, rel=0.2)
     # An episode that starts begins with standing.
     robot.restart()
     assert robot.step().command[0] == 0.0

@@ -120,7 +120,7 @@ def test_commands_lead_by_what_the_weight_bends_the_actuators() -> None:
 def test_commands_lead_by_the_gains_of_the_task() -> None:
     lead = changed("go2", {"servo_kp": 30.0, "servo_kd": 0.6}).reference.velocity_feedforward
     assert lead == pytest.approx(0.6 / 30.0)
-    assert reference_of("go2").velocity_feedforward == pytest.approx(2.0 / 70.0)
+    assert reference_of("go2").velocity_feedforward == pytest.approx(1.0 / 40.0)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
