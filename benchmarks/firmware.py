@@ -17,8 +17,8 @@ last command that the robot accepted, and how many of the three runs left the ro
 `runs`: `surefoot deploy trot-robust` in lockstep for 10 s, on robots with other noise, with the program in Python, with
 the firmware, and with the firmware on an STM32F405 in QEMU.
 
-`live`: the same in real time, behind a socket, with both firmwares: control steps missed, the greatest age of a state,
-and how often the emulated robot was more than 10 ms behind real time.
+`live`: the same in real time, behind a socket: control steps missed, the greatest age of a state, and how often the
+emulated robot was more than 10 ms behind real time.
 
 `stm32f4`: bytes of flash and RAM of the STM32F405's firmware, which is linked into 32 and 8 KiB, and instructions that
 QEMU counts (`-icount shift=0`) in a servo step and for messages.
@@ -27,6 +27,7 @@ QEMU counts (`-icount shift=0`) in a servo step and for messages.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import random
 import subprocess
@@ -242,35 +243,36 @@ def run_policies(runs: int, folder: Path) -> list[dict[str, Any]]:
 
 
 def run_live(runs: int, folder: Path) -> list[dict[str, Any]]:
-    """Deploy a policy in real time; return a row a program."""
-    rows = []
+    """Deploy a policy in real time, on all programs by turns; return a row a program."""
+    programs: dict[str, list[object]] = {"Python": []}
     for name, target in (("C", "board"), ("QEMU", "board-qemu")):
-        firmware, socket = build_firmware(folder, target=target), folder / f"{name}.sock"
-        results: list[dict[str, Any]] = []
-        behind = 0
-        for _ in range(runs):
-            words: list[object] = [*SUREFOOT, "emulate", "--firmware", firmware, "--socket", socket]
-            with subprocess.Popen(
-                list(map(str, words)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-            ) as robot:
-                assert robot.stdout is not None
-                robot.stdout.readline()
-                words = [*SUREFOOT, "deploy", "trot-robust", "--port", socket, "--duration", 10, "--json"]
-                words += ["--out", folder / "live"]
-                done = subprocess.run(list(map(str, words)), capture_output=True, text=True, check=False)
-                robot.terminate()
-                _, summary = robot.communicate()
-            behind += int(summary.partition("; behind ")[2].split()[0])
-            (result,) = json.loads(done.stdout)["runs"] if done.stdout else [{"ended": done.stderr[-200:]}]
-            print(name, result["ended"], flush=True)
-            results.append(result)
-        ended = [result for result in results if result["ended"] == "time"]
-        row: dict[str, Any] = {"program": name, "runs": runs, "to_the_end": len(ended), "behind": behind}
-        row["missed"] = sum(result["timing"]["missed"] for result in ended)
-        row["state_age_max_ms"] = max(result["timing"]["state_age_max_ms"] for result in ended)
-        print(row, flush=True)
-        rows.append(row)
-    return rows
+        programs[name] = ["--firmware", build_firmware(folder, target=target)]
+    rows: dict[str, dict[str, Any]] = {}
+    for _, (name, options) in itertools.product(range(runs), programs.items()):
+        robot = [*SUREFOOT, "emulate", "--socket", folder / "line", *options]
+        host = [*SUREFOOT, "deploy", "trot-robust", "--port", folder / "line", "--duration", 10, "--json"]
+        with subprocess.Popen(
+            list(map(str, robot)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            words = list(map(str, [*host, "--out", folder / "live"]))
+            done = subprocess.run(words, capture_output=True, text=True, check=False)
+            process.terminate()
+            _, summary = process.communicate()
+        result: dict[str, Any] = {"ended": "refused", "what": done.stderr[-200:]}
+        if done.stdout:
+            (result,) = json.loads(done.stdout)["runs"]
+        row = rows.setdefault(
+            name, {"program": name, "runs": 0, "to_the_end": 0, "behind": 0, "missed": 0, "age_ms": 0.0}
+        )
+        row["runs"] += 1
+        row["to_the_end"] += result["ended"] == "time"
+        row["behind"] += int(summary.partition("; behind ")[2].split()[0])
+        row["missed"] += result.get("timing", {}).get("missed", 0)
+        row["age_ms"] = max(row["age_ms"], result.get("timing", {}).get("state_age_max_ms", 0.0))
+        print(name, result["ended"], result.get("what"), flush=True)
+    return list(rows.values())
 
 
 def main() -> int:

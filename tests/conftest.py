@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import functools
 import os
@@ -124,8 +125,12 @@ def pytest_try_again_in_real_time(item: pytest.Item, nextitem: pytest.Item | Non
 
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw figures with few pixels, which takes less time."""
+    """Draw figures and videos with few pixels, which takes less time."""
     monkeypatch.setattr(style, "DPI", 40)
+    with contextlib.suppress(ImportError):  # of the extra `report`
+        from surefoot.report.drawing.video import render_video
+
+        monkeypatch.setitem(render_video.__kwdefaults__, "size", (320, 180))
 
 
 @pytest.fixture

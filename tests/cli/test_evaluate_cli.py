@@ -152,7 +152,7 @@ def test_play_writes_a_video_where_there_is_no_display(policy: Path, tmp_path: P
     assert done.stdout == "wrote untrained.mp4\n"
     frames = ffmpeg.read_frames(str(tmp_path / "untrained.mp4"))
     meta = next(frames)
-    assert meta["size"] == (960, 540)
+    assert meta["size"] == (320, 180)
     first = np.frombuffer(next(frames), np.uint8)
     for later in frames:
         last = np.frombuffer(later, np.uint8)
