@@ -51,6 +51,6 @@ def test_texts_have_a_row_for_each_policy():
     first, second = texts(table, "nominal")
     assert (first["policy"], second["policy"]) == ("a", "b")
     assert first["falls"] == "3 of 32"
-    assert first["forward (m/s)"] == "1.250"
+    assert first["error forward (m/s)"] == "1.250"
     assert first["cost of transport"] == "-"
     assert texts(table, "feet") == []

@@ -145,18 +145,18 @@ def measure(
 
 COLUMNS = {
     "falls": ("falls", ""),
-    "rmse_stride_forward": ("forward", "m/s"),
-    "rmse_stride_sideways": ("sideways", "m/s"),
-    "rmse_stride_yaw_rate": ("yaw rate", "rad/s"),
-    "rmse_forward": ("forward, at once", "m/s"),
-    "rmse_sideways": ("sideways, at once", "m/s"),
-    "rmse_yaw_rate": ("yaw rate, at once", "rad/s"),
+    "rmse_stride_forward": ("error forward", "m/s"),
+    "rmse_stride_sideways": ("error sideways", "m/s"),
+    "rmse_stride_yaw_rate": ("error of yaw rate", "rad/s"),
     "power": ("power", "W"),
     "cost_of_transport": ("cost of transport", ""),
     "hottest_heat": ("hottest motor", "W"),
+    "rmse_forward": ("at once: forward", "m/s"),
+    "rmse_sideways": ("at once: sideways", "m/s"),
+    "rmse_yaw_rate": ("at once: yaw rate", "rad/s"),
 }
-"""Measures with their headings and units: falls; errors of following commands over strides and at once (root mean
-square); mechanical power; energy over weight and distance along commands; mean heat of the hottest motor."""
+"""Measures with their headings and units: falls; errors of following commands over strides (root mean square);
+mechanical power; energy over weight and distance along commands; mean heat of the hottest motor; errors at once."""
 
 
 def texts(table: pd.DataFrame, condition: str) -> list[dict[str, str]]:

@@ -16,5 +16,6 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
     Raises:
         SurefootError: a file without what is needed, or with a key that a specification does not have.
     """
+    table = read_yaml(config)
     with prefix_errors(config):
-        return from_mapping(PolicySpecification, {"joints": list(robot.motor_names), **read_yaml(config)})
+        return from_mapping(PolicySpecification, {"joints": list(robot.motor_names), **table})

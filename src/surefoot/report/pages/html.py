@@ -12,7 +12,8 @@ body { font: 15px/1.5 system-ui, sans-serif; color: #22272e; max-width: 62rem; m
 h1 { font-size: 1.5rem; margin-bottom: .2rem; } h2 { font-size: 1.1rem; margin-top: 2rem; }
 table { border-collapse: collapse; } td, th { padding: .15rem .9rem .15rem 0; text-align: left; vertical-align: top; }
 th { border-bottom: 1px solid #6b7480; font-weight: 600; } tr + tr td { border-top: 1px solid #e3e7eb; }
-.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.n { text-align: right; font-variant-numeric: tabular-nums; }
+td.n { white-space: nowrap; } th { vertical-align: bottom; }
 .quiet { color: #6b7480; } img { max-width: 100%; }
 code { font-size: .85em; overflow-wrap: anywhere; } figure { margin: 1rem 0; } .wide { overflow-x: auto; }
 """

@@ -42,9 +42,9 @@ def write_page(
     parts = [
         f"<h1>{escape(title)}</h1>",
         f'<p class="quiet">The same commands and the same robots for all: {escape(ranges)}, a new one each '
-        f"{commands.hold[0]:g} to {commands.hold[1]:g} s. Errors are root mean squares, over strides and at once, "
-        "without the first second of each command. Cost of transport: energy over weight and distance along "
-        "commands. Hottest motor: its mean heat. In simulation; no robot has run it. "
+        f"{commands.hold[0]:g} to {commands.hold[1]:g} s. Errors are root mean squares, of the mean speed over each "
+        "stride and, in the last columns, at once; without the first second of each command. Cost of transport: energy "
+        "over weight and distance along commands. Hottest motor: its mean heat. In simulation; no robot has run it. "
         f"surefoot {escape(__version__)}.</p>",
     ]
     for condition in conditions:
