@@ -95,7 +95,8 @@ class Witness:
     """Listens to the commands on a domain: when each was written [ns], its greatest kp and its least kd."""
 
     def __init__(self, domain: int) -> None:
-        self._reader = bus.Bus("lo", domain).reader(bus.LOW_COMMAND_TOPIC, types.LowCmd, 2048)
+        self._bus = bus.Bus("lo", domain)
+        self._reader = self._bus.reader(bus.LOW_COMMAND_TOPIC, types.LowCmd, 2048)
         self.rows: list[tuple[int, float, float]] = []
         self.armed: float | None = None
         """When the first command with a gain was seen [s, monotonic clock]."""
@@ -110,6 +111,10 @@ class Witness:
             self.rows.append((written, *self._last[1:]))
             if self.armed is None and self._last[1] > 0:
                 self.armed = time.monotonic()
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._bus.close()
 
     def commands(self) -> NDArray[np.void]:
         """Return all commands."""

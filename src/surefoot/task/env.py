@@ -259,7 +259,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
 
     def _motion(self, before: Truth, last_feedback: Array) -> StepMotion:
         """Return the motion of the control step that just ended, which began with a truth and the feedback before."""
-        zero = np.zeros((self.num_envs, 3))
+        zero, period = np.zeros((self.num_envs, 3)), self.gait.reference.period
         return StepMotion(
             scales=self._scales,
             duration=self.world.params.control_step,
@@ -273,7 +273,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             command=zero if self.commands is None else self.commands.filtered_command,
             heading_error=zero[:, 0] if self.commands is None else self.commands.heading_error,
             last_stride_error=self.stride_error,
-            stride=self.gait.reference.period or _STRIDE,
+            stride=_STRIDE if period is None else period,
         )
 
     def _episode_figures(self, ended: NDArray[np.bool_]) -> dict[str, Array]:

@@ -93,8 +93,8 @@ class StepMotion:
     """Heading that is held less the robot's (N,) [rad]."""
     last_stride_error: Array
     """`stride_error` at the end of the step before (N, 3)."""
-    stride: float
-    """Duration of a stride [s]."""
+    stride: Array | float
+    """Duration of a stride [s], a number or (N,)."""
 
     @cached_property
     def _rates(self) -> tuple[Array, Array]:
