@@ -18,7 +18,7 @@ import numpy as np
 
 from surefoot.adopt.specification import PerJoint, PolicySpecification, Range, Term
 from surefoot.arrays import Array
-from surefoot.configuration import to_mapping
+from surefoot.configuration import from_mapping, to_mapping
 from surefoot.deploy.checks import check_policy
 from surefoot.errors import SurefootError, choices, quote
 from surefoot.policy.contract import Contract
@@ -37,7 +37,7 @@ _REWARD = {"track_velocity": 1.0, "track_yaw_rate": 0.5}
 """Reward of the task in a contract: how well commands are followed; the policy's own is not known."""
 _EPISODE = 20.0
 """Length of an episode [s]."""
-_PARTS = {
+PARTS = {
     "command": ("command",),
     "gravity": ("gravity",),
     "angular_velocity": ("roll_rate", "pitch_rate", "yaw_rate"),
@@ -49,12 +49,20 @@ _PARTS = {
     "constant": (),
 }
 """Parts of surefoot's observation that each term takes."""
-_COLUMNS = {
+VECTOR_COLUMNS = {
     "command": ("command_forward", "command_sideways", "command_yaw_rate"),
     "gravity": ("gravity_x", "gravity_y", "gravity_z"),
     "angular_velocity": ("roll_rate", "pitch_rate", "yaw_rate"),
     "roll_pitch": ("roll", "pitch"),
 }
+"""Columns of surefoot's observation for the numbers of terms that are vectors."""
+
+
+def adopted_specification(contract: Contract) -> PolicySpecification | None:
+    """Return the specification that an adopted policy was made of; None for a policy that was not adopted."""
+    adopted = contract.figures.get("adopted")
+    stated = adopted.get("specification") if isinstance(adopted, Mapping) else None
+    return from_mapping(PolicySpecification, stated, "specification") if isinstance(stated, Mapping) else None
 
 
 class ForeignNetwork(Protocol):
@@ -147,7 +155,7 @@ def _width(term: Term, joints: int) -> int:
     if term.columns is not None:
         return len(term.columns)
     counts = {"clock": 2 * len(term.phases), "constant": len(term.values)}
-    return counts.get(term.term, len(_COLUMNS[term.term]) if term.term in _COLUMNS else joints)
+    return counts.get(term.term, len(VECTOR_COLUMNS[term.term]) if term.term in VECTOR_COLUMNS else joints)
 
 
 class PolicyMaker:
@@ -172,8 +180,8 @@ class PolicyMaker:
         self._has_last = any(term.term == "last_action" for term in spec.observations)
         self._hidden_start = count * self._has_last + 2 * len(self._clocks)
         self.memory = self._hidden_start + sum(net.hidden)
-        parts = {part for term in spec.observations for part in _PARTS[term.term]}
-        order = [part for parts_of in _PARTS.values() for part in parts_of if part in parts]
+        parts = {part for term in spec.observations for part in PARTS[term.term]}
+        order = [part for parts_of in PARTS.values() for part in parts_of if part in parts]
         if self.memory:
             order.append("memory")
         self.task = self._task(tuple(order))
@@ -279,8 +287,8 @@ class PolicyMaker:
     def _columns(self, term: Term) -> list[tuple[dict[str, float], float]]:
         """Return what each number of a term is made of: weights of columns, and an offset."""
         spec, names = self.specification, self.robot.motor_names
-        if term.term in _COLUMNS:
-            return [({column: 1.0}, 0.0) for column in _COLUMNS[term.term]]
+        if term.term in VECTOR_COLUMNS:
+            return [({column: 1.0}, 0.0) for column in VECTOR_COLUMNS[term.term]]
         if term.term in ("joint_positions", "joint_speeds"):
             prefix, zero = ("angle", spec.default_pose) if term.term == "joint_positions" else ("speed", None)
             zeros = zero if zero is not None and term.relative else np.zeros(len(names))

@@ -7,7 +7,7 @@ observation for which the file's network gets what the corrected specification w
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from typing import Any
@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.adopt.builder import NetworkSizes, PolicyMaker
+from surefoot.adopt.builder import NetworkSizes, PolicyMaker, adopted_specification
 from surefoot.adopt.mistakes import Correction, corrections, unusual_numbers
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge
-from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import Progress, run_to_end
 from surefoot.policy.contract import MEMORY, Contract
@@ -106,12 +105,12 @@ def stated_specification(contract: Contract) -> PolicySpecification:
     Raises:
         SurefootError: a policy that was not adopted.
     """
-    stated = contract.figures.get("adopted")
-    if not isinstance(stated, Mapping) or not isinstance(stated.get("specification"), Mapping):
+    specification = adopted_specification(contract)
+    if specification is None:
         raise SurefootError(
             f"policy '{contract.name}' was not adopted; only of an adopted one the specification is known"
         )
-    return from_mapping(PolicySpecification, stated["specification"], "specification")
+    return specification
 
 
 class Corrected:
@@ -352,17 +351,16 @@ def diagnose(
     """Examine a policy as it is and with each of the usual mistakes corrected; arguments as of `examine`."""
     tried = corrections(stated_specification(policy.contract), robot)
 
-    def report(share: float) -> None:
-        if progress is not None:
-            progress(0.5 * (share + len(finalists[:1])))
+    def half_from(start: float) -> Progress | None:
+        return None if progress is None else lambda share: progress(start + 0.5 * share)
 
-    finalists: list[Answer] = []
-    own, *first = examine(policy, robot, task, [None, *tried], world, seed, threads, report, FIRST, 1, FIRST_COMMANDS)
+    begun = half_from(0.0)
+    own, *first = examine(policy, robot, task, [None, *tried], world, seed, threads, begun, FIRST, 1, FIRST_COMMANDS)
     first.sort(key=lambda answer: -answer.likelihood)
     finalists = [own, *first[:FINALISTS]]
     again = [one.correction for one in finalists]
     # Other robots than those by which the finalists were chosen.
-    final = examine(policy, robot, task, again, world, seed + 1, threads, report, DURATION, REPEATS)
+    final = examine(policy, robot, task, again, world, seed + 1, threads, half_from(0.5), DURATION, REPEATS)
     return Diagnosis.from_answers(final, first[FINALISTS:])
 
 

@@ -17,13 +17,12 @@ import yaml
 from onnx import helper
 
 from surefoot import __version__
-from surefoot.adopt.builder import NetworkSizes, PolicyMaker
+from surefoot.adopt.builder import PARTS, VECTOR_COLUMNS, NetworkSizes, PolicyMaker, adopted_specification
 from surefoot.adopt.formats import isaac_lab, rl_sar
 from surefoot.adopt.formats.reading import first_names
 from surefoot.adopt.onnx_network import run_model
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.arrays import Array
-from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError, choices
 from surefoot.files import atomic_write
 from surefoot.policy.contract import MEMORY
@@ -36,11 +35,6 @@ _PHYSICS_STEP = 0.005
 """Time between two commands to the motors in rl_sar [s]."""
 _TOLERANCE = 1e-4
 _SAMPLES = 64
-_VECTORS = {
-    "command": ("command_forward", "command_sideways", "command_yaw_rate"),
-    "angular_velocity": ("roll_rate", "pitch_rate", "yaw_rate"),
-    "gravity": ("gravity_x", "gravity_y", "gravity_z"),
-}
 
 
 class _Exported(NamedTuple):
@@ -182,7 +176,7 @@ def _translate(policy: PolicyRuntime, data: bytes, robot: RobotDescription, by_t
         what = "a reference gait adds to its actions" if contract.reference else "its actions are no motor angles"
         raise SurefootError(f"policy '{contract.name}' can't be exported: {what}; others take joint angles alone")
     kept = [name for name in contract.action_names if name.startswith(f"{MEMORY}.")]
-    spec = _specification(policy)
+    spec = adopted_specification(policy.contract)
     count = robot.num_motors
     if len(kept) not in (0, count) or (kept and spec is None):
         raise SurefootError(
@@ -194,7 +188,7 @@ def _translate(policy: PolicyRuntime, data: bytes, robot: RobotDescription, by_t
         raise SurefootError(f"policy '{contract.name}' can't be exported: its angles are clipped, the format's are not")
     terms = _terms(policy)
     graph = Graph()
-    widths = [3 if term in _VECTORS else count for term in terms]
+    widths = [3 if term in VECTOR_COLUMNS else count for term in terms]
     observation = Value("obs", sum(widths) * contract.history)
     rows = []
     for age in range(contract.history):
@@ -229,12 +223,6 @@ def _translate(policy: PolicyRuntime, data: bytes, robot: RobotDescription, by_t
     return made
 
 
-def _specification(policy: PolicyRuntime) -> PolicySpecification | None:
-    adopted = policy.contract.figures.get("adopted")
-    stated = adopted.get("specification") if isinstance(adopted, dict) else None
-    return from_mapping(PolicySpecification, stated, "specification") if isinstance(stated, dict) else None
-
-
 def _actions(
     policy: PolicyRuntime, robot: RobotDescription, spec: PolicySpecification | None
 ) -> tuple[tuple[str, ...], Array, Array, Array]:
@@ -255,21 +243,18 @@ def _actions(
 
 def _terms(policy: PolicyRuntime) -> tuple[str, ...]:
     """Return the terms that a deployer must observe, in order."""
-    known = {
-        **dict.fromkeys(("roll", "pitch", "gravity"), "gravity"),
-        **dict.fromkeys(("roll_rate", "pitch_rate", "yaw_rate"), "angular_velocity"),
-        "command": "command",
-        "motor_angles": "joint_positions",
-        "motor_speeds": "joint_speeds",
+    term_of_part = {
+        **{part: term for term, parts in PARTS.items() for part in parts},
+        **dict.fromkeys(("roll", "pitch"), "gravity"),
         **dict.fromkeys(("last_action", "memory"), "last_action"),
     }
     parts = [part.name for part in policy.contract.observation]
-    if unknown := [part for part in parts if part not in known]:
+    if unknown := [part for part in parts if part not in term_of_part]:
         raise SurefootError(
             f"policy '{policy.contract.name}' can't be exported: it observes {choices(unknown)}; the format does not"
         )
     order = ("command", "angular_velocity", "gravity", "joint_positions", "joint_speeds", "last_action")
-    needed = {known[part] for part in parts}
+    needed = {term_of_part[part] for part in parts}
     return tuple(term for term in order if term in needed)
 
 
@@ -306,10 +291,10 @@ def _raw(
     """Add the raw observation of one control step, in the contract's order."""
     columns = list(policy.contract.columns)
     weight, shift = np.zeros((place.observation.width, len(columns))), np.zeros(len(columns))
-    for term, names in _VECTORS.items():
-        for k, name in enumerate(names):
+    for term, numbers in place.columns.items():
+        for k, name in enumerate(VECTOR_COLUMNS.get(term, ())):
             if name in columns:
-                weight[place.columns[term][k], columns.index(name)] = 1.0
+                weight[numbers[k], columns.index(name)] = 1.0
     for k, joint in enumerate(joints):
         sign = float(robot.motor_sign[robot.motor_names.index(joint)])
         if f"angle.{joint}" in columns:
@@ -359,7 +344,7 @@ def _compare(policy: PolicyRuntime, made: _Exported, robot: RobotDescription, to
             "joint_speeds": random.normal(size=(_SAMPLES, count)),
             "last_action": random.normal(size=(_SAMPLES, count)),
         }
-        values = {name: terms[term][:, k] for term, names in _VECTORS.items() for k, name in enumerate(names)}
+        values = {name: terms[term][:, k] for term in terms for k, name in enumerate(VECTOR_COLUMNS.get(term, ()))}
         values |= {"roll": roll, "pitch": pitch}
         for k, joint in enumerate(made.joints):
             values[f"angle.{joint}"] = signs[k] * (terms["joint_positions"][:, k] + made.default_pose[k])

@@ -107,11 +107,10 @@ def _sizes(term: Term) -> Array:
 
 def joint_orders(robot: RobotDescription) -> dict[str, tuple[str, ...]]:
     """Return the usual orders of joints by name: legs in all orders that are in use, leg by leg or joint by joint."""
-    fronts = {leg.name: leg for leg in robot.legs}
     sides = {}
-    for name, leg in fronts.items():
-        front = "F" if "front" in name else "R" if "back" in name else ""
-        side = "L" if "left" in name else "R" if "right" in name else ""
+    for leg in robot.legs:
+        front = "F" if "front" in leg.name else "R" if "back" in leg.name else ""
+        side = "L" if "left" in leg.name else "R" if "right" in leg.name else ""
         if front and side:
             sides[front + side] = leg
     if len(sides) != 4:

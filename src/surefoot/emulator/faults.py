@@ -260,16 +260,11 @@ class FaultInjector:
         return self._changed_order or order
 
     def _change_order(self, order: MotorOrder) -> MotorOrder:
-        values = order.values.copy()
-        if fault := self.active("swap-motors"):
-            motor = int(fault.value)
-            values[[motor, motor + 1]] = values[[motor + 1, motor]]
-        if fault := self.active("flip-sign"):
-            motor = int(fault.value)
-            # An angle is mirrored at the resting angle, a duty at zero.
-            middle = self.rest[motor] if order.mode == Mode.POSITION else 0.0
-            values[motor] = 2 * middle - values[motor]
-        return replace(order, values=values)
+        servo, sign = self._wiring()
+        values = order.values[servo]
+        # An angle is mirrored at the resting angle, a duty at zero.
+        middle = self.rest if order.mode == Mode.POSITION else 0.0
+        return replace(order, values=np.where(sign < 0, 2 * middle - values, values))
 
     def _wiring(self) -> tuple[NDArray[np.int64], Array]:
         """Return, for each motor, the servo that it is wired to, and -1 where it turns the wrong way (M,)."""

@@ -137,7 +137,7 @@ def _readme(robot: RobotDescription, limits: Limits, word: str) -> str:
     head = f"| | motor | sign | kp [{units[0]}] | kd [{units[1]}] | least angle [rad] | greatest angle [rad] |"
     return Template((SOURCES / "README.md").read_text(encoding="utf-8")).substitute(
         robot=robot.name,
-        given=word,
+        robot_option=word,
         motors=robot.num_motors,
         functions=len(re.findall(r"^[a-z].* \**hal_\w+\(", (SOURCES / "core" / "hal.h").read_text(), re.MULTILINE)),
         effort="a torque [N m]" if joint else "a PWM duty, -1 to 1",

@@ -115,7 +115,7 @@ class StepMotion:
         """Mean rates of roll, pitch and yaw (N, 3) [sqrt(g / l)]."""
         return self._rates[1] / self.scales.rate
 
-    @property
+    @cached_property
     def command_error(self) -> Array:
         """Mean speeds forward and to the left and yaw rate less the command (N, 3) [m/s, m/s, rad/s]."""
         velocity, turn = self._rates

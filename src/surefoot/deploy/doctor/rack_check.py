@@ -96,8 +96,8 @@ def step_motors(
     try:
         with motion:
             motion.hold(start, SETTLE)
-            if abduction := _abduction_motors(robot):
-                command = "legs were moved apart"
+            if "abduction" in robot.coordinates:
+                command, abduction = "legs were moved apart", robot.leg_motor_index[:, 0]
                 start[abduction] = robot.pose_angles(*robot.poses.sit)[abduction]
                 motion.max_error, allowed = APART_ERROR, motion.max_error
                 motion.go(start, APART)
@@ -122,12 +122,6 @@ def step_motors(
         return stopped.results(NAMES, failed)
     trained = _trained_latencies(contract, robot)
     return [check_motors(steps, robot), *check_response(steps, trained, handshake.servo_period, link.lead)]
-
-
-def _abduction_motors(robot: RobotDescription) -> list[int]:
-    if "abduction" not in robot.coordinates:
-        return []
-    return [robot.motor_names.index(leg.motors[0]) for leg in robot.legs]
 
 
 def step_sizes(robot: RobotDescription, kp: Array) -> Array:
