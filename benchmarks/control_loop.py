@@ -33,7 +33,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from emulated import SUREFOOT
+from emulated import SUREFOOT, gain_options
 
 from surefoot.api.policies import find_policy, open_policy
 from surefoot.tables import write_csv
@@ -71,6 +71,7 @@ def run(policy: str, world: str, line: str, options: argparse.Namespace) -> dict
     runtime, robot = open_policy(find_policy(policy))
     with tempfile.TemporaryDirectory() as folder:
         words = ["--robot", str(robot.folder), "--world", world, *([] if options.ground else ["--rack"])]
+        words += gain_options(policy)
         emulator = subprocess.Popen(
             [*SUREFOOT, "emulate", *words, *(["--socket", f"{folder}/robot"] if line == "socket" else [])],
             stdout=subprocess.PIPE,

@@ -9,6 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
+from surefoot.api.policies import find_policy, open_policy
 from surefoot.task.trace import EpisodeTrace
 
 SUREFOOT = (sys.executable, "-m", "surefoot")
@@ -29,6 +32,16 @@ def emulated_robot(*options: object) -> Iterator[str]:
             process.terminate()
 
 
+def gain_options(policy: str) -> tuple[str, ...]:
+    """Return the options of `surefoot emulate` for the servo gains of a policy; none, if they are the data sheet's."""
+    runtime, robot = open_policy(find_policy(policy))
+    gains = {"servo_kp": runtime.contract.servo_kp, "servo_kd": runtime.contract.servo_kd}
+    sheet = {"servo_kp": robot.actuator.kp, "servo_kd": robot.actuator.kd}
+    if all(np.allclose(gains[name], sheet[name]) for name in gains):
+        return ()
+    return ("--set", *(f"{name}={float(np.mean(value))}" for name, value in gains.items()))
+
+
 def deploy(policy: str, *options: object, robot: tuple[object, ...] = ()) -> list[EpisodeTrace]:
     """Return the runs of `surefoot deploy` on an emulated robot, with positions by motion capture.
 
@@ -39,7 +52,7 @@ def deploy(policy: str, *options: object, robot: tuple[object, ...] = ()) -> lis
     """
     with tempfile.TemporaryDirectory() as folder:
         capture = f"{folder}/capture.csv"
-        with emulated_robot(*robot, "--out", capture) as port:
+        with emulated_robot(*robot, *gain_options(policy), "--out", capture) as port:
             words = ["--port", port, "--lockstep", "--motion-capture", capture, "--out", folder, *map(str, options)]
             done = subprocess.run([*SUREFOOT, "deploy", policy, *words], capture_output=True, text=True, check=False)
         runs = sorted(Path(folder).glob("run_*.npz"))

@@ -38,7 +38,7 @@ def page(tmp_path: Path) -> Iterator[Page]:
 def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
     emulate: Callable[..., Emulator], page: Page, tmp_path: Path
 ):
-    robot = emulate("--robot", "go2", "--ideal-sensors")
+    robot = emulate("--robot", "go2", "--ideal-sensors", "--set", "servo_kp=40", "servo_kd=1")
     words = ("--port", robot.port, "--browser", "--page-port", "0", "--out", str(tmp_path), "--json")
     deploy = subprocess.Popen([*SUREFOOT, "deploy", "go2-steer", *words], stdout=-1, stderr=-1, text=True)
     try:
