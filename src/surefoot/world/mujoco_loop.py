@@ -21,7 +21,8 @@ from surefoot.world.actuation import (
     record_sample,
     roll_pitch_yaw,
 )
-from surefoot.world.contact import foot_force_kernel, sphere_contact, spinning_torque_kernel
+from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
+from surefoot.world.ground_contact import sphere_contacts
 from surefoot.world.native import call_step, doubles, pointers, take_number
 
 Index = NDArray[np.int64]
@@ -61,7 +62,8 @@ class Native(NamedTuple):
     foot_geom: Index
     foot_body: Index
     foot_radius: Array
-    ground: Array  # heights, see `Ground`
+    ground: Array  # corners of its cells, see `Ground`
+    ground_grid: Array
     friction: Array
     stiffness: Array
     shear: Array
@@ -118,7 +120,9 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
     for leg in range(len(native.foot_geom)):
         g, b = 3 * native.foot_geom[leg], native.foot_body[leg]
         radius = native.foot_radius[leg]
-        depth, nx, ny, nz = sphere_contact(native.ground, xpos[g], xpos[g + 1], xpos[g + 2], radius)
+        (depth, nx, ny, nz), wall = sphere_contacts(
+            native.ground, native.ground_grid, xpos[g], xpos[g + 1], xpos[g + 2], radius
+        )
         # The point of the foot that is deepest in the ground.
         px, py, pz = xpos[g] - radius * nx, xpos[g + 1] - radius * ny, xpos[g + 2] - radius * nz
         wx, wy, wz = cvel[6 * b], cvel[6 * b + 1], cvel[6 * b + 2]
@@ -153,6 +157,19 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
             applied[6 * b + 3] += torque * nx
             applied[6 * b + 4] += torque * ny
             applied[6 * b + 5] += torque * nz
+        if wall[0] > 0.0:
+            # A wall pushes through the foot's centre; its friction is left out.
+            x, y, z = xpos[g] - com[root], xpos[g + 1] - com[root + 1], xpos[g + 2] - com[root + 2]
+            away = wall[1] * (cvel[6 * b + 3] + wy * z - wz * y)
+            away += wall[2] * (cvel[6 * b + 4] + wz * x - wx * z)
+            away += wall[3] * (cvel[6 * b + 5] + wx * y - wy * x)
+            load = max(native.stiffness[i] * wall[0] - native.damping * away, 0.0)
+            x, y, z = xpos[g] - xipos[3 * b], xpos[g + 1] - xipos[3 * b + 1], xpos[g + 2] - xipos[3 * b + 2]
+            for k in range(3):
+                applied[6 * b + k] += load * wall[1 + k]
+            applied[6 * b + 3] += load * (y * wall[3] - z * wall[2])
+            applied[6 * b + 4] += load * (z * wall[1] - x * wall[3])
+            applied[6 * b + 5] += load * (x * wall[2] - y * wall[1])
 
 
 @kernel
