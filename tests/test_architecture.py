@@ -15,7 +15,7 @@ ALLOWED: dict[str, set[str]] = {
     "robot": set(),
     "actuator": {"robot"},
     "world": {"actuator", "robot"},
-    "task": {"robot", "policy", "world.interface", "world.ground"},
+    "task": {"robot", "policy", "world.interface", "world.ground", "world.terrain"},
     "learn": {"task", "policy", "evaluation", "robot", "world.interface"},
     "policy": {"robot"},
     "evaluation": {"task", "policy", "world", "robot"},

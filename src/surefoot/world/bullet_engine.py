@@ -261,10 +261,10 @@ class BulletEngine:
         """Set the forces (N, 3) [N] on the bases' centres of mass, in the world frame."""
         self._force[:] = force_world
 
-    def raise_base(self, rows: Index, height: Array) -> None:
-        """Move bases up by heights (n,) [m]."""
+    def move_base(self, rows: Index, offset_world: Array) -> None:
+        """Move bases by offsets (n, 3) [m] in the world."""
         if not self._config.rack:
-            self._rows[rows, 2] += height
+            self._rows[rows, :3] += offset_world
             for i in rows:
                 self._write_base(i)
 

@@ -175,11 +175,11 @@ class MujocoEngine:
         stretch[rows] = states[:, -size:].reshape(-1, *stretch.shape[1:])
         self.diverged[rows] = False
 
-    def raise_base(self, rows: Index, height: Array) -> None:
-        """Move bases up by heights (n,) [m]."""
+    def move_base(self, rows: Index, offset_world: Array) -> None:
+        """Move bases by offsets (n, 3) [m] in the world."""
         if self._native.base_qpos >= 0:
-            for i, rise in zip(rows, height, strict=True):
-                self.datas[i].qpos[self._native.base_qpos + 2] += rise
+            for i, offset in zip(rows, offset_world, strict=True):
+                self.datas[i].qpos[self._native.base_qpos :][:3] += offset
 
     def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
         """Set velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""
