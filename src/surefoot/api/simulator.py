@@ -17,6 +17,7 @@ from surefoot.task.commands import read_schedule, schedule_duration
 from surefoot.task.config import TaskConfig
 from surefoot.task.terrain import TerrainConfig
 from surefoot.world.interface import WorldConfig
+from surefoot.world.terrain import is_map
 
 
 def change_simulator(
@@ -96,8 +97,8 @@ def evaluation_task(
         followed = replace(followed, schedule=read_schedule(commands))
     pushed = task.pushes.for_evaluation(pushes, push_force)
     task = replace(task, randomize=ranges, randomize_ramp=0, pushes=pushed, commands=followed)
-    ground = str(Path(terrain).resolve()) if Path(terrain).suffix else terrain
-    task = replace(task, terrain=TerrainConfig(ground=ground))
+    ground = str(Path(terrain).resolve()) if is_map(terrain) else terrain
+    task = replace(task, terrain=TerrainConfig(ground=ground, scan=task.terrain.scan))
     whole = with_duration(task, robot, schedule_duration(followed.schedule))
     return whole if whole.max_steps > task.max_steps else task
 

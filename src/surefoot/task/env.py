@@ -19,7 +19,7 @@ from surefoot.robot.randomization import Randomizer
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandFilter, CommandGenerator, CommandState
 from surefoot.task.config import TaskConfig
-from surefoot.task.height_scan import scan_columns, scan_heights, scan_points
+from surefoot.task.height_scan import HeightScanner, scan_columns, scan_heights, scan_points
 from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
 from surefoot.task.reward import Scales, StepMotion, base_height, base_rates, base_tilt, step_reward
@@ -119,6 +119,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             config = replace(config, ground=tiles.ground)
             self.curriculum = TerrainCurriculum(task.terrain, tiles, self.num_envs, seed)
         self.ground = config.ground
+        self.scanner: HeightScanner | None = None
+        if "height_scan" in task.observations:
+            self.scanner = HeightScanner(task.terrain.scan, self.robot, self.num_envs, seed)
         self.world: Simulation = self._make_world(self.robot, self.num_envs, self.nominal, seed, config)
         self.pusher = Pusher(task.pushes, self.num_envs, seed, self.robot.weight)
         self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed, task.randomize_ramp)
@@ -154,6 +157,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.steps[rows], self.returns[rows], self.feedback[rows], self.stride_error[rows] = 0, 0.0, 0.0, 0.0
         self.truth = self.world.truth()
         self.start_position[rows] = self.truth.base_position_world[rows]
+        if self.scanner is not None:
+            self.scanner.reset(rows, self.ground, self.truth.base_position_world, self.truth.roll_pitch_yaw[:, 2])
         if self.source is not None and self.commands is not None:
             self.source.reset(rows)
             self.commands.reset(rows, self.readings.roll_pitch_yaw[:, 2])
@@ -166,7 +171,12 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
 
     def _observation_inputs(self) -> ObservationInputs:
         return ObservationInputs(
-            self.readings, self.gait.reference, self.feedback, self.command_state, self.gait.memory
+            self.readings,
+            self.gait.reference,
+            self.feedback,
+            self.command_state,
+            self.gait.memory,
+            None if self.scanner is None else self.scanner.heights,
         )
 
     @property
@@ -229,6 +239,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             info["diverged"] = diverged.copy()
         if task.history > 1:
             self.history[:, 1:] = self.history[:, :-1].copy()
+        if self.scanner is not None:
+            self.scanner.update(self.ground, self.truth.base_position_world, self.truth.roll_pitch_yaw[:, 2])
         self.history[:, 0] = self._observe()
         if done.any():
             rows = np.flatnonzero(done)
@@ -358,12 +370,16 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             owners |= {"source_": self.source, "commands_": self.commands}
         if self.curriculum is not None:
             owners["terrain_"] = self.curriculum
+        if self.scanner is not None:
+            owners["scan_"] = self.scanner
         return {f"{prefix}{name}": getattr(owner, name) for prefix, owner in owners.items() for name in owner.arrays}
 
     def _streams(self) -> dict[str, list[np.random.Generator]]:
         drawn = {} if self.source is None else {"command_streams": self.source.streams}
         if self.curriculum is not None:
             drawn["terrain_streams"] = self.curriculum.streams
+        if self.scanner is not None:
+            drawn["scan_streams"] = self.scanner.streams
         return {"push_streams": self.pusher.streams, "randomize_streams": self.randomizer.streams, **drawn}
 
 

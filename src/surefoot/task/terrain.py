@@ -13,6 +13,7 @@ from surefoot.arrays import Array
 from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError, suggest
 from surefoot.seeding import generators
+from surefoot.task.height_scan import ScanConfig
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.terrain import KINDS, TerrainField, check_size, make_field, make_terrain
 
@@ -46,6 +47,8 @@ class TerrainConfig:
     """Side of a tile [m]."""
     start_level: Annotated[int, Within(0, 49)] = 2
     """Robots begin at levels up to this one."""
+    scan: ScanConfig = field(default_factory=ScanConfig)
+    """Errors of the map of heights that the observation `height_scan` has."""
     curriculum: bool = True
     """Robots rise a level when they have covered .7 of the commanded way, and go back one after a fall or less than half
     of it; beyond the last level any one follows. Without it their levels stay."""

@@ -222,3 +222,21 @@ def sphere_contacts(
             return NO_CONTACT, (radius + least, nx, ny, nz)
         carrying = (radius + least, nx, ny, nz)
     return carrying, wall
+
+
+@_function
+def highest(corners: Array, grid: Array, x: float, y: float, reach_x: float, reach_y: float) -> float:
+    """Return the greatest height [m] of the cells that a rectangle around (x, y) touches."""
+    if corners.shape[0] == 0:
+        return 0.0
+    cell, columns, rows = grid[2], corners.shape[0], corners.shape[1]
+    top = -np.inf
+    first_i = min(max(int(math.floor((x - reach_x - grid[0]) / cell)), 0), columns - 1)
+    last_i = min(max(int(math.floor((x + reach_x - grid[0]) / cell)), 0), columns - 1)
+    first_j = min(max(int(math.floor((y - reach_y - grid[1]) / cell)), 0), rows - 1)
+    last_j = min(max(int(math.floor((y + reach_y - grid[1]) / cell)), 0), rows - 1)
+    for i in range(first_i, last_i + 1):
+        for j in range(first_j, last_j + 1):
+            for k in range(4):
+                top = max(top, corners[i, j, k // 2, k % 2])
+    return top

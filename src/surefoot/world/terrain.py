@@ -183,6 +183,11 @@ def check_size(name: str, size: float) -> Kind:
     return kind
 
 
+def is_map(text: str) -> bool:
+    """Return whether a terrain is the path of a map."""
+    return Path(text).suffix.lower() in (".npz", ".png")
+
+
 def make_terrain(text: str, seed: int = 0) -> Ground:
     """Return the terrain KIND:SIZE, or that of a map's file, around (0, 0), where robots start on the height 0.
 
@@ -196,7 +201,7 @@ def make_terrain(text: str, seed: int = 0) -> Ground:
     if text == "flat":
         return FLAT
     name, colon, number = text.partition(":")
-    if Path(text).suffix.lower() in (".npz", ".png"):
+    if is_map(text):
         return read_map(Path(text))
     if not colon:
         raise SurefootError(
