@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
+from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.self_collision import collision_pairs
 from surefoot.rotations import quat_matrix, xyzw_matrix
@@ -45,6 +46,8 @@ class BulletEngine:
         published: bool = False,
     ) -> None:
         settings = PUBLISHED if published else BulletSettings()
+        if settings.feet != "sphere" and not config.ground.is_flat:
+            raise SurefootError("feet are boxes in world bullet-published, which has no terrain; take world bullet")
         self.robot, self.actuation, self._config, self._settings = robot, actuation, config, settings
         self.gravity = settings.gravity
         num_envs = len(actuation.ticks)

@@ -2,8 +2,11 @@
 
 A foot beside a step touches two things: what it stands on, and the wall. So there are two contacts of a sphere: the
 deepest one that can carry it, and the deepest one at a wall. The ground is solid downward from its surface; a contact is
-at the point of the surface that is nearest to the centre of the sphere. A neighbouring cell counts where its own surface
-is nearest, or where its edge stands out above the cell under the sphere: edges that cells share are no obstacles.
+where the surface is nearer to the centre of the sphere than around that place. So edges that cells share without a step
+or a ridge are no obstacles, whatever the sides of cells.
+
+A sphere whose centre is in the ground has the nearest way out as its contact; beside it, a wall that stands free above
+the surface over the centre: the riser before a foot that has sunk into a tread.
 """
 
 from __future__ import annotations
@@ -22,11 +25,13 @@ STEEP = 0.5
 """Vertical part of a unit normal below which a contact is one at a wall, steeper than 60 degrees."""
 _EDGE = 1e-9
 """Height [m] by which an edge must stand out to be one."""
+_STEP = 1e-6
+"""Length [cells] of a step to a side of an edge."""
+_WALL_SLOPE = 10.0
+"""Slope from which a step down to a side of an edge is a wall."""
 
 Contact = tuple[float, float, float, float]
 """How deep a sphere is in the ground [m], negative above it, and the unit normal where it is deepest."""
-
-Vector = tuple[float, float, float]
 
 NO_CONTACT = (-1.0, 0.0, 0.0, 1.0)
 
@@ -46,66 +51,94 @@ def _cell_height(cell: Array, u: float, v: float) -> float:
 
 
 @_function
-def _segment_point(p: Vector, a: Vector, b: Vector) -> tuple[float, Vector]:
-    """Return the square of the distance from `p` to a segment, and the nearest point of it."""
-    bx, by, bz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    share = ((p[0] - a[0]) * bx + (p[1] - a[1]) * by + (p[2] - a[2]) * bz) / (bx * bx + by * by + bz * bz)
-    share = _clip(share)
-    x, y, z = a[0] + share * bx, a[1] + share * by, a[2] + share * bz
-    return (p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2, (x, y, z)
+def _height(corners: Array, u: float, v: float, step_u: float, step_v: float, go: float) -> float:
+    """Return the height of the cell that a step from a place (u, v) leads to, after a share `go` of that step.
+
+    Places count cells from the field's corner.
+    """
+    i = min(max(int(math.floor(u + step_u)), 0), corners.shape[0] - 1)
+    j = min(max(int(math.floor(v + step_v)), 0), corners.shape[1] - 1)
+    return _cell_height(corners[i, j], _clip(u + go * step_u - i), _clip(v + go * step_v - j))
 
 
 @_function
-def _triangle_point(p: Vector, side: float, heights: Vector) -> tuple[bool, Vector]:
-    """Return whether the point of a triangle that is nearest to `p` is inside, not on the border, and that point.
+def _is_nearest(corners: Array, u: float, v: float, z: float, normal: tuple[float, float, float], side: float) -> bool:
+    """Return whether the surface around a place (u, v) of an edge at height z is behind the plane with a normal there.
+
+    Around any place it is flat between rays along the sides and diagonals of cells, but for walls. A ray along a wall is
+    looked at on both sides.
+    """
+    for ray in range(10):
+        step_u, step_v = 0.0, 0.0
+        sign, across = 1.0 - 2.0 * (ray % 2), 0.01 - 0.02 * (ray // 2 % 2)
+        if ray < 4:
+            step_u, step_v = sign, across
+        elif ray < 8:
+            step_u, step_v = across, sign
+        else:
+            step_u, step_v = sign, -sign
+        rise = _height(corners, u, v, _STEP * step_u, _STEP * step_v, 1.0) - z
+        along = _STEP * side * (step_u * normal[0] + step_v * normal[1])
+        if rise > -_WALL_SLOPE * _STEP * side and rise * normal[2] + along > 1e-3 * _STEP * side:
+            return False
+    return True
+
+
+@_function
+def _half_contact(
+    cell: Array, low: bool, x: float, y: float, z: float, side: float, bound: float
+) -> tuple[float, float, float, float, bool]:
+    """Return the distance of a point from one of the triangles of a cell, infinite where it is not within the bound.
+
+    And the direction from the triangle's nearest point to it, and whether that is within the triangle, not on its
+    border. Within the triangle, the direction is its normal, and the distance negative below it.
 
     Args:
-        p: a point, in the frame of a triangle whose first corner is above the origin, with the others above the axes x
-            and y.
-        side: how far away they are.
-        heights: of the three corners.
+        cell: heights of the corners (2, 2).
+        low: the triangle at low x and y, or the other one.
+        x: of the point from the cell's corner at low x and y [m].
+        y: as x.
+        z: height of the point [m].
+        side: of the cell [m].
+        bound: greatest distance [m] from a triangle that can carry; of others it is not bounded.
     """
-    first, second, third = heights
+    # In a frame with its origin below the triangle's right angle, and the other corners over the axes.
+    sign = 1.0 if low else -1.0
+    if low:
+        first, second, third = cell[0, 0], cell[1, 0], cell[0, 1]
+    else:
+        first, second, third = cell[1, 1], cell[0, 1], cell[1, 0]
+        x, y = side - x, side - y
     slope_x, slope_y = (second - first) / side, (third - first) / side
-    over = (p[2] - first - slope_x * p[0] - slope_y * p[1]) / (1.0 + slope_x * slope_x + slope_y * slope_y)
-    x, y = p[0] + slope_x * over, p[1] + slope_y * over
-    if x > 0.0 and y > 0.0 and x + y < side:
-        return True, (x, y, p[2] - over)
-    a, b, c = (0.0, 0.0, first), (side, 0.0, second), (0.0, side, third)
-    least, nearest = _segment_point(p, a, b)
-    distance, point = _segment_point(p, b, c)
-    if distance < least:
-        least, nearest = distance, point
-    distance, point = _segment_point(p, c, a)
-    if distance < least:
-        least, nearest = distance, point
-    return False, nearest
-
-
-@_function
-def _exit(corners: Array, i: int, j: int, u: float, v: float, z: float) -> Contact:
-    """Return how far a point inside the cell (i, j) is behind the nearest wall to a lower cell, and the wall's normal.
-
-    The distance counts cells; it is infinite if no wall stands out where the point is.
-    """
-    nearest, nx, ny = np.inf, 0.0, 0.0
-    own = corners[i, j]
-    for side in range(4):
-        step = 1 - 2 * (side % 2)
-        if side < 2:
-            other_i, other_j, edge_u, edge_v = i + step, j, 0.5 + 0.5 * step, v
-            distance = abs(edge_u - u)
-        else:
-            other_i, other_j, edge_u, edge_v = i, j + step, u, 0.5 + 0.5 * step
-            distance = abs(edge_v - v)
-        if not (0 <= other_i < corners.shape[0] and 0 <= other_j < corners.shape[1]):
-            continue
-        there_u, there_v = (1.0 - edge_u, v) if side < 2 else (u, 1.0 - edge_v)
-        beyond = _cell_height(corners[other_i, other_j], there_u, there_v)
-        if beyond < z and beyond < _cell_height(own, edge_u, edge_v) - _EDGE and distance < nearest:
-            nearest = distance
-            nx, ny = (float(step), 0.0) if side < 2 else (0.0, float(step))
-    return nearest, nx, ny, 0.0
+    square = 1.0 + slope_x * slope_x + slope_y * slope_y
+    over = z - first - slope_x * x - slope_y * y
+    if over > 0.0 and over * over >= bound * bound * square and square * STEEP * STEEP <= 1.0:
+        return np.inf, 0.0, 0.0, 1.0, False
+    at_x, at_y = x + slope_x * over / square, y + slope_y * over / square
+    upright = 1.0 / math.sqrt(square)
+    if at_x > 0.0 and at_y > 0.0 and at_x + at_y < side:
+        return over * upright, -sign * slope_x * upright, -sign * slope_y * upright, upright, True
+    # The nearest point of the border: from each corner in turn along the side to the next.
+    least, dx, dy, dz = np.inf, 0.0, 0.0, 1.0
+    from_x, from_y, from_z = 0.0, 0.0, first
+    for corner in range(3):
+        to_x, to_y, to_z = 0.0, 0.0, first
+        if corner == 0:
+            to_x, to_z = side, second
+        elif corner == 1:
+            to_y, to_z = side, third
+        along_x, along_y, along_z = to_x - from_x, to_y - from_y, to_z - from_z
+        share = (x - from_x) * along_x + (y - from_y) * along_y + (z - from_z) * along_z
+        share = _clip(share / (along_x * along_x + along_y * along_y + along_z * along_z))
+        off_x, off_y, off_z = x - from_x - share * along_x, y - from_y - share * along_y, z - from_z - share * along_z
+        distance = off_x * off_x + off_y * off_y + off_z * off_z
+        if distance < least:
+            least, dx, dy, dz = distance, off_x, off_y, off_z
+        from_x, from_y, from_z = to_x, to_y, to_z
+    least = math.sqrt(least)
+    if least < _EDGE:
+        return 0.0, -sign * slope_x * upright, -sign * slope_y * upright, upright, True
+    return least, sign * dx / least, sign * dy / least, dz / least, False
 
 
 @_function
@@ -130,81 +163,64 @@ def sphere_contacts(
     """
     if corners.shape[0] == 0:
         return (radius - z, 0.0, 0.0, 1.0), NO_CONTACT
-    cell = grid[2]
-    u, v = (x - grid[0]) / cell, (y - grid[1]) / cell
-    columns, rows = corners.shape[0], corners.shape[1]
-    i, j = min(max(int(math.floor(u)), 0), columns - 1), min(max(int(math.floor(v)), 0), rows - 1)
-    u, v = u - i, v - j
-    own = corners[i, j]
-    if not (0.0 <= u <= 1.0 and 0.0 <= v <= 1.0):
-        height = _cell_height(own, _clip(u), _clip(v))
+    side = grid[2]
+    u, v, reach = (x - grid[0]) / side, (y - grid[1]) / side, radius / side
+    last_i, last_j = corners.shape[0] - 1, corners.shape[1] - 1
+    i, j = min(max(int(math.floor(u)), 0), last_i), min(max(int(math.floor(v)), 0), last_j)
+    height = _cell_height(corners[i, j], _clip(u - i), _clip(v - j))
+    if not (0.0 <= u <= last_i + 1 and 0.0 <= v <= last_j + 1):
         return (radius - z + height, 0.0, 0.0, 1.0), NO_CONTACT
-    near = u + v <= 1.0
-    sign = 1.0 if near else -1.0
-    first = own[0, 0] if near else own[1, 1]
-    slope_x = sign * ((own[1, 0] if near else own[0, 1]) - first) / cell
-    slope_y = sign * ((own[0, 1] if near else own[1, 0]) - first) / cell
-    above = z - _cell_height(own, u, v)
-    upright = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+    buried = z < height
     carrying, wall = NO_CONTACT, NO_CONTACT
-    leaves = False
-    if above * upright < radius:
-        depth = radius - above * upright
-        if above < 0.0:
-            out, nx, ny, _ = _exit(corners, i, j, u, v, z)
-            if out * cell < -above * upright:
-                leaves = True
-                wall = (radius + out * cell, nx, ny, 0.0)
-        if not leaves:
-            if upright >= STEEP:
-                carrying = (depth, -slope_x * upright, -slope_y * upright, upright)
-            else:
-                wall = (depth, -slope_x * upright, -slope_y * upright, upright)
-    reach = radius / cell
-    if u > reach and v > reach and 1.0 - u > reach and 1.0 - v > reach and _is_level(own):
-        return carrying, wall
-    for other_i in range(max(i + int(math.floor(u - reach)), 0), min(i + int(math.floor(u + reach)), columns - 1) + 1):
-        for other_j in range(max(j + int(math.floor(v - reach)), 0), min(j + int(math.floor(v + reach)), rows - 1) + 1):
+    least, nx, ny, nz = np.inf, 0.0, 0.0, 1.0
+    for other_i in range(max(int(math.floor(u - reach)), 0), min(int(math.floor(u + reach)), last_i) + 1):
+        for other_j in range(max(int(math.floor(v - reach)), 0), min(int(math.floor(v + reach)), last_j) + 1):
             other = corners[other_i, other_j]
-            if max(other[0, 0], other[0, 1], other[1, 0], other[1, 1]) <= z - radius:
+            # The cell's place that is nearest from above.
+            at_u, at_v = min(max(u, other_i), other_i + 1.0), min(max(v, other_j), other_j + 1.0)
+            du, dv = u - at_u, v - at_v
+            level = math.hypot(du, dv)
+            if level == 0.0:
+                # On the cell, or exactly at its border, where a wall faces away from its middle.
+                du, dv = u - other_i - 0.5, v - other_j - 0.5
+                du, dv = (du, 0.0) if abs(du) > abs(dv) else (0.0, dv)
+            if level >= reach:
                 continue
-            # Place of the other cell that is nearest from above, its height there, and that of the cell under the sphere.
-            at_u, at_v = min(max(u + i - other_i, 0.0), 1.0), min(max(v + j - other_j, 0.0), 1.0)
-            edge = _cell_height(other, at_u, at_v)
-            if z < edge:
-                beside = _cell_height(own, _clip(at_u + other_i - i), _clip(at_v + other_j - j))
-                if edge > beside + _EDGE and not leaves:
-                    dx, dy = (u + i - other_i - at_u) * cell, (v + j - other_j - at_v) * cell
-                    flat = math.hypot(dx, dy)
-                    if flat > 0.0:
-                        # A sphere whose centre is below the ground touches the wall where that stands free.
-                        depth = radius - math.hypot(flat, min(z - beside, 0.0))
-                        wall = _deeper(wall, depth, dx / flat, dy / flat, 0.0)
-                continue
-            for part in range(2):
-                low = part == 0
-                if other_i == i and other_j == j and (low == near or _is_level(own)):
+            edge = _cell_height(other, at_u - other_i, at_v - other_j)
+            if z < edge and (other_i != i or other_j != j):
+                length = math.hypot(du, dv)
+                du, dv = du / length, dv / length
+                beside = _height(corners, at_u, at_v, _STEP * du, _STEP * dv, 0.0)
+                if edge > beside + _EDGE and (buried or beside <= z):
+                    # Where the centre is below the ground, the nearest part of the wall that stands free is above it.
+                    depth = radius - math.hypot(level * side, min(z - beside, 0.0))
+                    wall = _deeper(wall, depth, du, dv, 0.0)
+                if not buried:
                     continue
-                turn = 1.0 if low else -1.0
-                corner_x = grid[0] + cell * (other_i if low else other_i + 1)
-                corner_y = grid[1] + cell * (other_j if low else other_j + 1)
-                heights = (other[0, 0], other[1, 0], other[0, 1])
-                if not low:
-                    heights = (other[1, 1], other[0, 1], other[1, 0])
-                inside, point = _triangle_point((turn * (x - corner_x), turn * (y - corner_y), z), cell, heights)
-                place_x, place_y = corner_x + turn * point[0], corner_y + turn * point[1]
-                if not (inside or leaves):
-                    place_u, place_v = (place_x - grid[0]) / cell - i, (place_y - grid[1]) / cell - j
-                    if point[2] <= _cell_height(own, _clip(place_u), _clip(place_v)) + _EDGE:
-                        continue
-                dx, dy, dz = x - place_x, y - place_y, z - point[2]
-                distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-                if 0.0 < distance < radius:
-                    nx, ny, nz = dx / distance, dy / distance, dz / distance
-                    if nz >= STEEP:
-                        carrying = _deeper(carrying, radius - distance, nx, ny, nz)
-                    elif not leaves and nz >= 0.0:
-                        wall = _deeper(wall, radius - distance, nx, ny, nz)
+            elif buried and level > 0.0 and edge < z and level * side < least:
+                # The way out through a wall to a lower cell.
+                least, nx, ny, nz = level * side, -du / level, -dv / level, 0.0
+            for half in range(2):
+                best = np.inf if buried else (radius - max(carrying[0], 0.0)) * (1.0 - _EDGE)
+                distance, ex, ey, ez, within = _half_contact(
+                    other, half == 0, (u - other_i) * side, (v - other_j) * side, z, side, best
+                )
+                if buried:
+                    if within and distance <= 0.0 and -distance < least:
+                        least, nx, ny, nz = -distance, ex, ey, ez
+                    elif not within and distance < least:
+                        least, nx, ny, nz = distance, -ex, -ey, -ez
+                elif distance < radius:
+                    place_u, place_v = u - distance * ex / side, v - distance * ey / side
+                    if within or _is_nearest(corners, place_u, place_v, z - distance * ez, (ex, ey, ez), side):
+                        if ez >= STEEP:
+                            carrying = _deeper(carrying, radius - distance, ex, ey, ez)
+                        else:
+                            wall = _deeper(wall, radius - distance, ex, ey, ez)
+    if buried:
+        if nz < STEEP:
+            return NO_CONTACT, (radius + least, nx, ny, nz)
+        carrying = (radius + least, nx, ny, nz)
     return carrying, wall
 
 
@@ -224,9 +240,3 @@ def highest(corners: Array, grid: Array, x: float, y: float, reach_x: float, rea
             for k in range(4):
                 top = max(top, corners[i, j, k // 2, k % 2])
     return top
-
-
-@_function
-def _is_level(cell: Array) -> bool:
-    """Return whether all four corners of a cell have the same height."""
-    return bool(cell[0, 0] == cell[0, 1] == cell[1, 0] == cell[1, 1])
