@@ -97,10 +97,21 @@ def evaluation_task(
         followed = replace(followed, schedule=read_schedule(commands))
     pushed = task.pushes.for_evaluation(pushes, push_force)
     task = replace(task, randomize=ranges, randomize_ramp=0, pushes=pushed, commands=followed)
-    ground = str(Path(terrain).resolve()) if is_map(terrain) else terrain
-    task = replace(task, terrain=TerrainConfig(ground=ground, scan=task.terrain.scan))
+    task = on_terrain(task, terrain)
     whole = with_duration(task, robot, schedule_duration(followed.schedule))
     return whole if whole.max_steps > task.max_steps else task
+
+
+def on_terrain(task: TaskConfig, terrain: str) -> TaskConfig:
+    """Return the task on one terrain for all robots, see `TerrainConfig.ground`.
+
+    Raises:
+        SurefootError: no such terrain, or a map that no robot can stand on.
+    """
+    ground = str(Path(terrain).resolve()) if is_map(terrain) else terrain
+    changed = TerrainConfig(ground=ground, scan=task.terrain.scan)
+    changed.make_ground(0)  # refuses one that does not exist
+    return replace(task, terrain=changed)
 
 
 def with_duration(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:

@@ -104,7 +104,8 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         a dict that JSON can hold (None for NaN): episodes, falls, steps_mean, distance_mean (m), speed_mean and
         speed_std (m/s), power_mean (W), return_mean, return_std, drift_mean (m to either side), cost_of_transport_mean
         (energy over weight times distance, where that is over 0: along the commands, if there are any), with commands
-        rmse and rmse_stride by command and success (share of runs that have kept up), gait, and by leg name duty_factor, phases (strides after front_left) and stance
+        rmse and rmse_stride by command and success (share of runs that have kept up), gait, and by leg name
+        duty_factor, phases (strides after front_left) and stance
         (s), by motor name saturation (share of time at the motor's limit), world, policy.
 
     Raises:

@@ -81,8 +81,8 @@ class TaskConfig:
     fall_angle: Annotated[float, Within(1e-3, math.pi)] = 0.5
     """Roll or pitch [rad] beyond which an episode ends, from how a base lies along the ground's course."""
     fall_height: Annotated[float, Within(0, 10)] = 0.0
-    """Height of the base's origin over the level of the ground [m] below which an episode ends; 0: none. It keeps gaits from
-    crawling on the belly."""
+    """Height of the base's origin over the level of the ground [m] below which an episode ends; 0: none. It keeps gaits
+    from crawling on the belly."""
     max_steps: Annotated[int, Within(1, MAX_STEPS)] = 1000
     """Control steps of an episode."""
     commands: CommandConfig = field(default_factory=CommandConfig)

@@ -1,4 +1,4 @@
-"""Heights of the ground around a robot, at points of a grid in its heading frame; exact, or as a robot's map has them."""
+"""Heights of the ground at points around a robot, in its heading frame; exact, or as a robot's map has them."""
 
 from __future__ import annotations
 

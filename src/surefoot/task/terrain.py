@@ -15,7 +15,7 @@ from surefoot.errors import SurefootError, suggest
 from surefoot.seeding import generators
 from surefoot.task.height_scan import ScanConfig
 from surefoot.world.ground import FLAT, Ground
-from surefoot.world.terrain import KINDS, TerrainField, check_size, make_field, make_terrain
+from surefoot.world.terrain import TerrainField, check_size, make_field, make_terrain
 
 MAX_TILES = 400
 """Tiles of the largest field."""
@@ -36,7 +36,7 @@ class TerrainConfig:
     ground: str = "flat"
     """What all robots stand on: flat, KIND:SIZE, such as stairs:0.10, or the path of a map (.npz, .png)."""
     sizes: Sizes = field(default_factory=dict)
-    """Kinds of a field's tiles, with the sizes of difficulty 0 and 1; robots then stand on its tiles, not on `ground`."""
+    """Kinds of a field's tiles, with the sizes of difficulty 0 and 1; robots then stand on tiles, not on `ground`."""
     shares: Annotated[dict[str, float], Within(0, 1e6, above=True)] = field(default_factory=dict)
     """Shares of the kinds in the field; 1, if not given."""
     levels: Annotated[int, Within(1, 50)] = 10
@@ -50,8 +50,8 @@ class TerrainConfig:
     scan: ScanConfig = field(default_factory=ScanConfig)
     """Errors of the map of heights that the observation `height_scan` has."""
     curriculum: bool = True
-    """Robots rise a level when they have covered .7 of the commanded way, and go back one after a fall or less than half
-    of it; beyond the last level any one follows. Without it their levels stay."""
+    """Robots rise a level when they have covered .7 of the commanded way, and go back one after a fall or less than
+    half of it; beyond the last level any one follows. Without it their levels stay."""
 
     def __post_init__(self) -> None:
         """Refuse kinds that do not exist, sizes out of bounds, and a field that is too large."""
@@ -61,14 +61,18 @@ class TerrainConfig:
                 check_size(name, size)
         for name in self.shares:
             if name not in self.sizes:
-                raise SurefootError(f"terrain.shares.{name} is not a kind of terrain.sizes; {suggest(name, self.sizes)}")
+                raise SurefootError(
+                    f"terrain.shares.{name} is not a kind of terrain.sizes; {suggest(name, self.sizes)}"
+                )
         if self.sizes and not len(self.sizes) <= self.columns <= MAX_TILES // self.levels:
             raise SurefootError(
                 f"terrain.columns is {self.columns}; it must be {len(self.sizes)}, the kinds, to "
                 f"{MAX_TILES // self.levels}, {MAX_TILES} tiles"
             )
         if self.start_level >= self.levels and self.sizes:
-            raise SurefootError(f"terrain.start_level is {self.start_level}; it must be less than levels, {self.levels}")
+            raise SurefootError(
+                f"terrain.start_level is {self.start_level}; it must be less than levels, {self.levels}"
+            )
 
     @property
     def is_flat(self) -> bool:
@@ -109,7 +113,7 @@ class TerrainCurriculum:
         self.begun = np.zeros(num_envs, np.bool_)
 
     def begin(self, rows: NDArray[np.int64], fell: NDArray[np.bool_]) -> Array:
-        """Return the places (n, 2) [m] where robots start their next episodes; `fell` (n,) is how the last ones ended."""
+        """Return the places (n, 2) [m] where robots start next; `fell` (n,) is how their last episodes ended."""
         if self.config.curriculum:
             way, covered = self.commanded[rows], self.covered[rows]
             judged = self.begun[rows] & (way >= MIN_WAY)

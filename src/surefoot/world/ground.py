@@ -137,7 +137,9 @@ class Ground:
 
         Neighbours that lie in one level are joined into rectangles.
         """
-        x, y = (np.arange(n + 1) * self.cell + low for n, low in zip(self.corners.shape[:2], self.grid[:2], strict=True))
+        x, y = (
+            np.arange(n + 1) * self.cell + low for n, low in zip(self.corners.shape[:2], self.grid[:2], strict=True)
+        )
         quads: list[Any] = []
         for (i, k, j, m), (a, b, c, d) in _joined(self.corners.reshape(*self.corners.shape[:2], 4)):
             quads.append([(x[i], y[j], a), (x[k], y[j], c), (x[i], y[m], b), (x[k], y[m], d)])
@@ -208,4 +210,3 @@ def uneven_floor(unevenness: float) -> Ground:
     draws[:, [0, -1]] = 0.0
     center = (0.5 * FLOOR_CELL * FLOOR_CELLS[0] - FLOOR_BEHIND, 0.0)
     return Ground.from_points(unevenness * draws, FLOOR_CELL, center, course=np.zeros((0, 0)))
-

@@ -93,14 +93,16 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
 def _add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
     """Add what the robot's body meets: a plane, or a field of the ground's heights at points.
 
-    MuJoCo's fields have no steps: a wall is a slope over the distance of two points, at most `WALL_WIDTH`, from the lower
-    edge on, so that no leg meets a wall before the wall. Feet meet the exact walls.
+    MuJoCo's fields have no steps: a wall is a slope over the distance of two points, at most `WALL_WIDTH`, which begins
+    at the wall, so that no leg meets it before the wall. Feet meet the exact walls.
     """
     kind, place, size = mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]
     if not ground.is_flat:
         parts = max(round(ground.cell / WALL_WIDTH), 1) if has_steps(ground) else 1
         corners = np.array(ground.corners.shape[:2])
-        x, y = (np.arange(n * parts + 1) * ground.cell / parts + low for n, low in zip(corners, ground.grid, strict=False))
+        x, y = (
+            np.arange(n * parts + 1) * ground.cell / parts + low for n, low in zip(corners, ground.grid, strict=False)
+        )
         inset = 1e-6
         heights = np.min(
             [
@@ -128,7 +130,9 @@ def _add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
 def has_steps(ground: Ground) -> bool:
     """Return whether cells of a ground have walls between them."""
     corners = ground.corners
-    return bool((corners[1:, :, 0] != corners[:-1, :, 1]).any() or (corners[:, 1:, :, 0] != corners[:, :-1, :, 1]).any())
+    return bool(
+        (corners[1:, :, 0] != corners[:-1, :, 1]).any() or (corners[:, 1:, :, 0] != corners[:, :-1, :, 1]).any()
+    )
 
 
 def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int64]:

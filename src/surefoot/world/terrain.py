@@ -1,7 +1,7 @@
 """Terrain: slopes, stairs, blocks and rough ground by kind and size, maps from files, and fields of many tiles.
 
-Every kind is a square around a level place where a robot starts. Slopes, stairs and gaps are rings around that place, so
-that they are met whichever way the robot goes.
+Every kind is a square around a level place where a robot starts. Slopes, stairs and gaps are rings around that place,
+so that they are met whichever way the robot goes.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ MAX_CELL = 0.5
 MAX_HEIGHT = 100.0
 """Greatest height or depth [m] in a map."""
 MAX_START_STEP = 0.05
-"""Greatest difference of heights [m] in a map within `START_RADIUS` of the place where the robot starts."""
+"""Greatest distance of heights [m] from a plane in a map, within `START_RADIUS` of the place where the robot starts."""
 START_RADIUS = 0.5
 """See above [m]."""
 PNG_UNIT, PNG_CELL = 0.001, 0.05
@@ -143,8 +143,9 @@ def _gaps(size: float, half: float, cell: float, _: np.random.Generator) -> Heig
 
 def _stones(size: float, half: float, cell: float, _: np.random.Generator) -> Heights:
     x, y = _middles(half, cell)
-    # A stone is in the middle of each pitch, so that the way along x and y is from stone to stone.
-    on_stone = [np.abs(one - np.round(one / (size + GAP)) * (size + GAP)) < size / 2 for one in (x, y)]
+    # The way ahead of the start is from stone to stone.
+    shift = np.floor(np.round(size / 2 / GRID, 6)) * GRID
+    on_stone = [np.round((one + shift) % (size + GAP), 6) < size for one in (x, y)]
     far = _distance(half, cell) > 0
     return _level_cells(np.where(far & ~(on_stone[0] & on_stone[1]), -DEPTH, 0.0)), np.zeros_like(x)
 
@@ -248,10 +249,14 @@ def read_map(path: Path) -> Ground:
         raise SurefootError(f"{path}: heights must be finite, and within {MAX_HEIGHT:g} m of 0")
     ground = Ground.from_points(heights, cell)
     x, y = np.meshgrid(*2 * (np.linspace(-START_RADIUS, START_RADIUS, 21),))
-    near = ground.height(np.stack([x, y], axis=-1))
-    if (step_height := float(np.ptp(near))) > MAX_START_STEP:
+    near, plane = (
+        ground.height(np.stack([x, y], axis=-1)).ravel(),
+        np.column_stack([x.ravel(), y.ravel(), x.size * [1.0]]),
+    )
+    off = np.abs(near - plane @ np.linalg.lstsq(plane, near, rcond=None)[0]).max()
+    if off > MAX_START_STEP:
         raise SurefootError(
-            f"{path}: heights differ by {step_height:.2f} m within {START_RADIUS:g} m of the middle, where the robot "
+            f"{path}: heights are up to {off:.2f} m off a plane within {START_RADIUS:g} m of the middle, where the robot "
             f"starts; at most {MAX_START_STEP:g}"
         )
     return Ground.from_points(heights - float(ground.height(np.zeros(2))), cell, course=_smooth(ground))
@@ -271,8 +276,9 @@ def _smooth(ground: Ground) -> Array:
 def _read_picture(path: Path) -> Array:
     from PIL import Image
 
-    try:
+    with describe_os_errors(path):
         check_readable(path)
+    try:
         with Image.open(path) as picture:
             if picture.width * picture.height > MAX_POINTS:
                 raise SurefootError(
@@ -299,7 +305,12 @@ class TerrainField:
 
 
 def make_field(
-    sizes: Mapping[str, tuple[float, float]], shares: Mapping[str, float], levels: int, columns: int, tile: float, seed: int
+    sizes: Mapping[str, tuple[float, float]],
+    shares: Mapping[str, float],
+    levels: int,
+    columns: int,
+    tile: float,
+    seed: int,
 ) -> TerrainField:
     """Return a field whose columns are kinds of terrain, and whose rows grow more difficult.
 
@@ -322,7 +333,9 @@ def make_field(
     rows, rng = [], np.random.default_rng(seed)
     for level in range(levels):
         share = level / max(levels - 1, 1)
-        made = [_tile(name, sizes[name][0] + share * (sizes[name][1] - sizes[name][0]), tile, cell, rng) for name in kinds]
+        made = [
+            _tile(name, sizes[name][0] + share * (sizes[name][1] - sizes[name][0]), tile, cell, rng) for name in kinds
+        ]
         rows.append([np.concatenate(parts, axis=1) for parts in zip(*made, strict=True)])
     corners, course = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     center = (0.5 * (levels - 1) * tile, 0.5 * (columns - 1) * tile)
