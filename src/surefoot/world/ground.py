@@ -119,7 +119,7 @@ class Ground:
         if self.is_flat:
             return planes
         count = np.array(self.corners.shape[:2])
-        place = (points - self.grid[:2]) / self.cell
+        place = (points - np.array(self.center)) / self.cell + count / 2
         inside = (place >= 0) & (place <= count)
         corner = np.clip(np.floor(place), 0, count - 1).astype(np.int64)
         u, v = np.moveaxis(np.clip(place - corner, 0.0, 1.0), -1, 0)
