@@ -3,9 +3,9 @@
     python benchmarks/velocity_curves.py results/steer/learning.csv
 
 Reads what `velocity_tracking.py --every MINUTES --out FILE` wrote, draws the curves beside it (.png), and prints after
-how many minutes of training all three errors were first under some limits (-: never). Of two groups of runs it gives the factor
-between their geometric means too, with its Welch interval of 95 % over seeds. Times are those of the points that were
-measured, so they are known to the minutes between two points.
+how many minutes of training all three errors were first under some limits (-: never). Of two groups of runs it gives
+the factor between their geometric means too, with its Welch interval of 95 % over seeds. Times are those of the points
+that were measured, so they are known to the minutes between two points.
 """
 
 from __future__ import annotations
