@@ -102,8 +102,8 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 def pytest_try_again_in_real_time(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
     """Run a test marked `realtime` again, up to three times, if it failed on a busy computer; then skip it.
 
-    The computer is busy if a bare loop is late too: one above all priorities beside the test, which the test itself can't
-    delay, or an ordinary one after it. A failure while neither was late is a failure.
+    The computer is busy if a bare loop is late too: one above all priorities beside the test, which the test itself
+    can't delay, or an ordinary one after it. A failure while neither was late is a failure.
     """
     if item.get_closest_marker("realtime") is None:
         return None
