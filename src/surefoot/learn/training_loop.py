@@ -49,7 +49,11 @@ class Evaluation:
 def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> Evaluation:
     """Run the deterministic policy for whole episodes, always from the same seed."""
     config, results, rmse = learner.config, [], None
-    base = replace(config.task, reward=config.evaluation_reward or config.task.reward)
+    base = replace(
+        config.task,
+        reward=config.evaluation_reward or config.task.reward,
+        terrain=replace(config.task.terrain, start_level=config.task.terrain.levels - 1, curriculum=False),
+    )
     base = replace(base, randomize_ramp=0, commands=replace(base.commands, ramp=0))
     for pushed in (False, True) if config.task.pushes.enabled else (False,):
         task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
@@ -90,9 +94,11 @@ class TrainingLoop:
         self.learner = PpoLearner(config, make_world)
         if config.start_from is not None and not resume:
             other, before = RunFolder.open(Path(config.start_from))
-            # Forces of pushes and drawn parameters come last among what the value network observes.
-            appended = not before.task.randomize and before.task.pushes.enabled <= config.task.pushes.enabled
-            self.learner.load_networks(other.load()["learner"]["algorithm"], appended)
+            # Only ranges and pushes may change what the value network observes.
+            task = replace(config.task, randomize=before.task.randomize, pushes=before.task.pushes)
+            env = LocomotionEnv(task, 1, make_world, threads=1)
+            env.reset()
+            self.learner.load_networks(other.load()["learner"]["algorithm"], env.privileged_columns)
         self.best: Evaluation | None = None
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0
