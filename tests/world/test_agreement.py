@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.rotations import xyzw_matrix
+from surefoot.rotations import matrix_quat, quat_matrix, xyzw_matrix
 from surefoot.world.bullet_engine import BulletEngine
+from surefoot.world.ground import Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_engine import MujocoEngine
 from surefoot.world.sim_world import SimWorld
@@ -45,7 +46,7 @@ def rms(difference: np.ndarray) -> float:
 def lift(world: SimWorld, height: float) -> None:
     """Put all robots so much higher."""
     every = np.arange(world.num_envs)
-    world.engine.raise_base(every, np.full(len(every), height))
+    world.engine.move_base(every, np.array([[0.0, 0.0, height]] * len(every)))
     world.engine.observe(every)
 
 
@@ -281,3 +282,93 @@ def test_rotors_resist_the_turning_of_their_joints_alone(name: str):
     knees = [angles[:, 0, 2::3] - rest[2::3] for angles in swung]
     assert np.abs(knees[0]).max() > 0.2
     assert rms(knees[0] - knees[1]) < 0.02 * np.abs(knees[0]).max()
+
+
+# --- ground with cells ------------------------------------------------------------------------------------
+
+LEAN, CELL, CELLS = np.radians(10.0), 0.1, 20
+TILTS = {
+    "slope along x": np.array([[np.cos(LEAN), 0, -np.sin(LEAN)], [0, 1, 0], [np.sin(LEAN), 0, np.cos(LEAN)]]),
+    "slope along y": np.array([[1, 0, 0], [0, np.cos(LEAN), -np.sin(LEAN)], [0, np.sin(LEAN), np.cos(LEAN)]]),
+}
+"""How a robot is turned to stand on a slope."""
+
+
+def cells(kind: str, wall: float = 0.0) -> Ground:
+    """A ground around the origin of 2 m: slopes through it, a step up at x = `wall`, or rough ground."""
+    at = CELL * (np.arange(CELLS + 1) - CELLS / 2)
+    x, y = np.meshgrid(at, at, indexing="ij")
+    if kind in TILTS:
+        return Ground.from_points(np.tan(LEAN) * (x if kind.endswith("x") else y), CELL)
+    if kind == "rough":
+        return Ground.from_points(np.random.default_rng(0).uniform(0.0, 0.04, x.shape), CELL)
+    corners = np.broadcast_to(np.where(x > CELL / 10, 0.04, 0.0)[1:, 1:, None, None], (CELLS, CELLS, 2, 2)).copy()
+    return Ground(corners, CELL, (wall, 0.0))
+
+
+def stand(world: SimWorld, flat: SimWorld, turn: np.ndarray, rise: float) -> None:
+    """Put a robot as it rests on flat ground, turned with it about the origin and so much higher."""
+    only, engine = np.array([0]), world.engine
+    engine.set_state(only, flat.engine.get_state(only))
+    if isinstance(engine, MujocoEngine):
+        pose = engine.datas[0].qpos[:7]
+        pose[3:] = matrix_quat(turn @ quat_matrix(pose[3:]))
+    else:
+        pose = engine._rows[0, :7]
+        pose[3:] = matrix_quat(turn @ xyzw_matrix(pose[3:]))[[1, 2, 3, 0]]
+    pose[:3] = turn @ pose[:3]
+    engine.move_base(only, np.array([[0.0, 0.0, rise]]))
+    engine.observe(only)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "rise"),
+    [
+        ("go2", "slope along x", 0.0),
+        ("minitaur", "slope along y", 0.0),
+        ("minitaur", "step", 0.04),
+        ("go2", "step", 0.04),
+        ("go2", "rough", 0.02),
+        ("minitaur", "rough", 0.02),
+    ],
+)
+def test_feet_stand_at_the_same_places_of_uneven_ground(name: str, kind: str, rise: float):
+    robot = RobotDescription.load(name)
+    ground, places = cells(kind), []
+    # Bullet's own friction would hold feet where they touch first; soles of .999 of the stiffness are our law in both.
+    worlds = both(robot, config=WorldConfig(ground=ground, threads=1), contact_shear_ratio=0.999)
+    for world, flat in zip(worlds, both(robot), strict=True):
+        stand(world, flat, TILTS.get(kind, np.eye(3)), rise)
+        for _ in range(200):
+            world.step(world.resting_angles)
+        places.append(world.foot_positions()[0])
+        assert world.truth().foot_contact.min() == 1.0
+    np.testing.assert_allclose(*places, atol=1e-3)
+
+
+def test_a_wall_stops_feet_alike(robot: RobotDescription):
+    # 30 N press two feet of 3000 N/m into a wall 3 cm before them, by 5 mm each.
+    places, front = [], robot.leg_mounts[:, 0] > 0
+    (flat,) = both(robot)[:1]
+    wall = flat.foot_positions()[0, front, 0].max() + robot.five_bar.foot_radius + 0.03
+    ground = cells("step", wall)
+    for world in both(robot, config=WorldConfig(ground=ground, threads=1), contact_friction=0.05):
+        world.push([[30.0, 0.0, 0.0]])
+        for _ in range(250):
+            world.step(world.resting_angles)
+        places.append(world.foot_positions()[0])
+        depth = places[-1][front, 0] + robot.five_bar.foot_radius - wall
+        np.testing.assert_allclose(depth, 0.005, atol=1e-3)
+    np.testing.assert_allclose(*places, atol=1e-3)
+
+
+def test_a_robot_on_its_back_lies_on_a_slope_alike():
+    robot, heights = RobotDescription.load("go2"), []
+    ground = cells("slope along x")
+    for world, flat in zip(both(robot, config=WorldConfig(ground=ground, threads=1)), both(robot), strict=True):
+        stand(world, flat, TILTS["slope along x"] @ np.diag([1.0, -1.0, -1.0]), 0.7)
+        for _ in range(100):
+            world.step(world.resting_angles)
+        truth = world.truth()
+        heights.append(truth.base_position_world[0, 2] - ground.height(truth.base_position_world[0, :2]))
+    assert heights[1] == pytest.approx(heights[0], abs=0.003)

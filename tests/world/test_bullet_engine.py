@@ -207,7 +207,7 @@ def test_legs_with_play_give_way_under_the_robots_weight(make_world):
 
 def test_soft_feet_that_sink_in_deep_come_out_of_an_uneven_floor(make_world):
     world = make_world(1, floor_unevenness=0.002)
-    world.engine.raise_base(np.array([0]), np.array([0.1]))
+    world.engine.move_base(np.array([0]), np.array([[0.0, 0.0, 0.1]]))
     heights = []
     for _ in range(60):
         world.step(world.resting_angles)

@@ -92,6 +92,7 @@ def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
         "drift": text("drift_mean", "m"),
         "cost of transport": text("cost_of_transport_mean", ""),
         **_tracking_texts(summary),
+        **({"kept up with commands": f"{summary['success']:.2f}"} if "success" in summary else {}),
         # Without any duty factor footfalls were not measured.
         "gait": summary["gait"] if any(value is not None for value in duty.values()) else "-",
     }

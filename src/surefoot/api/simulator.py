@@ -15,7 +15,9 @@ from surefoot.robot.params_file import ParamValue, find_params, read_params
 from surefoot.robot.randomization import Ranges
 from surefoot.task.commands import read_schedule, schedule_duration
 from surefoot.task.config import TaskConfig
+from surefoot.task.terrain import TerrainConfig
 from surefoot.world.interface import WorldConfig
+from surefoot.world.terrain import is_map
 
 
 def change_simulator(
@@ -69,6 +71,7 @@ def evaluation_task(
     pushes: bool = False,
     push_force: tuple[float, float] | None = None,
     commands: Path | None = None,
+    terrain: str = "flat",
 ) -> TaskConfig:
     """Return a task as evaluations run it: randomized, pushed and commanded as requested, not as in training.
 
@@ -81,6 +84,7 @@ def evaluation_task(
         pushes: push the robot at random, as the task says.
         push_force: least and greatest force [N]; the robot is pushed, if given.
         commands: file of commands (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); drawn ones, if None.
+        terrain: what robots stand on, see `TerrainConfig.ground`.
 
     Raises:
         SurefootError: a value that the robot does not allow, or commands of a task that has none.
@@ -93,8 +97,21 @@ def evaluation_task(
         followed = replace(followed, schedule=read_schedule(commands))
     pushed = task.pushes.for_evaluation(pushes, push_force)
     task = replace(task, randomize=ranges, randomize_ramp=0, pushes=pushed, commands=followed)
+    task = on_terrain(task, terrain)
     whole = with_duration(task, robot, schedule_duration(followed.schedule))
     return whole if whole.max_steps > task.max_steps else task
+
+
+def on_terrain(task: TaskConfig, terrain: str) -> TaskConfig:
+    """Return the task on one terrain for all robots, see `TerrainConfig.ground`.
+
+    Raises:
+        SurefootError: no such terrain, or a map that no robot can stand on.
+    """
+    ground = str(Path(terrain).resolve()) if is_map(terrain) else terrain
+    changed = TerrainConfig(ground=ground, scan=task.terrain.scan)
+    changed.make_ground(0)  # refuses one that does not exist
+    return replace(task, terrain=changed)
 
 
 def with_duration(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:

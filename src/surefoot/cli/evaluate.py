@@ -123,6 +123,7 @@ def _simulate(
         "seed": command.seed,
         "pushes": task.pushes.enabled,
         "push_force": command.push_force,
+        "terrain": command.terrain,
         "command": command.command,
         "randomize": to_mapping(ranges),
         "set": command.simulator.latencies | {name: task.params[name] for name in parameters},

@@ -19,6 +19,7 @@ from surefoot.cli.helpers.options import (
     Repeated,
     Seed,
     Settings,
+    Terrain,
     Threads,
     make_figures_folder,
 )
@@ -126,6 +127,7 @@ class GapCommand:
     """Physical parameters in the worlds of --to, over those of --set."""
     to_actuator: Literal["dc", "constraint"] = "dc"
     """Actuator in the worlds of --to; dc: servo and DC motor; constraint: the position motor of physics engines."""
+    terrain: Terrain = "flat"
     pushes: Pushes = False
     seed: Seed = 1
     out: Path = Path("gap")
@@ -199,7 +201,8 @@ def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tu
 
     def adjusted(side: TaskConfig, settings: Repeated, actuator: Literal["dc", "constraint"] | None) -> TaskConfig:
         simulator, words = Simulator(actuator, params=command.params), (*command.settings, *settings)
-        side = RunOptions(pushes=command.pushes, settings=words, simulator=simulator).apply(side, robot)
+        options = RunOptions(pushes=command.pushes, settings=words, simulator=simulator, terrain=command.terrain)
+        side = options.apply(side, robot)
         # Returns over different times could not be compared.
         return with_duration(side, robot, command.duration or episode_duration(task))
 

@@ -14,6 +14,7 @@ from surefoot.cli.helpers.options import (
     Pushes,
     PushForce,
     Seed,
+    Terrain,
     Threads,
     World,
     make_figures_folder,
@@ -54,6 +55,7 @@ class SensitivityCommand:
     seed: Seed = 1
     json: Json = False
     world: World = "mujoco"
+    terrain: Terrain = "flat"
     simulator: SimulatorOptions = Simulator()
     """Another simulator than the policies' own, as the nominal world."""
     threads: Threads = 0
@@ -66,6 +68,7 @@ def main(argv: list[str]) -> int:
     import pandas as pd
 
     from surefoot.api.policies import load_policies
+    from surefoot.api.simulator import on_terrain
     from surefoot.progress import ProgressBar
     from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import WORLDS, find_world
@@ -73,7 +76,7 @@ def main(argv: list[str]) -> int:
     make_world = find_world(command.world)
     loaded, robot = load_policies(command.policies)
     ranges = load_ranges(command.ranges, robot=robot.folder)
-    tasks = [command.simulator.apply(one.task) for one in loaded]
+    tasks = [on_terrain(command.simulator.apply(one.task), command.terrain) for one in loaded]
     for task in tasks:
         task.nominal(robot)  # refuses parameters that the robot does not allow
     make_figures_folder(command.out)

@@ -10,7 +10,7 @@ import pandas as pd
 
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import Policy, Progress, run_episodes
-from surefoot.evaluation.tracking import STRIDE, Tracking, distance_along
+from surefoot.evaluation.tracking import STRIDE, Tracking, distance_along, kept_up
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.robot.randomization import Ranges
@@ -134,6 +134,7 @@ def measure(
         "condition": condition.name,
         "episodes": episodes,
         "falls": sum(trace.fell for trace in traces),
+        "success": float(np.mean([kept_up(trace) for trace in traces])),
         **{f"rmse_{name}": float(value) for name, value in zip(COMMANDS, tracking.rmse, strict=True)},
         **{f"rmse_stride_{name}": float(value) for name, value in zip(COMMANDS, tracking.rmse_stride, strict=True)},
         "power": energy / time,
@@ -155,8 +156,9 @@ COLUMNS = {
     "rmse_sideways": ("at once: sideways", "m/s"),
     "rmse_yaw_rate": ("at once: yaw rate", "rad/s"),
 }
-"""Measures with their headings and units: falls; errors of following commands over strides (root mean square);
-mechanical power; energy over weight and distance along commands; mean heat of the hottest motor; errors at once."""
+"""Measures that are printed, with headings and units: falls; errors of following commands over strides (root mean
+square); mechanical power; energy over weight and distance along commands; mean heat of the hottest motor; errors at
+once."""
 
 
 def texts(table: pd.DataFrame, condition: str) -> list[dict[str, str]]:

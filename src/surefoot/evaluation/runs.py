@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls, circular_phase
 from surefoot.evaluation.statistics import MeanEstimate
-from surefoot.evaluation.tracking import STRIDE, Tracking, distance_along
+from surefoot.evaluation.tracking import STRIDE, Tracking, distance_along, kept_up
 from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
@@ -104,7 +104,8 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         a dict that JSON can hold (None for NaN): episodes, falls, steps_mean, distance_mean (m), speed_mean and
         speed_std (m/s), power_mean (W), return_mean, return_std, drift_mean (m to either side), cost_of_transport_mean
         (energy over weight times distance, where that is over 0: along the commands, if there are any), with commands
-        rmse and rmse_stride by command, gait, and by leg name duty_factor, phases (strides after front_left) and stance
+        rmse and rmse_stride by command and success (share of runs that have kept up), gait, and by leg name
+        duty_factor, phases (strides after front_left) and stance
         (s), by motor name saturation (share of time at the motor's limit), world, policy.
 
     Raises:
@@ -137,6 +138,7 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         "world": runs.world.iloc[0],
         "policy": policy,
         **(tracking.to_mapping() if tracking else {}),
+        **({"success": _mean([kept_up(trace) for trace in commanded])} if commanded else {}),
     }
 
 

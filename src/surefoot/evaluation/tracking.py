@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 STRIDE = 0.5
 """Time [s] to average over where the gait has no period of its own."""
+KEPT_UP = (0.7, 1.25)
+"""Shares of the commanded way between which a run has kept up."""
 GRID = 7
 """Commands along each side of a grid."""
 SETTLING = 1.0
@@ -144,6 +146,17 @@ def distance_along(trace: EpisodeTrace) -> float:
     speed = np.linalg.norm(linear, axis=1)
     along = np.sum(motion(trace)[:, :2] * linear, axis=1) / np.where(speed > 0, speed, 1.0)
     return float(np.sum(along * np.diff(trace.time, prepend=0.0)))
+
+
+def commanded_distance(trace: EpisodeTrace) -> float:
+    """Return how far the commands of a run lead [m]."""
+    return float(np.sum(np.linalg.norm(np.nan_to_num(trace.command[:, :2]), axis=1) * np.diff(trace.time, prepend=0.0)))
+
+
+def kept_up(trace: EpisodeTrace) -> bool:
+    """Return whether a run ended without a fall and went .7 to 1.25 of the way that its commands lead."""
+    low, high = (share * commanded_distance(trace) for share in KEPT_UP)
+    return trace.meta["ended"] == "time" and low <= distance_along(trace) <= high
 
 
 def _commanded_run(trace: EpisodeTrace) -> CommandedRun:

@@ -49,7 +49,11 @@ class Evaluation:
 def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> Evaluation:
     """Run the deterministic policy for whole episodes, always from the same seed."""
     config, results, rmse = learner.config, [], None
-    base = replace(config.task, reward=config.evaluation_reward or config.task.reward)
+    base = replace(
+        config.task,
+        reward=config.evaluation_reward or config.task.reward,
+        terrain=replace(config.task.terrain, start_level=config.task.terrain.levels - 1, curriculum=False),
+    )
     base = replace(base, randomize_ramp=0, commands=replace(base.commands, ramp=0))
     for pushed in (False, True) if config.task.pushes.enabled else (False,):
         task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))

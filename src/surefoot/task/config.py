@@ -20,6 +20,7 @@ from surefoot.task.observation import IMU_AND_MOTORS_12D
 from surefoot.task.pushes import PushConfig
 from surefoot.task.reference import ReferenceConfig, make_reference
 from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
+from surefoot.task.terrain import TerrainConfig
 
 _PRESETS = Path(__file__).parent / "presets"
 
@@ -78,10 +79,10 @@ class TaskConfig:
     """Pose of the legs in leg space in which the robot settles first, each coordinate of all legs or of each; the
     middle of commands if not given."""
     fall_angle: Annotated[float, Within(1e-3, math.pi)] = 0.5
-    """Roll or pitch [rad] beyond which an episode ends."""
+    """Roll or pitch [rad] beyond which an episode ends, from how a base lies along the ground's course."""
     fall_height: Annotated[float, Within(0, 10)] = 0.0
-    """Height of the base's origin over the floor's mean [m] below which an episode ends; 0: none. It keeps gaits from
-    crawling on the belly."""
+    """Height of the base's origin over the level of the ground [m] below which an episode ends; 0: none. It keeps gaits
+    from crawling on the belly."""
     max_steps: Annotated[int, Within(1, MAX_STEPS)] = 1000
     """Control steps of an episode."""
     commands: CommandConfig = field(default_factory=CommandConfig)
@@ -92,6 +93,8 @@ class TaskConfig:
     """Greatest values of reward terms that count, by name; per second of progress, energy and transport_cost."""
     pushes: PushConfig = field(default_factory=PushConfig)
     """Random pushes on the base."""
+    terrain: TerrainConfig = field(default_factory=TerrainConfig)
+    """What robots stand on."""
     randomize: NoOption[Ranges] = field(default_factory=dict)
     """Ranges from which every episode draws physical parameters, by name; in a file also the name of a table."""
     randomize_ramp: Annotated[int, Within(0, 1_000_000)] = 0

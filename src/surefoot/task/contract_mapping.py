@@ -26,6 +26,7 @@ from surefoot.task.observation import PARTS, Observer
 from surefoot.task.plugins import changed_plugins, used_plugins
 from surefoot.task.reference import ReferenceConfig
 from surefoot.task.reward import TERMS
+from surefoot.task.terrain import TerrainConfig
 
 if TYPE_CHECKING:
     from surefoot.task.env import LocomotionEnv
@@ -197,6 +198,8 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         rest=contract.rest,
         commands=_commands(contract, task.commands),
         params=task.params | _assumed_params(contract, robot),
+        # The terrain of its training is not what a robot stands on that runs it.
+        terrain=TerrainConfig(scan=task.terrain.scan),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -18,9 +19,11 @@ from surefoot.robot.randomization import Randomizer
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandFilter, CommandGenerator, CommandState
 from surefoot.task.config import TaskConfig
+from surefoot.task.height_scan import HeightScanner, scan_columns, scan_heights, scan_points
 from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
-from surefoot.task.reward import Scales, StepMotion, base_height, base_rates, step_reward
+from surefoot.task.reward import Scales, StepMotion, base_height, base_rates, base_tilt, step_reward
+from surefoot.task.terrain import TerrainCurriculum
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
@@ -35,11 +38,11 @@ Camera = Callable[[Array, Array, Array], NDArray[np.uint8]]
 def has_fallen(truth: Truth, angle: float, height: float = 0.0, ground: Ground = FLAT) -> NDArray[np.bool_]:
     """Return whether roll or pitch is beyond `angle` [rad], or the base's origin below `height` [m] if not 0, (N,).
 
-    Heights are over the level of the ground.
+    Heights are over the level of the ground, and angles from those of a base that lies along its course.
 
     Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not stated.
     """
-    tilted = np.any(np.abs(truth.roll_pitch_yaw[:, :2]) > angle, axis=1)
+    tilted = np.any(np.abs(base_tilt(truth, ground)) > angle, axis=1)
     return tilted | (base_height(truth.base_position_world, ground) < height) if height else tilted
 
 
@@ -89,6 +92,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.gait = task.gait(robot)
         self.observer = Observer(robot, task.observations, self.gait.action_names)
         self._scales = Scales.from_robot(robot)
+        self._scan_points = scan_points(robot)
         self.nominal = task.nominal(robot).rows(np.zeros(max(num_envs, 1), np.int64))
         self._make_world = make_world
         self._make(seed)
@@ -107,9 +111,17 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             thermal_protection=task.thermal_protection,
             start_linear_speed=task.start_linear_speed,
             start_angular_speed=task.start_angular_speed,
+            ground=task.terrain.make_ground(seed),
             threads=self._threads,
         )
-        self._ground = config.ground
+        self.curriculum: TerrainCurriculum | None = None
+        if tiles := task.terrain.field(seed):
+            config = replace(config, ground=tiles.ground)
+            self.curriculum = TerrainCurriculum(task.terrain, tiles, self.num_envs, seed)
+        self.ground = config.ground
+        self.scanner: HeightScanner | None = None
+        if "height_scan" in task.observations:
+            self.scanner = HeightScanner(task.terrain.scan, self.robot, self.num_envs, seed)
         self.world: Simulation = self._make_world(self.robot, self.num_envs, self.nominal, seed, config)
         self.pusher = Pusher(task.pushes, self.num_envs, seed, self.robot.weight)
         self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed, task.randomize_ramp)
@@ -131,11 +143,13 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         """See `StepMotion.stride_error`."""
         self.readings: Readings = self.world.readings()
         self.truth: Truth = self.world.truth()
-        self._begin(np.arange(self.num_envs))
+        self._begin(np.arange(self.num_envs), np.zeros(self.num_envs, np.bool_))
         self.history = np.tile(self._observe()[:, None], (1, task.history, 1))
 
-    def _begin(self, rows: NDArray[np.int64]) -> None:
-        """Start new episodes for some robots."""
+    def _begin(self, rows: NDArray[np.int64], fell: NDArray[np.bool_]) -> None:
+        """Start new episodes for some robots; `fell` (N,) is how the last ones ended."""
+        if self.curriculum is not None:
+            self.world.place(rows, self.curriculum.begin(rows, fell[rows]))
         if self.randomizer.enabled:
             self.world.set_params(rows, self.randomizer.draw(rows))
         self.readings = self.world.reset(rows)
@@ -143,6 +157,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.steps[rows], self.returns[rows], self.feedback[rows], self.stride_error[rows] = 0, 0.0, 0.0, 0.0
         self.truth = self.world.truth()
         self.start_position[rows] = self.truth.base_position_world[rows]
+        if self.scanner is not None:
+            self.scanner.reset(rows, self.ground, self.truth.base_position_world, self.truth.roll_pitch_yaw[:, 2])
         if self.source is not None and self.commands is not None:
             self.source.reset(rows)
             self.commands.reset(rows, self.readings.roll_pitch_yaw[:, 2])
@@ -155,7 +171,12 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
 
     def _observation_inputs(self) -> ObservationInputs:
         return ObservationInputs(
-            self.readings, self.gait.reference, self.feedback, self.command_state, self.gait.memory
+            self.readings,
+            self.gait.reference,
+            self.feedback,
+            self.command_state,
+            self.gait.memory,
+            None if self.scanner is None else self.scanner.heights,
         )
 
     @property
@@ -179,7 +200,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if seed is not None:
             self._make(seed)
         else:
-            self._begin(rows)
+            self._begin(rows, np.zeros(self.num_envs, np.bool_))
             self.history[rows] = self._observe()[rows, None]
         return self._observation(), {}
 
@@ -200,6 +221,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         reward, self.reward_terms = step_reward(task.reward, task.reward_limits, motion)
         if self.source is not None and self.commands is not None:
             self.command_error, self.stride_error = motion.command_error, motion.stride_error
+            if self.curriculum is not None:
+                command = motion.command[:, :2]
+                self.curriculum.record(command, motion.command_error[:, :2] + command, motion.duration * ~self.over)
             self.source.update(self.readings.time)
             self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
         for part in (reward, self.command_error, self.stride_error, *self.reward_terms.values()):
@@ -207,7 +231,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.reward = reward
         self.steps += ~self.over
         self.returns += reward
-        terminated = (has_fallen(self.truth, task.fall_angle, task.fall_height, self._ground) | diverged) & ~self.over
+        terminated = (has_fallen(self.truth, task.fall_angle, task.fall_height, self.ground) | diverged) & ~self.over
         truncated = ~terminated & ~self.over & (self.steps >= task.max_steps)
         done = terminated | truncated
         info: dict[str, Any] = self._step_info(before, terminated & ~diverged) if self._has_step_info else {}
@@ -215,6 +239,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             info["diverged"] = diverged.copy()
         if task.history > 1:
             self.history[:, 1:] = self.history[:, :-1].copy()
+        if self.scanner is not None:
+            self.scanner.update(self.ground, self.truth.base_position_world, self.truth.roll_pitch_yaw[:, 2])
         self.history[:, 0] = self._observe()
         if done.any():
             rows = np.flatnonzero(done)
@@ -225,7 +251,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             else:
                 info["final_obs"] = self._observation()
                 info["_final_obs"] = done.copy()
-                self._begin(rows)
+                self._begin(rows, terminated)
                 self.history[rows] = self._observe()[rows, None]
         return self._observation(), reward, terminated, truncated, info
 
@@ -266,7 +292,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             before=before,
             after=self.truth,
             start_position=self.start_position,
-            ground=self._ground,
+            ground=self.ground,
             gait=self.gait,
             feedback=self.feedback,
             last_feedback=last_feedback,
@@ -303,12 +329,15 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self.commands is not None:
             velocity = in_heading_frame(velocity, truth.roll_pitch_yaw[:, 2])
         parts = [
-            (["height"], base_height(truth.base_position_world, self._ground)[:, None]),
+            (["height"], base_height(truth.base_position_world, self.ground)[:, None]),
             (["velocity_x", "velocity_y", "velocity_z"], velocity),
             (["roll", "pitch", "yaw"], truth.roll_pitch_yaw),
             ([f"angle.{motor}" for motor in motors], truth.motor_angle),
             ([f"speed.{motor}" for motor in motors], truth.motor_velocity),
         ]
+        if not self.task.terrain.is_flat:
+            scan = scan_heights(self.ground, self._scan_points, truth.base_position_world, truth.roll_pitch_yaw[:, 2])
+            parts.append((scan_columns(), scan))
         if self.commands is not None:
             parts.append((["heading_error"], self.commands.heading_error[:, None]))
         if period is not None:
@@ -339,10 +368,18 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         owners: dict[str, Any] = {"": self, "pushes_": self.pusher, "randomizer_": self.randomizer}
         if self.source is not None:
             owners |= {"source_": self.source, "commands_": self.commands}
+        if self.curriculum is not None:
+            owners["terrain_"] = self.curriculum
+        if self.scanner is not None:
+            owners["scan_"] = self.scanner
         return {f"{prefix}{name}": getattr(owner, name) for prefix, owner in owners.items() for name in owner.arrays}
 
     def _streams(self) -> dict[str, list[np.random.Generator]]:
         drawn = {} if self.source is None else {"command_streams": self.source.streams}
+        if self.curriculum is not None:
+            drawn["terrain_streams"] = self.curriculum.streams
+        if self.scanner is not None:
+            drawn["scan_streams"] = self.scanner.streams
         return {"push_streams": self.pusher.streams, "randomize_streams": self.randomizer.streams, **drawn}
 
 

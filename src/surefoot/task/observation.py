@@ -13,6 +13,7 @@ from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.commands import CommandState
+from surefoot.task.height_scan import scan_columns
 from surefoot.task.reference import Reference
 from surefoot.world.interface import Readings
 
@@ -29,6 +30,8 @@ class ObservationInputs:
     """What the gait follows, of a task with commands."""
     memory: int = 0
     """How many of the last numbers of the feedback are the policy's memory."""
+    heights: Array | None = None
+    """Heights of the ground around the robots (N, K), see `height_scan`."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,13 @@ def _command(inputs: ObservationInputs) -> Array:
     return inputs.commands.command
 
 
+def _heights(inputs: ObservationInputs) -> Array:
+    """Return the heights of the ground (N, K); there must be a map."""
+    if inputs.heights is None:
+        raise SurefootError("observation 'height_scan' needs a map of the ground's heights; there is none here")
+    return inputs.heights
+
+
 def _motor_columns(prefix: str) -> Callable[[RobotDescription], list[str]]:
     return lambda robot: [f"{prefix}.{name}" for name in robot.motor_names]
 
@@ -95,6 +105,9 @@ PARTS: dict[str, Part] = {
     "reference_phase": Part("1", "reference gait", lambda _: ["phase_sin", "phase_cos"], gait_phase),
     "command": Part(
         "m/s, m/s, rad/s", "heading: x forward, y left", lambda _: [f"command_{name}" for name in COMMANDS], _command
+    ),
+    "height_scan": Part(
+        "m", "heading, from the base's origin: x forward, y left, z up", lambda _: scan_columns(), _heights
     ),
     "last_action": Part(
         "rad",

@@ -52,6 +52,15 @@ def base_height(position: Array, ground: Ground) -> Array:
     return np.asarray(position[:, 2] - ground.level(position[:, :2]))
 
 
+def base_tilt(truth: Truth, ground: Ground) -> Array:
+    """Return roll and pitch (N, 2) [rad] of the base less those of one that lies along the course of the ground."""
+    angles = truth.roll_pitch_yaw
+    if not ground.course.size:
+        return angles[:, :2]
+    tilt: Array = angles[:, :2] - ground.tilt(truth.base_position_world[:, :2], angles[:, 2])
+    return tilt
+
+
 def base_rates(before: Truth, after: Truth, duration: Array | float) -> tuple[Array, Array]:
     """Return mean rates of the base over a control step, for N robots.
 
@@ -190,7 +199,7 @@ TERMS: dict[str, Term] = {
     "heading_error": Term("|e|, rad", lambda m: np.abs(m.heading_error), "heading that is held"),
     "vertical_speed": Term("v_z^2, g l", lambda m: m.velocity[:, 2] ** 2, _RUDIN),
     "roll_pitch_rate": Term("w^2, g / l", lambda m: (m.turn[:, :2] ** 2).sum(axis=1), _RUDIN),
-    "tilt": Term("angle^2, rad^2", lambda m: (m.after.roll_pitch_yaw[:, :2] ** 2).sum(axis=1), _RUDIN),
+    "tilt": Term("angle^2, rad^2", lambda m: (base_tilt(m.after, m.ground) ** 2).sum(axis=1), _RUDIN),
     "height": Term("height^2, l^2", lambda m: (m.height / m.scales.length) ** 2, _RUDIN),
     "torque": Term(
         "tau^2, (m g l)^2",

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
+from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.self_collision import collision_pairs
 from surefoot.rotations import quat_matrix, xyzw_matrix
@@ -45,6 +46,8 @@ class BulletEngine:
         published: bool = False,
     ) -> None:
         settings = PUBLISHED if published else BulletSettings()
+        if settings.feet != "sphere" and not config.ground.is_flat:
+            raise SurefootError("feet are boxes in world bullet-published, which has no terrain; take world bullet")
         self.robot, self.actuation, self._config, self._settings = robot, actuation, config, settings
         self.gravity = settings.gravity
         num_envs = len(actuation.ticks)
@@ -261,10 +264,10 @@ class BulletEngine:
         """Set the forces (N, 3) [N] on the bases' centres of mass, in the world frame."""
         self._force[:] = force_world
 
-    def raise_base(self, rows: Index, height: Array) -> None:
-        """Move bases up by heights (n,) [m]."""
+    def move_base(self, rows: Index, offset_world: Array) -> None:
+        """Move bases by offsets (n, 3) [m] in the world."""
         if not self._config.rack:
-            self._rows[rows, 2] += height
+            self._rows[rows, :3] += offset_world
             for i in rows:
                 self._write_base(i)
 

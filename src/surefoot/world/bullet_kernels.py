@@ -27,6 +27,7 @@ from surefoot.world.actuation import (
     rotate_inverse,
 )
 from surefoot.world.contact import friction_force_kernel
+from surefoot.world.ground_contact import sphere_contacts
 
 Index = NDArray[np.int64]
 
@@ -36,6 +37,11 @@ PIN_LOAD = 1.0
 """Load [N] at which a pin with play has moved half of its clearance; it smooths the change from side to side."""
 PIN_FOLLOW_RATE = 0.2
 """Share of its path that such a pin moves in a step of 1 ms: .1 kg at 5 N crosses half a millimetre in some 5 ms."""
+
+NEAR = 0.02
+"""Distance [m] from a foot within which it has a plane to meet: Bullet looks for contacts that far."""
+FAR = -1e3
+"""Offset [m] of a plane that is out of reach."""
 
 
 class Layout(NamedTuple):
@@ -188,6 +194,30 @@ def sole_kernel(
             a, b = (c + 1) % 3, (c + 2) % 3
             slip[c] = links[k, VELOCITY + c] + links[k, OMEGA + a] * arm[b] - links[k, OMEGA + b] * arm[a]
         friction_force_kernel(load, normal, slip, stretch[k], friction, shear, damping, dt, force[k])
+
+
+@njit(cache=True)
+def contact_planes(corners: Array, grid: Array, feet: Array, lift: Array, radii: Array, planes: Array) -> None:
+    """Compute the planes that touch the ground where it is deepest in the feet, see `sphere_contacts`.
+
+    Args:
+        corners: of the `Ground`, (X, Y, 2, 2).
+        grid: of the `Ground`.
+        feet: centres in the world (F, 3) [m].
+        lift: how much the ground under each is lifted (F,) [m].
+        radii: of the feet (F,) [m].
+        planes: output (2 F, 4), unit normal n and offset n . p of its points p [m]: for each foot the one that carries
+            it, then for each the one at a wall.
+    """
+    count = len(feet)
+    for k in range(count):
+        x, y, z, reach = feet[k, 0], feet[k, 1], feet[k, 2] - lift[k], radii[k] + NEAR
+        both = sphere_contacts(corners, grid, x, y, z, reach)
+        for at_wall in range(2):
+            depth, nx, ny, nz = both[at_wall]
+            offset = nx * x + ny * y + nz * z - reach + depth + nz * lift[k] if depth > 0.0 else FAR
+            plane = planes[k + at_wall * count]
+            plane[0], plane[1], plane[2], plane[3] = nx, ny, nz, offset
 
 
 def base_links(rows: Array, base_quat: Array, base_centres: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import sys
 import tempfile
@@ -20,11 +21,11 @@ from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.self_collision import collision_pairs
-from surefoot.robot.urdf import Link, Shape, Urdf
+from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
 from surefoot.rotations import matrix_quat, xyzw_matrix
 from surefoot.world.actuation import CONTACT, RACK_HEIGHT, RATIOS
-from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
+from surefoot.world.bullet_kernels import contact_planes, pin_kernel, sole_kernel
 from surefoot.world.ground import FLAT, Ground, uneven_floor
 from surefoot.world.interface import WorldConfig
 
@@ -40,9 +41,14 @@ _SPEED_CUT = 1e6
 """Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
 ROTOR_RATIO = 300.0
 """Turns of a rotor for a turn of its joint in Bullet; the more, the less it resists the turning of what it is on."""
-_ROTOR = "rotor of "
+_ROTOR, _FOOT = "rotor of ", "sphere of "
 _ROTOR_MASS = 1e-9
+_WEIGHTLESS = RigidBody(_ROTOR_MASS, np.zeros(3), 1e-12 * np.eye(3))
 _MIN_ROTOR_INERTIA = 1e-6
+_MAX_VERTICES, _MAX_INDICES = 131_072, 524_288
+"""Of a mesh in PyBullet."""
+_SAME_PLANE = 1e-12
+"""Difference of numbers of a plane, see `contact_planes`, below which it stays where it is."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +102,8 @@ class BulletModel:
     ground: int
     """Body of the world's ground, on which all but the feet may stand."""
     planes: list[int]
-    """Bodies of an uneven floor, one for each foot; none, if feet stand on the ground."""
+    """Planes that feet stand on, one for each foot on an uneven floor; on a ground with cells there follows one for
+    each foot at walls. None, if feet stand on the ground itself."""
     body: int
     """The robot's."""
     links: dict[str, int]
@@ -175,6 +182,7 @@ class BulletModel:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "fused.urdf"
             urdf = self._fused if settings.feet == "sphere" else self._with_shanks(self._fused)
+            urdf = urdf if self._ground.is_flat else self._with_feet(urdf)
             urdf = self._with_rotors(urdf) if robot.actuator.kind == "joint" else urdf
             path.write_text(format_urdf(urdf, robot.name, principal=True), encoding="utf-8")
             try:
@@ -190,20 +198,25 @@ class BulletModel:
         count = p.getNumJoints(self.body, physicsClientId=client)
         infos = [p.getJointInfo(self.body, joint, physicsClientId=client) for joint in range(count)]
         numbers = {info[1].decode(): info[0] for info in infos}
-        self.joints = {name: number for name, number in numbers.items() if not name.startswith(_ROTOR)}
+        self.joints = {name: number for name, number in numbers.items() if not name.startswith((_ROTOR, _FOOT))}
         self.links = {base: -1} | {info[12].decode(): info[0] for info in infos if info[0] in self.joints.values()}
+        tops = {f"{_FOOT}{leg.foot}": places[leg.foot][0] for leg in robot.legs}
+        self._spheres = [] if self._ground.is_flat else [numbers[name] for name in tops]
         if pairs:
-            for one, other in itertools.combinations(self.links, 2):
-                apart = int({one, other} in pairs)
-                p.setCollisionFilterPair(self.body, self.body, self.links[one], self.links[other], apart, client)
+            bodies = self.links | dict(zip(tops, self._spheres, strict=False))
+            for one, other in itertools.combinations(bodies, 2):
+                apart = int({tops.get(one, one), tops.get(other, other)} in pairs)
+                p.setCollisionFilterPair(self.body, self.body, bodies[one], bodies[other], apart, client)
         self.motors = [self.joints[name] for name in robot.motor_names]
         geared = [name for name in robot.motor_names if f"{_ROTOR}{name}" in numbers]
         self.rotors = {self.joints[name]: numbers[f"{_ROTOR}{name}"] for name in geared}
         self.knees = [joint for joint in self.joints.values() if joint not in self.motors]
-        self.feet = [self.links[places[leg.foot][0]] for leg in robot.legs]
-        self._touching = list(self.links.values()) if pairs else [-1, *self.feet]
+        self.feet = self._spheres or [self.links[places[leg.foot][0]] for leg in robot.legs]
+        self._touching = [*self.links.values(), *self._spheres] if pairs or self._spheres else [-1, *self.feet]
         centres, radii = zip(*(self._foot_sphere(leg.foot) for leg in robot.legs), strict=True)
         self.foot_centre, self.foot_radius = np.array(centres), np.array(radii)
+        if self._spheres:
+            self.foot_centre[:] = 0.0
         _, axes = links[base].body.principal()
         at_base = np.linalg.inv(base_frame)
         self.base_centre = (at_base @ [*links[base].body.centre, 1.0])[:3]
@@ -218,22 +231,21 @@ class BulletModel:
         self._set_up_dynamics()
         self.check_masses(self.mass)
         self._gear_rotors()
+        if self._spheres:
+            self._set_floor(self.values["floor_unevenness"])
 
     def _add_ground(self, ground: Ground, box: bool = False) -> int:
         """Return the number of a body to stand on, which does not move; a flat one is a plane or the top of a box."""
         p, client, place = self._p, self.client, [0.0, 0.0, 0.0]
-        if ground.heights.size:
-            heights = ground.heights
+        if not ground.is_flat:
+            vertices, indices = _mesh(ground)
             shape = p.createCollisionShape(
-                p.GEOM_HEIGHTFIELD,
-                meshScale=[ground.cell, ground.cell, 1.0],
-                heightfieldData=heights.ravel(order="F").tolist(),  # the numbers along x follow each other
-                numHeightfieldRows=heights.shape[0],
-                numHeightfieldColumns=heights.shape[1],
+                p.GEOM_MESH,
+                vertices=vertices,
+                indices=indices,
+                flags=p.GEOM_FORCE_CONCAVE_TRIMESH,
                 physicsClientId=client,
             )
-            # Bullet puts the middle between the lowest and the highest point at the body's origin.
-            place = [*ground.center, float(heights.min() + heights.max()) / 2]
         elif box:
             shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=[100.0, 100.0, 5.0], physicsClientId=client)
             place[2] = -5.0
@@ -242,6 +254,23 @@ class BulletModel:
         number: int = p.createMultiBody(0, shape, basePosition=place, physicsClientId=client)
         p.changeDynamics(number, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
         return number
+
+    def _with_feet(self, urdf: Urdf) -> Urdf:
+        """Return the URDF with the spheres of feet on links of their own, which are fixed to where they were.
+
+        So planes that feet stand on leave the shank alone, which meets the ground itself.
+        """
+        links, joints = dict(urdf.links), dict(urdf.joints)
+        for leg in self.robot.legs:
+            (sphere,) = self.robot.urdf.links[leg.foot].collisions
+            top, frame = self.robot.urdf.places[leg.foot]
+            place, name = np.eye(4), f"{_FOOT}{leg.foot}"
+            place[:3, 3] = (frame @ sphere.frame)[:3, 3]
+            others = [shape for shape in links[top].collisions if not np.allclose(shape.frame[:3, 3], place[:3, 3])]
+            links[top] = replace(links[top], collisions=tuple(others))
+            links[name] = Link(_WEIGHTLESS, (), (replace(sphere, link=name, frame=np.eye(4)),))
+            joints[name] = Joint(name, "fixed", top, name, (1.0, 0.0, 0.0), place)
+        return Urdf(urdf.path, links, joints)
 
     def _with_rotors(self, urdf: Urdf) -> Urdf:
         """Return the URDF with a rotor beside every joint with a motor, on the link that the motor is fixed to.
@@ -332,7 +361,7 @@ class BulletModel:
 
     def _set_up_dynamics(self) -> None:
         """Remove damping and default motors, and set the contact of the feet; all else is stiff against the ground."""
-        for link in (*self.links.values(), *self.rotors.values()):
+        for link in (*self.links.values(), *self.rotors.values(), *self._spheres):
             self._p.changeDynamics(
                 self.body,
                 link,
@@ -418,36 +447,55 @@ class BulletModel:
     def _set_floor(self, unevenness: float) -> None:
         """Give the feet another floor, see `uneven_floor`; all of the robot but its feet stays on `ground`.
 
-        Each foot has a plane of its own, that of the triangle under it: a height field would push a foot whose centre
-        is below its surface, as that of soft feet is, down and out.
+        Each foot has planes of its own: a height field or a mesh would push a foot whose centre is below its surface,
+        as that of soft feet is, down and out. An uneven floor lifts and lowers a ground with cells.
         """
         p, client = self._p, self.client
         for plane in self.planes:
             p.removeBody(plane, physicsClientId=client)
         self._floor = uneven_floor(unevenness)
-        self.planes = [self._add_ground(FLAT) for _ in self.feet] if unevenness else []
-        self._slopes = np.full((len(self.planes), 2), np.nan)
+        standing = self.feet if unevenness or self._spheres else []
+        self.planes = [self._add_ground(FLAT) for _ in [*standing, *self._spheres]]
+        self._planes_at = np.full((len(self.planes), 4), np.nan)
         for foot in self.feet:
-            p.setCollisionFilterPair(self.body, self.ground, foot, -1, int(unevenness == 0.0), physicsClientId=client)
-        for foot, plane in zip(self.feet, self.planes, strict=False):
-            for link in set(self.links.values()) - {foot}:
+            p.setCollisionFilterPair(self.body, self.ground, foot, -1, int(not standing), physicsClientId=client)
+        for foot, plane in zip([*standing, *self._spheres], self.planes, strict=True):
+            for link in {*self.links.values(), *self._spheres} - {foot}:
                 p.setCollisionFilterPair(self.body, plane, link, -1, 0, physicsClientId=client)
+        for plane in self.planes[len(standing) :]:
+            p.changeDynamics(plane, -1, lateralFriction=0.0, physicsClientId=client)
 
     def place_planes(self) -> None:
-        """Put the planes of an uneven floor where its triangles under the feet are."""
-        points = self.foot_positions()[:, :2]
+        """Put the planes that feet stand on, and those at walls, where the ground is deepest in them."""
+        feet = self.foot_positions()
+        if not self._spheres:
+            self._place_on_floor(feet[:, :2])
+            return
+        planes, height = np.empty_like(self._planes_at), self._floor.height(feet[:, :2])
+        contact_planes(self._ground.corners, self._ground.grid, feet, height, self.foot_radius, planes)
+        # One that stays keeps Bullet's contacts with it.
+        moved = ~(np.abs(planes - self._planes_at) < _SAME_PLANE).all(axis=1)
+        self._planes_at[moved] = planes[moved]
+        for k in np.flatnonzero(moved):
+            x, y, z, offset = planes[k]
+            quat = np.array([-y, x, 0.0, 1.0 + z]) / np.sqrt(2.0 + 2.0 * z)
+            origin = (offset * planes[k, :3]).tolist()
+            self._p.resetBasePositionAndOrientation(self.planes[k], origin, quat.tolist(), self.client)
+
+    def _place_on_floor(self, points: Array) -> None:
+        """Put the planes of an uneven floor where its triangles under the feet at points (F, 2) are."""
         triangles = self._floor.plane_at(points)
         heights, slopes = triangles[:, 0], triangles[:, 1:]
-        for k in np.flatnonzero((slopes != self._slopes).any(axis=1)):
+        for k in np.flatnonzero((slopes != self._planes_at[:, :2]).any(axis=1)):
             (x, y), height = slopes[k], heights[k] - slopes[k] @ points[k]
             quat = np.array([y, -x, 0.0, 1.0 + np.sqrt(1.0 + x * x + y * y)])
             quat /= np.linalg.norm(quat)
             self._p.resetBasePositionAndOrientation(self.planes[k], [0, 0, height], quat.tolist(), self.client)
-        self._slopes = slopes
+        self._planes_at[:, :2] = slopes
 
     def contact_points(self) -> list[tuple[Any, ...]]:
         """Return Bullet's contact points of the robot with what its feet stand on."""
-        bodies = self.planes or [self.ground]
+        bodies = self.planes[: len(self.feet)] or [self.ground]
         return [point for body in bodies for point in self._p.getContactPoints(self.body, body, -2, -2, self.client)]
 
     def foot_positions(self) -> Array:
@@ -493,6 +541,8 @@ class BulletModel:
     def clear_contacts(self) -> None:
         """Forget the contacts that Bullet remembers and the soles' stretch, and centre pins with play."""
         self._reset_soles()
+        if self._spheres:
+            self._planes_at[:] = np.nan
         if self.pin_shift.any():
             self.pin_shift[:] = 0.0
             self._place_pins()
@@ -503,3 +553,15 @@ class BulletModel:
     def _place_pins(self) -> None:
         for number, place in zip(self.pins, (self._pin_places - self.pin_shift).tolist(), strict=True):
             self._p.changeConstraint(number, jointChildPivot=place, physicsClientId=self.client)
+
+
+@functools.lru_cache(maxsize=1)
+def _mesh(ground: Ground) -> tuple[list[list[float]], list[int]]:
+    """Return the corners of a ground's triangles and their indices; refuse more than PyBullet takes."""
+    vertices, indices = np.unique(ground.triangles().reshape(-1, 3), axis=0, return_inverse=True)
+    if len(vertices) > _MAX_VERTICES or indices.size > _MAX_INDICES:
+        raise SurefootError(
+            f"the ground has {indices.size // 3} triangles with {len(vertices)} corners; Bullet takes at most "
+            f"{_MAX_INDICES // 3} with {_MAX_VERTICES}: make the terrain smaller or coarser, or take world mujoco"
+        )
+    return vertices.tolist(), indices.ravel().tolist()

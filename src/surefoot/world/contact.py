@@ -22,7 +22,6 @@ import math
 
 from surefoot.actuator.compiled import kernel
 from surefoot.arrays import Array
-from surefoot.world import ground
 
 Vector = tuple[float, float, float]
 
@@ -30,8 +29,6 @@ TANGENTIAL_DAMPING = 0.5
 """B_t / B. The sole's stiffness along the ground is nominally that into the ground; neither was measured."""
 SPIN_SPEED = 0.1
 """Angular velocity w_0 [rad/s] at which a foot that turns on the spot meets its full resistance."""
-
-sphere_contact = kernel(ground.sphere_contact)
 
 
 @kernel

@@ -38,8 +38,8 @@ class Engine(Protocol):
     def set_state(self, rows: Index, states: Array) -> None:
         """Put robots into states (n, size), or all into one (size,), and clear their marks of divergence."""
 
-    def raise_base(self, rows: Index, height: Array) -> None:
-        """Move bases up by heights (n,) [m]."""
+    def move_base(self, rows: Index, offset_world: Array) -> None:
+        """Move bases by offsets (n, 3) [m] in the world."""
 
     def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
         """Set velocities (n, 3) [m/s] and angular velocities (n, 3) [rad/s] of bases."""

@@ -1,7 +1,9 @@
 """The ground: where its height and normal come from, for contact, resets, falls, rewards, cameras and pages.
 
-A ground is the plane z = 0, or heights on a grid with two triangles in each cell. Engines build their collision shape
-from these heights; feet whose contact is compiled here use `sphere_contact`; everything else calls the methods.
+A ground is the plane z = 0, or a field of square cells. Each cell has heights of its own at its four corners, so that
+the ground can slope within a cell and step between two cells, with a vertical wall. Engines build the shape that bodies
+collide with from the same cells; feet use
+`surefoot.world.ground_contact`; everything else calls the methods.
 """
 
 from __future__ import annotations
@@ -19,23 +21,57 @@ FLOOR_CELLS = (280, 120)
 """Points of an uneven floor along x and y: 28 m by 12 m, level beyond."""
 FLOOR_BEHIND = 4.0
 """Length [m] of an uneven floor behind the place where robots start."""
+_SLOPE_SPAN = 0.2
+"""Half the distance [m] over which the slope of a course is measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A ground in the world frame, z up; without heights it is the plane z = 0. Lengths in m."""
+    """A ground in the world frame, z up; without cells it is the plane z = 0. Lengths in m.
 
-    heights: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """Heights at the points of a grid along x and y, (X, Y)."""
+    Beyond the field the heights of its border go on.
+    """
+
+    corners: Array = field(default_factory=lambda: np.zeros((0, 0, 2, 2)))
+    """Heights of cells along x and y, (X, Y, 2, 2): at low and high x, and low and high y, of each cell. A diagonal
+    from low x and high y to high x and low y parts a cell into two triangles."""
     cell: float = 1.0
-    """Distance of the points."""
+    """Side of a cell."""
     center: tuple[float, float] = (0.0, 0.0)
-    """Middle of the grid."""
-    rough: bool = False
-    """Heights are the roughness of a level floor at z = 0, not its course."""
+    """Middle of the field."""
+    course: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Smooth course of the ground at the middles of the cells, (X, Y), from which robots' heights and tilts are
+    measured: the slope of stairs, the mean of rough ground; the plane z = 0, if not given."""
+
+    @classmethod
+    def from_points(
+        cls,
+        heights: Array,
+        cell: float,
+        center: tuple[float, float] = (0.0, 0.0),
+        course: Array | None = None,
+    ) -> Ground:
+        """Return the continuous ground through heights (X, Y) at points, a cell apart.
+
+        Without a course it is that of the mean height of each cell.
+        """
+        pairs = [[heights[:-1, :-1], heights[:-1, 1:]], [heights[1:, :-1], heights[1:, 1:]]]
+        corners = np.moveaxis(np.array(pairs, float), (0, 1), (2, 3))
+        return cls(corners, cell, center, corners.mean(axis=(2, 3)) if course is None else course)
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether this is the plane z = 0."""
+        return not self.corners.size
+
+    @property
+    def grid(self) -> Array:
+        """What compiled loops take beside the corners: low x, low y and side of a cell [m], (3,)."""
+        sides = np.array(self.corners.shape[:2]) * self.cell
+        return np.array([*(np.array(self.center) - sides / 2), self.cell])
 
     def height(self, points: Array) -> Array:
-        """Return the heights (...) at points (..., 2); 0 beyond the grid."""
+        """Return the heights (...) at points (..., 2)."""
         return self.plane_at(points)[..., 0]
 
     def normal(self, points: Array) -> Array:
@@ -46,35 +82,123 @@ class Ground:
         return unit
 
     def level(self, points: Array) -> Array:
-        """Return the heights (...) of the smooth ground at points (..., 2): robots' heights are measured from it."""
-        return np.zeros(points.shape[:-1]) if self.rough else self.height(points)
+        """Return the heights (...) of the course at points (..., 2): robots' heights are measured from it."""
+        if not self.course.size:
+            return np.zeros(points.shape[:-1])
+        last = np.array(self.course.shape) - 1
+        place = np.clip((points - self.grid[:2]) / self.cell - 0.5, 0, last)
+        low = np.minimum(place.astype(np.int64), np.maximum(last - 1, 0))
+        high = np.minimum(low + 1, last)
+        u, v = np.moveaxis(place - low, -1, 0)
+        (i, j), (k, m) = np.moveaxis(low, -1, 0), np.moveaxis(high, -1, 0)
+        course = self.course
+        level: Array = (1 - u) * ((1 - v) * course[i, j] + v * course[i, m])
+        return level + u * ((1 - v) * course[k, j] + v * course[k, m])
+
+    def tilt(self, points: Array, yaw: Array) -> Array:
+        """Return roll and pitch (..., 2) [rad] of a base that lies along the course at points (..., 2).
+
+        Args:
+            points: where.
+            yaw: heading of the base there (...) [rad].
+        """
+        if not self.course.size:
+            return np.zeros((*points.shape[:-1], 2))
+        along = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+        across = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
+        span = _SLOPE_SPAN
+        ahead, left = (
+            (self.level(points + span * way) - self.level(points - span * way)) / (2 * span) for way in (along, across)
+        )
+        pitch = -np.arctan(ahead)
+        return np.stack([np.arctan(left * np.cos(pitch)), pitch], axis=-1)
 
     def plane_at(self, points: Array) -> Array:
         """Return height and slope along x and y (..., 3) of the triangles at points (..., 2)."""
         planes = np.zeros((*points.shape[:-1], 3))
-        if not self.heights.size:
+        if self.is_flat:
             return planes
-        last = np.array(self.heights.shape) - 1
-        place = (points - self.center) / self.cell + last / 2
-        inside = ((place >= 0) & (place <= last)).all(axis=-1)
-        corner = np.clip(np.floor(place), 0, last - 1).astype(np.int64)[inside]
-        (i, j), (u, v) = corner.T, (place[inside] - corner).T
-        h00, h10, h01, h11 = (self.heights[i + a, j + b] for a, b in ((0, 0), (1, 0), (0, 1), (1, 1)))
-        # The diagonal of a cell goes from its corner at low x and high y to the one at high x and low y.
+        count = np.array(self.corners.shape[:2])
+        place = (points - np.array(self.center)) / self.cell + count / 2
+        inside = (place >= 0) & (place <= count)
+        corner = np.clip(np.floor(place), 0, count - 1).astype(np.int64)
+        u, v = np.moveaxis(np.clip(place - corner, 0.0, 1.0), -1, 0)
+        cells = self.corners[corner[..., 0], corner[..., 1]]
+        h00, h01, h10, h11 = (cells[..., a, b] for a in (0, 1) for b in (0, 1))
         near = u + v <= 1
         along_x, along_y = np.where(near, h10 - h00, h11 - h01), np.where(near, h01 - h00, h11 - h10)
-        height = np.where(near, h00 + u * along_x + v * along_y, h11 - (1 - u) * along_x - (1 - v) * along_y)
-        planes[inside] = np.stack([height, along_x / self.cell, along_y / self.cell], axis=-1)
+        planes[..., 0] = np.where(near, h00 + u * along_x + v * along_y, h11 - (1 - u) * along_x - (1 - v) * along_y)
+        planes[..., 1] = along_x / self.cell * inside[..., 0]
+        planes[..., 2] = along_y / self.cell * inside[..., 1]
         return planes
+
+    def triangles(self) -> Array:
+        """Return the surface as triangles (T, 3, 3): tops of cells, and walls between cells that do not join.
+
+        Neighbours that lie in one level are joined into rectangles.
+        """
+        x, y = (
+            np.arange(n + 1) * self.cell + low for n, low in zip(self.corners.shape[:2], self.grid[:2], strict=True)
+        )
+        quads: list[Any] = []
+        for (i, k, j, m), (a, b, c, d) in _joined(self.corners.reshape(*self.corners.shape[:2], 4)):
+            quads.append([(x[i], y[j], a), (x[k], y[j], c), (x[i], y[m], b), (x[k], y[m], d)])
+        for axis in (0, 1):
+            cells = self.corners if axis == 0 else self.corners.transpose(1, 0, 3, 2)
+            low, high = cells[:-1, :, 1, :], cells[1:, :, 0, :]
+            walls = np.concatenate([low, high], axis=-1)
+            place, along = (x, y) if axis == 0 else (y, x)
+            for (i, _, j, m), (a, b, c, d) in _joined(walls, rows=False):
+                if (a, b) != (c, d):
+                    wall = [(place[i + 1], along[j], a), (place[i + 1], along[j], c)]
+                    wall += [(place[i + 1], along[m], b), (place[i + 1], along[m], d)]
+                    quads.append(wall if axis == 0 else [(q, p, h) for p, q, h in wall])
+        corners = np.array(quads).reshape(-1, 4, 3)
+        both = np.concatenate([corners[:, [0, 1, 2]], corners[:, [3, 2, 1]]])
+        area = np.linalg.norm(np.cross(both[:, 1] - both[:, 0], both[:, 2] - both[:, 0]), axis=1)
+        triangles: Array = both[area > 0]
+        return triangles
 
 
 FLAT = Ground()
 
 
+def _joined(heights: Array, rows: bool = True) -> list[tuple[tuple[int, int, int, int], tuple[float, ...]]]:
+    """Return rectangles of cells as (low i, high i, low j, high j), and the four heights of each.
+
+    Cells of which all four heights are the same number are joined along j, and along i with `rows`. Walls, whose
+    heights are those of one side and of the other, are joined along j where both sides are level.
+
+    Args:
+        heights: four heights of each cell, (X, Y, 4).
+        rows: see above.
+    """
+    level = (heights == heights[..., :1]).all(-1) if rows else (heights[..., ::2] == heights[..., 1::2]).all(-1)
+    found: list[tuple[tuple[int, int, int, int], tuple[float, ...]]] = []
+    before: dict[tuple[int, int, tuple[float, ...]], int] = {}
+    for i in range(len(heights)):
+        joins = level[i, 1:] & level[i, :-1] & (heights[i, 1:] == heights[i, :-1]).all(-1)
+        starts = np.flatnonzero(np.concatenate([[True], ~joins]))
+        now = {}
+        for j, m in zip(starts.tolist(), [*starts[1:].tolist(), heights.shape[1]], strict=True):
+            four = tuple(heights[i, j].tolist())
+            key = (j, m, four)
+            if rows and level[i, j] and key in before:
+                number = before[key]
+                found[number] = ((found[number][0][0], i + 1, j, m), four)
+            else:
+                number = len(found)
+                found.append(((i, i + 1, j, m), four))
+            now[key] = number
+        before = now
+    return found
+
+
 def uneven_floor(unevenness: float) -> Ground:
     """Return a floor whose heights have a standard deviation [m]; 0 gives the plane.
 
-    The same unevenness gives the same floor. Its heights are independent; it is level where robots start.
+    The same unevenness gives the same floor. Its heights are independent; it is level where robots start, and beyond
+    its points.
     """
     if unevenness == 0.0:
         return FLAT
@@ -82,21 +206,7 @@ def uneven_floor(unevenness: float) -> Ground:
     draws = np.clip(np.random.default_rng(seed).standard_normal(FLOOR_CELLS), -3.0, 3.0)
     start = round(FLOOR_BEHIND / FLOOR_CELL)
     draws[start - 5 : start + 5, columns // 2 - 5 : columns // 2 + 5] = 0.0
+    draws[[0, -1]] = 0.0
+    draws[:, [0, -1]] = 0.0
     center = (0.5 * FLOOR_CELL * FLOOR_CELLS[0] - FLOOR_BEHIND, 0.0)
-    return Ground(unevenness * draws, FLOOR_CELL, center, rough=True)
-
-
-def sphere_contact(heights: Any, x: float, y: float, z: float, radius: float) -> tuple[float, float, float, float]:
-    """Return how deep a sphere is in the ground [m], negative above it, and the unit normal where it is deepest.
-
-    Kernels compile this function. It answers for the whole sphere: a foot beside an edge must not meet the plane of the
-    cell under its centre beyond that cell. Only the plane z = 0 is implemented.
-
-    Args:
-        heights: those of the `Ground`, (0, 0).
-        x: centre of the sphere in the world [m].
-        y: as x.
-        z: as x.
-        radius: [m].
-    """
-    return radius - z, 0.0, 0.0, 1.0
+    return Ground.from_points(unevenness * draws, FLOOR_CELL, center, course=np.zeros((0, 0)))

@@ -103,7 +103,9 @@ class MujocoEngine:
             foot_geom=self._feet,
             foot_body=model.geom_bodyid[self._feet].astype(np.int64),
             foot_radius=model.geom_size[self._feet, 0].copy(),
-            ground=self._ground.heights,
+            ground=self._ground.corners,
+            ground_grid=self._ground.grid,
+            **self._shapes(),
             friction=np.full(num_envs, robot.contact.friction),
             stiffness=np.full(num_envs, robot.contact.stiffness),
             shear=np.full(num_envs, robot.contact.stiffness),
@@ -112,7 +114,35 @@ class MujocoEngine:
             stretch=np.zeros((num_envs, len(self._feet), 2)),
             num_qpos=model.nq,
             num_qvel=model.nv,
+            step=model.opt.timestep,
         )
+
+    def _shapes(self) -> dict[str, Any]:
+        """Return what the loop needs of the shapes that meet the ground by MuJoCo's contacts."""
+        model, kinds = self._nominal, mujoco.mjtGeom
+        shapes = np.flatnonzero(model.geom_conaffinity & 1).astype(np.int64)
+        bodies = model.geom_bodyid[shapes].astype(np.int64)
+        order = np.argsort(bodies, kind="stable")
+        shapes, bodies, extents = shapes[order], bodies[order], []
+        for shape in shapes:
+            radius, half, _ = size = model.geom_size[shape]
+            extents.append(
+                {
+                    int(kinds.mjGEOM_BOX): [*size, 0.0],
+                    int(kinds.mjGEOM_CAPSULE): [0.0, 0.0, half, radius],
+                    int(kinds.mjGEOM_CYLINDER): [radius, radius, half, 0.0],
+                }.get(int(model.geom_type[shape]), [0.0, 0.0, 0.0, model.geom_rbound[shape]])
+            )
+        others = [model.geom_conaffinity[model.geom_bodyid == body] & ~1 for body in bodies]
+        return {
+            "shape_geom": shapes,
+            "shape_body": bodies,
+            "shape_extent": np.array(extents).reshape(-1, 4),
+            "geom_conaffinity": np.array([one.geom_conaffinity.ctypes.data for one in self.models], np.int64),
+            "body_conaffinity": np.array([one.body_conaffinity.ctypes.data for one in self.models], np.int64),
+            "body_bits": np.array([np.bitwise_or.reduce(bits) for bits in others], np.int64),
+            "moved": np.ones(len(self.datas), np.bool_),
+        }
 
     def _motor_rows(self, motor_dof: Index) -> dict[str, Any]:
         """Return the solver's rows of constraint motors; rows of joint friction follow those of closed loops."""
@@ -171,14 +201,16 @@ class MujocoEngine:
         states = np.broadcast_to(states, (len(rows), states.shape[-1]))
         for i, state in zip(rows, states, strict=True):
             mujoco.mj_setState(self._nominal, self.datas[i], state[:-size], _STATE)
+        self._native.moved[rows] = True
         stretch[rows] = states[:, -size:].reshape(-1, *stretch.shape[1:])
         self.diverged[rows] = False
 
-    def raise_base(self, rows: Index, height: Array) -> None:
-        """Move bases up by heights (n,) [m]."""
+    def move_base(self, rows: Index, offset_world: Array) -> None:
+        """Move bases by offsets (n, 3) [m] in the world."""
         if self._native.base_qpos >= 0:
-            for i, rise in zip(rows, height, strict=True):
-                self.datas[i].qpos[self._native.base_qpos + 2] += rise
+            for i, offset in zip(rows, offset_world, strict=True):
+                self.datas[i].qpos[self._native.base_qpos :][:3] += offset
+            self._native.moved[rows] = True
 
     def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
         """Set velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""

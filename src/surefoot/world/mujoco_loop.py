@@ -21,12 +21,18 @@ from surefoot.world.actuation import (
     record_sample,
     roll_pitch_yaw,
 )
-from surefoot.world.contact import foot_force_kernel, sphere_contact, spinning_torque_kernel
-from surefoot.world.native import call_step, doubles, pointers, take_number
+from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
+from surefoot.world.ground_contact import highest, sphere_contacts
+from surefoot.world.native import call_step, doubles, ints, pointers, take_number
 
 Index = NDArray[np.int64]
 
-DATA_FIELDS = ("qpos", "qvel", "qfrc_applied", "xfrc_applied", "geom_xpos", "xipos", "cvel", "subtree_com")
+NEAR = 0.005
+"""Distance [m] from the ground at which shapes take part in MuJoCo's search for contacts, beside two steps' motion."""
+
+DATA_FIELDS = (
+    *("qpos", "qvel", "qfrc_applied", "xfrc_applied", "geom_xpos", "geom_xmat", "xipos", "cvel", "subtree_com"),
+)
 """Arrays of MuJoCo's data whose addresses, one a robot, the loop takes."""
 
 
@@ -45,6 +51,7 @@ class Native(NamedTuple):
     qfrc_applied: Index
     xfrc_applied: Index
     geom_xpos: Index
+    geom_xmat: Index
     xipos: Index
     cvel: Index
     subtree_com: Index
@@ -61,7 +68,15 @@ class Native(NamedTuple):
     foot_geom: Index
     foot_body: Index
     foot_radius: Array
-    ground: Array  # heights, see `Ground`
+    ground: Array  # corners of its cells, see `Ground`
+    ground_grid: Array
+    shape_geom: Index  # shapes that meet the ground by MuJoCo's contacts, in the order of their bodies
+    shape_body: Index
+    shape_extent: Array  # half lengths along the axes, and what is added in every direction [m]
+    geom_conaffinity: Index
+    body_conaffinity: Index
+    body_bits: Index  # of a body's other shapes, a row for each shape
+    moved: NDArray[np.bool_]  # robots whose positions in MuJoCo's data are not those of their state
     friction: Array
     stiffness: Array
     shear: Array
@@ -70,6 +85,7 @@ class Native(NamedTuple):
     stretch: Array
     num_qpos: int
     num_qvel: int
+    step: float  # [s]
 
 
 @kernel
@@ -81,6 +97,47 @@ def _load_masses(native: Native, worker: int, i: int) -> None:
         for k in range(native.mass_sizes[field]):
             values[k] = native.mass[i, at + k]
         at += native.mass_sizes[field]
+
+
+@kernel
+def _select_shapes(native: Native, worker: int, i: int) -> None:
+    """Let those shapes of robot `i` meet the ground that can touch it in this step.
+
+    MuJoCo's search among the others would find nothing, and takes a third of a step over a plane, more than the rest of
+    the step over a field of heights. Positions and velocities are those of the step before.
+    """
+    xpos, xmat = doubles(native.geom_xpos[i]), doubles(native.geom_xmat[i])
+    cvel, com = doubles(native.cvel[i]), doubles(native.subtree_com[i])
+    geoms, bodies = ints(native.geom_conaffinity[worker]), ints(native.body_conaffinity[worker])
+    steps, root, before = 2.0 * native.step, 3 * native.base_body, -1
+    for k in range(len(native.shape_geom)):
+        g, b = native.shape_geom[k], native.shape_body[k]
+        if b != before:
+            bodies[b] = native.body_bits[k]
+            before = b
+        near = native.moved[i]
+        if not near:
+            x, y, z = xpos[3 * g], xpos[3 * g + 1], xpos[3 * g + 2]
+            turning = abs(cvel[6 * b]) + abs(cvel[6 * b + 1]) + abs(cvel[6 * b + 2])
+            moving = abs(cvel[6 * b + 3]) + abs(cvel[6 * b + 4]) + abs(cvel[6 * b + 5])
+            arm = abs(x - com[root]) + abs(y - com[root + 1]) + abs(z - com[root + 2])
+            size_x, size_y, size_z, size = (
+                native.shape_extent[k, 0],
+                native.shape_extent[k, 1],
+                native.shape_extent[k, 2],
+                native.shape_extent[k, 3] + NEAR,
+            )
+            size += steps * (moving + turning * (arm + size_x + size_y + size_z + size))
+            row = 9 * g
+            reach_x = abs(xmat[row]) * size_x + abs(xmat[row + 1]) * size_y + abs(xmat[row + 2]) * size_z + size
+            reach_y = abs(xmat[row + 3]) * size_x + abs(xmat[row + 4]) * size_y + abs(xmat[row + 5]) * size_z + size
+            reach_z = abs(xmat[row + 6]) * size_x + abs(xmat[row + 7]) * size_y + abs(xmat[row + 8]) * size_z + size
+            # Not written with `<`: what is not finite is near.
+            near = not z - reach_z > highest(native.ground, native.ground_grid, x, y, reach_x, reach_y)
+        geoms[g] = 1 if near else 0
+        if near:
+            bodies[b] |= 1
+    native.moved[i] = False
 
 
 @kernel
@@ -118,7 +175,9 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
     for leg in range(len(native.foot_geom)):
         g, b = 3 * native.foot_geom[leg], native.foot_body[leg]
         radius = native.foot_radius[leg]
-        depth, nx, ny, nz = sphere_contact(native.ground, xpos[g], xpos[g + 1], xpos[g + 2], radius)
+        (depth, nx, ny, nz), wall = sphere_contacts(
+            native.ground, native.ground_grid, xpos[g], xpos[g + 1], xpos[g + 2], radius
+        )
         # The point of the foot that is deepest in the ground.
         px, py, pz = xpos[g] - radius * nx, xpos[g + 1] - radius * ny, xpos[g + 2] - radius * nz
         wx, wy, wz = cvel[6 * b], cvel[6 * b + 1], cvel[6 * b + 2]
@@ -153,6 +212,19 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
             applied[6 * b + 3] += torque * nx
             applied[6 * b + 4] += torque * ny
             applied[6 * b + 5] += torque * nz
+        if wall[0] > 0.0:
+            # A wall pushes through the foot's centre; its friction is left out.
+            x, y, z = xpos[g] - com[root], xpos[g + 1] - com[root + 1], xpos[g + 2] - com[root + 2]
+            away = wall[1] * (cvel[6 * b + 3] + wy * z - wz * y)
+            away += wall[2] * (cvel[6 * b + 4] + wz * x - wx * z)
+            away += wall[3] * (cvel[6 * b + 5] + wx * y - wy * x)
+            load = max(native.stiffness[i] * wall[0] - native.damping * away, 0.0)
+            x, y, z = xpos[g] - xipos[3 * b], xpos[g + 1] - xipos[3 * b + 1], xpos[g + 2] - xipos[3 * b + 2]
+            for k in range(3):
+                applied[6 * b + k] += load * wall[1 + k]
+            applied[6 * b + 3] += load * (y * wall[3] - z * wall[2])
+            applied[6 * b + 4] += load * (z * wall[1] - x * wall[3])
+            applied[6 * b + 5] += load * (x * wall[2] - y * wall[1])
 
 
 @kernel
@@ -174,14 +246,14 @@ def _seek_speeds(native: Native, state: ActuationState, i: int) -> None:
 
 @kernel
 def _run(
-    native: Native, state: ActuationState, i: int, servo_steps: int, model: int, velocity: Array, force: Array
+    native: Native, state: ActuationState, i: int, servo_steps: int, worker: int, velocity: Array, force: Array
 ) -> bool:
-    """Run robot `i` for some servo steps on a thread's model; return false if it diverges."""
+    """Run robot `i` for some servo steps on the model of thread `worker`; return false if it diverges."""
     state.energy[i] = 0.0
     state.heat[i] = 0.0
     state.contact_ticks[i] = 0.0
     state.limit_ticks[i] = 0.0
-    applied, data = doubles(native.qfrc_applied[i]), native.data[i]
+    applied, data, model = doubles(native.qfrc_applied[i]), native.data[i], native.model[worker]
     for _ in range(servo_steps):
         compute_torque(state, i)
         for m in range(len(native.motor_dof)):
@@ -189,6 +261,7 @@ def _run(
             if not np.isfinite(torque):
                 return False
             applied[native.motor_dof[m]] = native.motor_sign[m] * torque
+        _select_shapes(native, worker, i)
         call_step(native.step1, model, data)
         _feet_on_ground(native, state, i, velocity, force)
         if state.constraint[0]:
@@ -228,7 +301,7 @@ def advance(
             continue
         _load_masses(native, worker, i)
         if not diverged[i]:
-            diverged[i] = not _run(native, state, i, servo_steps[i], native.model[worker], velocity, force)
+            diverged[i] = not _run(native, state, i, servo_steps[i], worker, velocity, force)
 
 
 @njit(cache=True)

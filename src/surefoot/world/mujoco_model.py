@@ -20,6 +20,8 @@ LOOP_SOLREF = (0.004, 1.0)
 LOOP_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
 MOTOR_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Constraint motors are as hard as MuJoCo makes a constraint."""
+WALL_WIDTH = 0.05
+"""See `_add_ground` [m]."""
 MOTOR_ITERATIONS = 50
 """Torque limits that are reached and left take the solver more iterations than closed loops alone."""
 
@@ -47,11 +49,7 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     option.timestep = robot.timing.servo_step
     option.iterations = 4
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
-    if config.ground.heights.size:
-        raise NotImplementedError("a ground with heights in MuJoCo")
-    spec.worldbody.add_geom(
-        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], contype=1, conaffinity=0, condim=3
-    )
+    _add_ground(spec, config.ground)
     feet = {leg.foot: leg.name for leg in robot.legs}
     for body in spec.bodies[1:]:
         for number, geom in enumerate(body.geoms):
@@ -90,6 +88,51 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
             spec.add_pair(geomname1=one.name, geomname2=other.name)
     with mujoco_errors(robot.urdf.path):
         return spec.compile()
+
+
+def _add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
+    """Add what the robot's body meets: a plane, or a field of the ground's heights at points.
+
+    MuJoCo's fields have no steps: a wall is a slope over the distance of two points, at most `WALL_WIDTH`, which begins
+    at the wall, so that no leg meets it before the wall. Feet meet the exact walls.
+    """
+    kind, place, size = mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]
+    if not ground.is_flat:
+        parts = max(round(ground.cell / WALL_WIDTH), 1) if has_steps(ground) else 1
+        corners = np.array(ground.corners.shape[:2])
+        x, y = (
+            np.arange(n * parts + 1) * ground.cell / parts + low for n, low in zip(corners, ground.grid, strict=False)
+        )
+        inset = 1e-6
+        heights = np.min(
+            [
+                ground.height(np.stack(np.meshgrid(x + a * inset, y + b * inset, indexing="xy"), axis=-1))
+                for a in (-1, 1)
+                for b in (-1, 1)
+            ],
+            axis=0,
+        )
+        low, high = float(heights.min()), float(heights.max())
+        half = 0.5 * ground.cell * corners
+        spec.add_hfield(
+            name="ground",
+            nrow=len(y),
+            ncol=len(x),
+            size=[*half, max(high - low, 1e-3), 1.0],
+            userdata=((heights - low) / max(high - low, 1e-3)).ravel(),
+        )
+        kind, place, size = mujoco.mjtGeom.mjGEOM_HFIELD, [*ground.center, low], [0.0, 0.0, 0.0]
+    geom = spec.worldbody.add_geom(name="ground", type=kind, size=size, pos=place, contype=1, conaffinity=0, condim=3)
+    if not ground.is_flat:
+        geom.hfieldname = "ground"
+
+
+def has_steps(ground: Ground) -> bool:
+    """Return whether cells of a ground have walls between them."""
+    corners = ground.corners
+    return bool(
+        (corners[1:, :, 0] != corners[:-1, :, 1]).any() or (corners[:, 1:, :, 0] != corners[:, :-1, :, 1]).any()
+    )
 
 
 def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int64]:

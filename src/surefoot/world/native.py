@@ -71,6 +71,9 @@ pointers = _array_at(types.int64)
 doubles = _array_at(types.float64)
 """Return the array of C doubles that starts at an address; its length is not known and not checked."""
 
+ints = _array_at(types.int32)
+"""Return the array of C ints of 32 bits that starts at an address."""
+
 
 @intrinsic
 def take_number(typing_context: Any, address: Any) -> Any:

@@ -33,7 +33,7 @@ Rows = TypeVar("Rows", Readings, Truth)
 
 _WAIT = 2.0
 """Time [s] that a process has to end by itself."""
-_ROWS = ("engine", "control_steps", "noise", "diverged")
+_ROWS = ("engine", "control_steps", "noise", "diverged", "starts")
 """Arrays of a world's state with a row for each robot."""
 _idle_processes: list[subprocess.Popen[bytes]] | None = None
 """Processes that wait for the next world; None where none are kept."""
@@ -251,6 +251,11 @@ class ProcessWorld:
         self._call("set_params", [(own, params.rows(places)) for places, own in self._split_index(index)])
         self.params.set_rows(rows, params)
 
+    def place(self, index: ArrayLike, starts: Array) -> None:
+        """Let robots rest at places (n, 2) [m] of the ground from their next reset on; see `SimWorld.place`."""
+        places = np.asarray(starts, float)
+        self._call("place", [(own, places[rows]) for rows, own in self._split_index(index)])
+
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""
         self._call("push", self._split_arguments(np.asarray(force_world, float)))
@@ -278,7 +283,7 @@ class ProcessWorld:
         for number, share in enumerate(self._shares):
             sensors, starts = state["streams"][:count][share], state["streams"][count:][share]
             own = {
-                **_select_rows({key: state[key] for key in _ROWS}, share),
+                **_select_rows({key: state[key] for key in _ROWS if key in state}, share),
                 **{part: _select_rows(state[part], share) for part in ("actuation", "params")},
                 "streams": [*sensors, *starts],
                 "divergences": state["divergences"] if number == 0 else 0,

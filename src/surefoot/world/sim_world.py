@@ -80,6 +80,7 @@ class SimWorld:
         self._control_steps = np.zeros(num_envs, np.int64)
         self._diverged = np.zeros(num_envs, np.bool_)
         self.divergences = 0
+        self._starts = np.zeros((num_envs, 3))
         if params is not None:
             self.set_params(np.arange(num_envs), params)
         self.reset()
@@ -117,8 +118,10 @@ class SimWorld:
         self._control_steps[rows] = 0
         self._draw_noise(rows)
         self.engine.set_state(rows, self._settled)
-        rise = self._nominal_depth - self._weight / self.params.contact_stiffness[rows]
-        self.engine.raise_base(rows[rise != 0], rise[rise != 0])
+        offset = self._starts[rows]
+        offset[:, 2] += self._nominal_depth - self._weight / self.params.contact_stiffness[rows]
+        moved = offset.any(axis=1)
+        self.engine.move_base(rows[moved], offset[moved])
         if config.start_linear_speed or config.start_angular_speed:
             draw = np.array([self._start_streams[i].uniform(-1, 1, 6) for i in rows]).reshape(-1, 6)
             speeds = config.start_linear_speed * draw[:, :3], config.start_angular_speed * draw[:, 3:]
@@ -219,6 +222,15 @@ class SimWorld:
         self.params.set_rows(rows, params)
         set_actuation_params(self.actuation, rows, params)
 
+    def place(self, index: ArrayLike, starts: Array) -> None:
+        """Let robots rest at places (n, 2) [m] of the ground from their next reset on.
+
+        The ground there must be level, and as it is at (0, 0), where the robot has settled.
+        """
+        rows, ground = np.atleast_1d(np.asarray(index, np.int64)), self.config.ground
+        self._starts[rows, :2] = starts
+        self._starts[rows, 2] = ground.height(np.asarray(starts, float)) - ground.height(np.zeros(2))
+
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""
         self.engine.set_force(np.asarray(force_world, float))
@@ -234,6 +246,7 @@ class SimWorld:
             "streams": [stream.bit_generator.state for stream in self._imu_streams + self._start_streams],
             "diverged": self._diverged.copy(),
             "divergences": self.divergences,
+            "starts": self._starts.copy(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -250,3 +263,5 @@ class SimWorld:
             stream.bit_generator.state = saved
         self._diverged[:] = state["diverged"]
         self.divergences = state["divergences"]
+        # States of version 0.9 lack the places where robots start.
+        self._starts[:] = state.get("starts", 0.0)

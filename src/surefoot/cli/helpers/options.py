@@ -14,6 +14,7 @@ from surefoot import configuration
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
 from surefoot.world.registry import WORLDS
+from surefoot.world.terrain import KINDS
 
 PolicyName = Annotated[
     str,
@@ -63,6 +64,14 @@ PluginNames = Annotated[
         metavar="FILE",
         help="Python file with reward terms and observations of your own, which is executed, or the name of an "
         "installed plug-in; as often as you like.",
+    ),
+]
+Terrain = Annotated[
+    str,
+    tyro.conf.arg(
+        metavar="KIND:SIZE",
+        help=f"What the robot stands on: flat, {choices(KINDS)} with a size, such as stairs:0.10 [m] or slope:20 "
+        "[deg], or a map of heights (.npz, .png).",
     ),
 ]
 PAGE_PORT = 8400

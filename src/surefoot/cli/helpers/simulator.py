@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from surefoot.api.simulator import change_simulator, evaluation_task
-from surefoot.cli.helpers.options import PluginNames, Pushes, PushForce, RobotName, Seed, Settings, World
+from surefoot.cli.helpers.options import PluginNames, Pushes, PushForce, RobotName, Seed, Settings, Terrain, World
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, parse_settings
 from surefoot.robot.params_file import ParamValue
@@ -71,6 +71,7 @@ class RunOptions:
     simulator: SimulatorOptions = Simulator()
     """Another simulator than the policy's own."""
     robot: RobotName = None
+    terrain: Terrain = "flat"
     commands: Path | None = None
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
     drawn as in its training, if not given. The run lasts until two seconds after its last row, or longer."""
@@ -92,7 +93,7 @@ class RunOptions:
         settings = parse_settings([word for group in self.settings for word in group])
         task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
         task = self.simulator.apply(task, settings)
-        return evaluation_task(task, robot, ranges or {}, self.pushes, self.push_force, self.commands)
+        return evaluation_task(task, robot, ranges or {}, self.pushes, self.push_force, self.commands, self.terrain)
 
 
 def describe_simulator(task: TaskConfig) -> dict[str, Any]:

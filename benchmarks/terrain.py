@@ -1,0 +1,104 @@
+"""Share of robots that keep up with .5 m/s over terrain, by kind and size; a table and a figure.
+
+    python benchmarks/terrain.py go2-terrain go2-steer
+    python benchmarks/terrain.py go2-terrain --world bullet
+    python benchmarks/terrain.py go2-terrain --table1
+
+64 robots, 10 s; kept up: no fall, and .7 to 1.25 of the commanded way. Rows go to results/terrain/success.csv; rows of
+the same case are replaced, and `--missing` measures only those that are not there.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from surefoot.api.policies import find_policy, load_gait
+from surefoot.api.simulator import on_terrain, with_duration
+from surefoot.evaluation.policy_table import conditions, measure
+from surefoot.report.figures.terrain import success_figure
+from surefoot.robot.randomization import load_ranges
+from surefoot.task.commands import CommandConfig
+from surefoot.task.pushes import PushConfig
+
+RESULTS = Path(__file__).parents[1] / "results" / "terrain"
+SIZES: dict[str, tuple[float, ...]] = {
+    "stairs": (0.05, 0.08, 0.10, 0.12, 0.15),
+    "stairs_down": (0.08, 0.12, 0.15, 0.18),
+    "slope": (10, 20, 25),
+    "slope_down": (10, 20, 25),
+    "rough": (0.05, 0.10, 0.12, 0.15),
+    "blocks": (0.05, 0.08, 0.12, 0.15),
+    "gaps": (0.15, 0.25),
+    "stones": (0.25,),
+}
+KEYS = ("policy", "world", "robots", "kind", "size")
+
+
+@dataclass(frozen=True)
+class Command:
+    """Measure, print and write."""
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional] = ("go2-terrain",)
+    world: str = "mujoco"
+    table1: bool = False
+    """Robots of the paper's table I."""
+    kinds: tuple[str, ...] = tuple(SIZES)
+    episodes: int = 64
+    threads: int = 0
+    missing: bool = False
+    command: tuple[float, float, float] = (0.5, 0.0, 0.0)
+    out: Path = RESULTS
+
+
+def main(command: Command) -> None:
+    """Measure every terrain that is asked for."""
+    path = command.out / "success.csv"
+    table: dict[tuple[str, ...], dict[str, Any]] = {}
+    if path.is_file():
+        with path.open(newline="", encoding="utf-8") as file:
+            table = {tuple(row[key] for key in KEYS): row for row in csv.DictReader(file)}
+    for name in command.policies:
+        policy, robot, task, _ = load_gait(find_policy(name), None)
+        ranges = load_ranges("table1", robot=robot.folder)
+        condition = next(one for one in conditions(ranges) if one.name == ("table1" if command.table1 else "nominal"))
+        condition = replace(condition, world=command.world)
+        fixed = CommandConfig(**{key: getattr(task.commands, key) for key in ("acceleration", "heading_gain")})
+        limits = {key: getattr(task.commands, key) for key in ("forward", "sideways", "yaw_rate")}
+        task = replace(
+            task, commands=replace(fixed, **limits, each=(command.command,)), randomize={}, pushes=PushConfig()
+        )
+        task = with_duration(task, robot, 10.0)
+        robots = "table1" if command.table1 else "nominal"
+        for kind in ("flat", *command.kinds):
+            for size in SIZES.get(kind, (0.0,)):
+                key = (Path(name).stem, command.world, robots, kind, f"{size:g}")
+                if command.missing and key in table:
+                    continue
+                terrain = kind if kind == "flat" else f"{kind}:{size:g}"
+                figures = measure(
+                    policy, on_terrain(task, terrain), robot, condition, command.episodes, threads=command.threads
+                )
+                wanted = ("success", "falls", "episodes", "rmse_forward", "rmse_stride_forward", "power")
+                table[key] = dict(zip(KEYS, key, strict=True)) | {
+                    item: f"{value:.3g}" if isinstance(value := figures[item], float) else value for item in wanted
+                }
+                print(*table[key].values(), flush=True)
+                _write(path, table)
+    success_figure(list(table.values()), command.out / "success.png")
+
+
+def _write(path: Path, table: dict[tuple[str, ...], dict[str, Any]]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(next(iter(table.values()))), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(table[key] for key in sorted(table, key=lambda key: (*key[:4], float(key[4]))))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Command))

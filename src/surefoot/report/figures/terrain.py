@@ -1,0 +1,46 @@
+"""Figure of success over the size of terrain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from surefoot.report.figures.style import COLORS, MARKERS, new_figure
+from surefoot.world.terrain import KINDS
+
+
+def success_figure(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
+    """Draw the share of robots that keep up with their command over the size, a panel a kind of terrain.
+
+    Args:
+        rows: with policy, world, robots, kind, size and success; those of kinds without a size are left out.
+        path: of the picture.
+    """
+    kinds = [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]
+    cases = list(dict.fromkeys((row["policy"], row["world"], row["robots"]) for row in rows))
+    columns = min(len(kinds), 4)
+    with new_figure(path, (2.6 * columns, 2.4 * -(-len(kinds) // columns)), -(-len(kinds) // columns), columns) as (
+        _,
+        axes,
+    ):
+        for axis, kind in zip(axes, kinds, strict=False):
+            for number, case in enumerate(cases):
+                own = sorted(
+                    (float(row["size"]), float(row["success"]))
+                    for row in rows
+                    if row["kind"] == kind and (row["policy"], row["world"], row["robots"]) == case
+                )
+                label = ", ".join(str(part) for part in case if part not in ("mujoco", "nominal"))
+                axis.plot(
+                    *zip(*own, strict=True) if own else ([], []),
+                    color=COLORS[number % len(COLORS)],
+                    marker=MARKERS[number % len(MARKERS)],
+                    label=label,
+                )
+            axis.set(title=kind.replace("_", " "), xlabel=f"size [{KINDS[kind].unit}]", ylim=(-0.03, 1.03))
+        for axis in axes[len(kinds) :]:
+            axis.set_visible(False)
+        axes[0].set_ylabel("kept up")
+        axes[0].legend()
+    return path

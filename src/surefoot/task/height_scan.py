@@ -1,0 +1,117 @@
+"""Heights of the ground at points around a robot, in its heading frame; exact, or as a robot's map has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.configuration import Within, check_bounds
+from surefoot.robot import RobotDescription
+from surefoot.seeding import generators
+from surefoot.world.ground import Ground
+
+AHEAD = tuple(0.25 * k for k in range(-5, 8))
+"""Places of the points ahead of the base, in lengths of the straight leg."""
+ASIDE = tuple(0.25 * k for k in range(-3, 4))
+"""Places of the points to its left, in the same."""
+RANGE = 1.0
+"""Greatest height or depth [m], from the base's origin, that a scan tells."""
+
+
+def scan_points(robot: RobotDescription) -> Array:
+    """Return the points (K, 2) [m] of a robot's grid: x ahead and y to the left of the base's origin, upright."""
+    x, y = np.meshgrid(AHEAD, ASIDE, indexing="ij")
+    points: Array = robot.leg_geometry.length * np.stack([x.ravel(), y.ravel()], axis=-1)
+    return points
+
+
+def scan_columns() -> list[str]:
+    """Return the names of the heights of a scan; those of the right are mirror images of those of the left."""
+    sides = {0.0: "middle"} | {y: f"{'left' if y > 0 else 'right'}{round(4 * abs(y))}" for y in ASIDE if y}
+    return [f"ground{round(4 * x)}.{sides[y]}" for x in AHEAD for y in ASIDE]
+
+
+def scan_heights(ground: Ground, points: Array, position: Array, yaw: Array) -> Array:
+    """Return heights of the ground less those of the bases' origins (N, K) [m], within `RANGE`.
+
+    Args:
+        ground: what they stand on.
+        points: of the grid (K, 2) [m].
+        position: of the bases (N, 3) in the world [m].
+        yaw: of the bases (N,) [rad].
+    """
+    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x, y = points.T
+    places = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + position[:, None, :2]
+    heights: Array = np.clip(ground.height(places) - position[:, None, 2], -RANGE, RANGE)
+    return heights
+
+
+@dataclass(frozen=True)
+class ScanConfig:
+    """What a robot's map of heights makes of the ground, for the observation `height_scan`."""
+
+    noise: Annotated[float, Within(0, 1)] = 0.01
+    """Standard deviation [m] of each height, anew at every control step."""
+    drift: Annotated[float, Within(0, 1)] = 0.02
+    """Standard deviation [m] of an error that all heights of an episode share."""
+    shift: Annotated[float, Within(0, 1)] = 0.02
+    """Standard deviation [m] of an error of where the map is, along x and y, in an episode."""
+    holes: Annotated[float, Within(0, 1)] = 0.02
+    """Share of heights that are missing at a control step: the points tell the height under the middle of the base."""
+    delay: Annotated[int, Within(0, 50)] = 2
+    """Age of the map [control steps]."""
+
+    def __post_init__(self) -> None:
+        """Refuse values out of bounds."""
+        check_bounds(self, "terrain.scan")
+
+
+class HeightScanner:
+    """A map of heights of N robots with its errors.
+
+    Args:
+        config: the errors.
+        robot: whose grid.
+        num_envs: number of robots N.
+        seed: seeds the errors, one stream a robot.
+    """
+
+    arrays = ("_past", "_drift")
+    """Names of the arrays that change over time."""
+
+    def __init__(self, config: ScanConfig, robot: RobotDescription, num_envs: int, seed: int) -> None:
+        self.config, self.points = config, scan_points(robot)
+        self.streams = generators(seed, "height scan", num_envs)
+        # The newest scan first.
+        self._past = np.zeros((config.delay + 1, num_envs, len(self.points)))
+        self._drift = np.zeros((num_envs, 3))
+        self._middle = int(np.argmin(np.linalg.norm(self.points, axis=1)))
+
+    def reset(self, rows: NDArray[np.int64], ground: Ground, position: Array, yaw: Array) -> None:
+        """Draw the errors of new episodes of some robots, whose maps begin where they stand; see `scan_heights`."""
+        scale = np.array([self.config.shift, self.config.shift, self.config.drift])
+        for i in rows:
+            self._drift[i] = scale * self.streams[i].standard_normal(3)
+        self._past[:, rows] = self._scan(rows, ground, position[rows], yaw[rows])
+
+    def update(self, ground: Ground, position: Array, yaw: Array) -> None:
+        """Take the scan of a control step; see `scan_heights`."""
+        self._past[1:] = self._past[:-1].copy()
+        self._past[0] = self._scan(np.arange(len(self.streams)), ground, position, yaw)
+
+    @property
+    def heights(self) -> Array:
+        """What the robots know now (N, K) [m]."""
+        return self._past[-1]
+
+    def _scan(self, rows: NDArray[np.int64], ground: Ground, position: Array, yaw: Array) -> Array:
+        heights = scan_heights(ground, self.points, position + self._drift[rows], yaw)
+        draws = np.array([self.streams[i].random(2 * len(self.points)) for i in rows]).reshape(len(rows), 2, -1)
+        # A uniform error of the same deviation: its draws cost a tenth of normal ones.
+        heights += self.config.noise * np.sqrt(12.0) * (draws[:, 0] - 0.5)
+        return np.where(draws[:, 1] < self.config.holes, heights[:, [self._middle]], heights)

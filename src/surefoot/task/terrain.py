@@ -1,0 +1,141 @@
+"""Terrain in a task: one ground for all robots, or a field of tiles whose difficulty follows what a robot covers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.configuration import Within, check_bounds
+from surefoot.errors import SurefootError, suggest
+from surefoot.seeding import generators
+from surefoot.task.height_scan import ScanConfig
+from surefoot.world.ground import FLAT, Ground
+from surefoot.world.terrain import TerrainField, check_size, make_field, make_terrain
+
+MAX_TILES = 400
+"""Tiles of the largest field."""
+COVERED = 0.7
+"""Share of the commanded way from which a robot goes on to the next level."""
+MISSED = 0.5
+"""Share of the commanded way below which it goes back by one."""
+MIN_WAY = 1.0
+"""Commanded way [m] below which an episode says nothing of the terrain."""
+
+Sizes = dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class TerrainConfig:
+    """Ground of a task: flat, one terrain, or a field of tiles with a curriculum (Rudin et al. 2022)."""
+
+    ground: str = "flat"
+    """What all robots stand on: flat, KIND:SIZE, such as stairs:0.10, or the path of a map (.npz, .png)."""
+    sizes: Sizes = field(default_factory=dict)
+    """Kinds of a field's tiles, with the sizes of difficulty 0 and 1; robots then stand on tiles, not on `ground`."""
+    shares: Annotated[dict[str, float], Within(0, 1e6, above=True)] = field(default_factory=dict)
+    """Shares of the kinds in the field; 1, if not given."""
+    levels: Annotated[int, Within(1, 50)] = 10
+    """Levels of difficulty, from 0 to 1: rows of tiles."""
+    columns: Annotated[int, Within(1, 100)] = 12
+    """Tiles in a row."""
+    tile: Annotated[float, Within(4, 40)] = 8.0
+    """Side of a tile [m]."""
+    start_level: Annotated[int, Within(0, 49)] = 2
+    """Robots begin at levels up to this one."""
+    scan: ScanConfig = field(default_factory=ScanConfig)
+    """Errors of the map of heights that the observation `height_scan` has."""
+    curriculum: bool = True
+    """Robots rise a level when they have covered .7 of the commanded way, and go back one after a fall or less than
+    half of it; beyond the last level any one follows. Without it their levels stay."""
+
+    def __post_init__(self) -> None:
+        """Refuse kinds that do not exist, sizes out of bounds, and a field that is too large."""
+        check_bounds(self, "terrain")
+        for name, sizes in self.sizes.items():
+            for size in sizes:
+                check_size(name, size)
+        for name in self.shares:
+            if name not in self.sizes:
+                raise SurefootError(
+                    f"terrain.shares.{name} is not a kind of terrain.sizes; {suggest(name, self.sizes)}"
+                )
+        if self.sizes and not len(self.sizes) <= self.columns <= MAX_TILES // self.levels:
+            raise SurefootError(
+                f"terrain.columns is {self.columns}; it must be {len(self.sizes)}, the kinds, to "
+                f"{MAX_TILES // self.levels}, {MAX_TILES} tiles"
+            )
+        if self.start_level >= self.levels and self.sizes:
+            raise SurefootError(
+                f"terrain.start_level is {self.start_level}; it must be less than levels, {self.levels}"
+            )
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether robots stand on the plane z = 0."""
+        return not self.sizes and self.ground == "flat"
+
+    def field(self, seed: int) -> TerrainField | None:
+        """Return the field of tiles, if there is one."""
+        if not self.sizes:
+            return None
+        return make_field(self.sizes, self.shares, self.levels, self.columns, self.tile, seed)
+
+    def make_ground(self, seed: int) -> Ground:
+        """Return the one ground for all robots where there is no field."""
+        return FLAT if self.ground == "flat" else make_terrain(self.ground, seed)
+
+
+class TerrainCurriculum:
+    """Which tile each robot starts on, and how far it came.
+
+    Args:
+        config: with sizes.
+        tiles: its field.
+        num_envs: number of robots N.
+        seed: seeds the levels and columns, one stream a robot.
+    """
+
+    arrays = ("level", "column", "commanded", "covered", "begun")
+    """Names of the arrays that change over time."""
+
+    def __init__(self, config: TerrainConfig, tiles: TerrainField, num_envs: int, seed: int) -> None:
+        self.config, self.tiles = config, tiles
+        self.streams = generators(seed, "terrain", num_envs)
+        self.level = np.array([stream.integers(config.start_level + 1) for stream in self.streams])
+        # Kinds are spread evenly over robots, whatever their number.
+        self.column = np.arange(num_envs) % len(tiles.kinds)
+        self.commanded, self.covered = np.zeros((2, num_envs))
+        self.begun = np.zeros(num_envs, np.bool_)
+
+    def begin(self, rows: NDArray[np.int64], fell: NDArray[np.bool_]) -> Array:
+        """Return the places (n, 2) [m] where robots start next; `fell` (n,) is how their last episodes ended."""
+        if self.config.curriculum:
+            way, covered = self.commanded[rows], self.covered[rows]
+            judged = self.begun[rows] & (way >= MIN_WAY)
+            rise = judged & ~fell & (covered >= COVERED * way)
+            back = self.begun[rows] & fell | judged & (covered < MISSED * way)
+            self.level[rows] += rise.astype(np.int64) - back
+            for i in rows[self.level[rows] >= self.config.levels]:
+                self.level[i] = self.streams[i].integers(self.config.levels)
+            self.level[rows] = np.maximum(self.level[rows], 0)
+        self.commanded[rows] = self.covered[rows] = 0.0
+        self.begun[rows] = True
+        starts: Array = self.tiles.starts[self.level[rows], self.column[rows]]
+        return starts
+
+    def record(self, command: Array, velocity: Array, duration: Array) -> None:
+        """Add a control step (N,) [s] to the ways: speeds forward and to the left (N, 2), commanded and gone [m/s]."""
+        speed = np.linalg.norm(command, axis=1)
+        along = (command * velocity).sum(axis=1) / np.where(speed > 0, speed, 1.0)
+        self.commanded += speed * duration
+        self.covered += along * duration
+
+    def levels(self) -> Mapping[str, float]:
+        """Return the mean level of the robots on each kind of terrain."""
+        kinds = np.array(self.tiles.kinds)[self.column]
+        return {name: float(self.level[kinds == name].mean()) for name in dict.fromkeys(self.tiles.kinds)}

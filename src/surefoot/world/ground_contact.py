@@ -1,0 +1,242 @@
+"""Where a sphere, the end of a foot, is deepest in the ground: exact for slopes, for edges and for walls of steps.
+
+A foot beside a step touches two things: what it stands on, and the wall. So there are two contacts of a sphere: the
+deepest one that can carry it, and the deepest one at a wall. The ground is solid downward from its surface; a contact
+is where the surface is nearer to the centre of the sphere than around that place. So edges that cells share without a
+step or a ridge are no obstacles, whatever the sides of cells.
+
+A sphere whose centre is in the ground has the nearest way out as its contact; beside it, a wall that stands free above
+the surface over the centre: the riser before a foot that has sunk into a tread.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from surefoot.arrays import Array
+
+_function = njit(cache=True, error_model="numpy", _nrt=False)
+"""As `kernel`, but not inlined: this code is long, and most of it is not run at most steps."""
+
+STEEP = 0.5
+"""Vertical part of a unit normal below which a contact is one at a wall, steeper than 60 degrees."""
+_EDGE = 1e-9
+"""Height [m] by which an edge must stand out to be one."""
+_STEP = 1e-6
+"""Length [cells] of a step to a side of an edge."""
+_WALL_SLOPE = 10.0
+"""Slope from which a step down to a side of an edge is a wall."""
+
+Contact = tuple[float, float, float, float]
+"""How deep a sphere is in the ground [m], negative above it, and the unit normal where it is deepest."""
+
+NO_CONTACT = (-1.0, 0.0, 0.0, 1.0)
+
+
+@_function
+def _clip(share: float) -> float:
+    """Return a place in a cell, from 0 to 1."""
+    return min(max(share, 0.0), 1.0)
+
+
+@_function
+def _cell_height(cell: Array, u: float, v: float) -> float:
+    """Return the height of a cell (2, 2) at a place, from 0 to 1 along x and y."""
+    if u + v <= 1.0:
+        return float(cell[0, 0] + u * (cell[1, 0] - cell[0, 0]) + v * (cell[0, 1] - cell[0, 0]))
+    return float(cell[1, 1] + (1.0 - u) * (cell[0, 1] - cell[1, 1]) + (1.0 - v) * (cell[1, 0] - cell[1, 1]))
+
+
+@_function
+def _height(corners: Array, u: float, v: float, step_u: float, step_v: float, go: float) -> float:
+    """Return the height of the cell that a step from a place (u, v) leads to, after a share `go` of that step.
+
+    Places count cells from the field's corner.
+    """
+    i = min(max(math.floor(u + step_u), 0), corners.shape[0] - 1)
+    j = min(max(math.floor(v + step_v), 0), corners.shape[1] - 1)
+    return _cell_height(corners[i, j], _clip(u + go * step_u - i), _clip(v + go * step_v - j))
+
+
+@_function
+def _is_nearest(corners: Array, u: float, v: float, z: float, normal: tuple[float, float, float], side: float) -> bool:
+    """Return whether the surface around a place (u, v) of an edge at height z is behind the plane with a normal there.
+
+    Around any place it is flat between rays along the sides and diagonals of cells, but for walls. A ray along a wall
+    is looked at on both sides.
+    """
+    for ray in range(10):
+        step_u, step_v = 0.0, 0.0
+        sign, across = 1.0 - 2.0 * (ray % 2), 0.01 - 0.02 * (ray // 2 % 2)
+        if ray < 4:
+            step_u, step_v = sign, across
+        elif ray < 8:
+            step_u, step_v = across, sign
+        else:
+            step_u, step_v = sign, -sign
+        rise = _height(corners, u, v, _STEP * step_u, _STEP * step_v, 1.0) - z
+        along = _STEP * side * (step_u * normal[0] + step_v * normal[1])
+        if rise > -_WALL_SLOPE * _STEP * side and rise * normal[2] + along > 1e-3 * _STEP * side:
+            return False
+    return True
+
+
+@_function
+def _half_contact(
+    cell: Array, low: bool, x: float, y: float, z: float, side: float, bound: float
+) -> tuple[float, float, float, float, bool]:
+    """Return the distance of a point from one of the triangles of a cell, infinite where it is not within the bound.
+
+    And the direction from the triangle's nearest point to it, and whether that is within the triangle, not on its
+    border. Within the triangle, the direction is its normal, and the distance negative below it.
+
+    Args:
+        cell: heights of the corners (2, 2).
+        low: the triangle at low x and y, or the other one.
+        x: of the point from the cell's corner at low x and y [m].
+        y: as x.
+        z: height of the point [m].
+        side: of the cell [m].
+        bound: greatest distance [m] from a triangle that can carry; of others it is not bounded.
+    """
+    # In a frame with its origin below the triangle's right angle, and the other corners over the axes.
+    sign = 1.0 if low else -1.0
+    if low:
+        first, second, third = cell[0, 0], cell[1, 0], cell[0, 1]
+    else:
+        first, second, third = cell[1, 1], cell[0, 1], cell[1, 0]
+        x, y = side - x, side - y
+    slope_x, slope_y = (second - first) / side, (third - first) / side
+    square = 1.0 + slope_x * slope_x + slope_y * slope_y
+    over = z - first - slope_x * x - slope_y * y
+    if over > 0.0 and over * over >= bound * bound * square and square * STEEP * STEEP <= 1.0:
+        return np.inf, 0.0, 0.0, 1.0, False
+    at_x, at_y = x + slope_x * over / square, y + slope_y * over / square
+    upright = 1.0 / math.sqrt(square)
+    if at_x > 0.0 and at_y > 0.0 and at_x + at_y < side:
+        return over * upright, -sign * slope_x * upright, -sign * slope_y * upright, upright, True
+    # The nearest point of the border: from each corner in turn along the side to the next.
+    least, dx, dy, dz = np.inf, 0.0, 0.0, 1.0
+    from_x, from_y, from_z = 0.0, 0.0, first
+    for corner in range(3):
+        to_x, to_y, to_z = 0.0, 0.0, first
+        if corner == 0:
+            to_x, to_z = side, second
+        elif corner == 1:
+            to_y, to_z = side, third
+        along_x, along_y, along_z = to_x - from_x, to_y - from_y, to_z - from_z
+        share = (x - from_x) * along_x + (y - from_y) * along_y + (z - from_z) * along_z
+        share = _clip(share / (along_x * along_x + along_y * along_y + along_z * along_z))
+        off_x, off_y, off_z = x - from_x - share * along_x, y - from_y - share * along_y, z - from_z - share * along_z
+        distance = off_x * off_x + off_y * off_y + off_z * off_z
+        if distance < least:
+            least, dx, dy, dz = distance, off_x, off_y, off_z
+        from_x, from_y, from_z = to_x, to_y, to_z
+    least = math.sqrt(least)
+    if least < _EDGE:
+        return 0.0, -sign * slope_x * upright, -sign * slope_y * upright, upright, True
+    return least, sign * dx / least, sign * dy / least, dz / least, False
+
+
+@_function
+def _deeper(contact: Contact, depth: float, x: float, y: float, z: float) -> Contact:
+    """Return the deeper one of a contact and another one."""
+    return (depth, x, y, z) if depth > contact[0] else contact
+
+
+@_function
+def sphere_contacts(
+    corners: Array, grid: Array, x: float, y: float, z: float, radius: float
+) -> tuple[Contact, Contact]:
+    """Return the deepest contact of a sphere that can carry it, and the deepest one at a wall; see `Contact`.
+
+    Args:
+        corners: those of the `Ground`, (X, Y, 2, 2); none of the plane z = 0.
+        grid: that of the `Ground`.
+        x: centre of the sphere in the world [m].
+        y: as x.
+        z: as x.
+        radius: [m].
+    """
+    if corners.shape[0] == 0:
+        return (radius - z, 0.0, 0.0, 1.0), NO_CONTACT
+    side = grid[2]
+    u, v, reach = (x - grid[0]) / side, (y - grid[1]) / side, radius / side
+    last_i, last_j = corners.shape[0] - 1, corners.shape[1] - 1
+    i, j = min(max(math.floor(u), 0), last_i), min(max(math.floor(v), 0), last_j)
+    height = _cell_height(corners[i, j], _clip(u - i), _clip(v - j))
+    if not (0.0 <= u <= last_i + 1 and 0.0 <= v <= last_j + 1):
+        return (radius - z + height, 0.0, 0.0, 1.0), NO_CONTACT
+    buried = z < height
+    carrying, wall = NO_CONTACT, NO_CONTACT
+    least, nx, ny, nz = np.inf, 0.0, 0.0, 1.0
+    for other_i in range(max(math.floor(u - reach), 0), min(math.floor(u + reach), last_i) + 1):
+        for other_j in range(max(math.floor(v - reach), 0), min(math.floor(v + reach), last_j) + 1):
+            other = corners[other_i, other_j]
+            # The cell's place that is nearest from above.
+            at_u, at_v = min(max(u, other_i), other_i + 1.0), min(max(v, other_j), other_j + 1.0)
+            du, dv = u - at_u, v - at_v
+            level = math.hypot(du, dv)
+            if level == 0.0:
+                # On the cell, or exactly at its border, where a wall faces away from its middle.
+                du, dv = u - other_i - 0.5, v - other_j - 0.5
+                du, dv = (du, 0.0) if abs(du) > abs(dv) else (0.0, dv)
+            if level >= reach:
+                continue
+            edge = _cell_height(other, at_u - other_i, at_v - other_j)
+            if z < edge and (other_i != i or other_j != j):
+                length = math.hypot(du, dv)
+                du, dv = du / length, dv / length
+                beside = _height(corners, at_u, at_v, _STEP * du, _STEP * dv, 0.0)
+                if edge > beside + _EDGE and (buried or beside <= z):
+                    # Where the centre is below the ground, the nearest part of the wall that stands free is above it.
+                    depth = radius - math.hypot(level * side, min(z - beside, 0.0))
+                    wall = _deeper(wall, depth, du, dv, 0.0)
+                if not buried:
+                    continue
+            elif buried and level > 0.0 and edge < z and level * side < least:
+                # The way out through a wall to a lower cell.
+                least, nx, ny, nz = level * side, -du / level, -dv / level, 0.0
+            for half in range(2):
+                best = np.inf if buried else (radius - max(carrying[0], 0.0)) * (1.0 - _EDGE)
+                distance, ex, ey, ez, within = _half_contact(
+                    other, half == 0, (u - other_i) * side, (v - other_j) * side, z, side, best
+                )
+                if buried:
+                    if within and distance <= 0.0 and -distance < least:
+                        least, nx, ny, nz = -distance, ex, ey, ez
+                    elif not within and distance < least:
+                        least, nx, ny, nz = distance, -ex, -ey, -ez
+                elif distance < radius:
+                    place_u, place_v = u - distance * ex / side, v - distance * ey / side
+                    if within or _is_nearest(corners, place_u, place_v, z - distance * ez, (ex, ey, ez), side):
+                        if ez >= STEEP:
+                            carrying = _deeper(carrying, radius - distance, ex, ey, ez)
+                        else:
+                            wall = _deeper(wall, radius - distance, ex, ey, ez)
+    if buried:
+        if nz < STEEP:
+            return NO_CONTACT, (radius + least, nx, ny, nz)
+        carrying = (radius + least, nx, ny, nz)
+    return carrying, wall
+
+
+@_function
+def highest(corners: Array, grid: Array, x: float, y: float, reach_x: float, reach_y: float) -> float:
+    """Return the greatest height [m] of the cells that a rectangle around (x, y) touches."""
+    if corners.shape[0] == 0:
+        return 0.0
+    cell, columns, rows = grid[2], corners.shape[0], corners.shape[1]
+    top = -np.inf
+    first_i = min(max(math.floor((x - reach_x - grid[0]) / cell), 0), columns - 1)
+    last_i = min(max(math.floor((x + reach_x - grid[0]) / cell), 0), columns - 1)
+    first_j = min(max(math.floor((y - reach_y - grid[1]) / cell), 0), rows - 1)
+    last_j = min(max(math.floor((y + reach_y - grid[1]) / cell), 0), rows - 1)
+    for i in range(first_i, last_i + 1):
+        for j in range(first_j, last_j + 1):
+            for k in range(4):
+                top = max(top, corners[i, j, k // 2, k % 2])
+    return top

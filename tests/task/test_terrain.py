@@ -1,0 +1,140 @@
+"""Terrain in tasks: starts, levels, falls and heights over the ground, on MuJoCo; scans of heights worked by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.api.simulator import on_terrain
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.task.config import load_task
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.height_scan import HeightScanner, ScanConfig, scan_columns, scan_heights, scan_points
+from surefoot.task.terrain import TerrainConfig, TerrainCurriculum
+from surefoot.world.ground import FLAT
+from surefoot.world.registry import find_world
+from surefoot.world.terrain import make_terrain
+
+FIELD = TerrainConfig(sizes={"stairs": (0.02, 0.10), "slope_down": (3.0, 20.0)}, levels=3, columns=2, start_level=0)
+
+
+@pytest.fixture(scope="module")
+def env() -> LocomotionEnv:
+    """Four robots on two kinds of terrain."""
+    task, _ = load_task("go2-steer")
+    task = replace(task, terrain=FIELD, start_linear_speed=0.0, start_angular_speed=0.0)
+    return LocomotionEnv(task, 4, find_world("mujoco"), 0, threads=1)
+
+
+def test_robots_rest_on_the_middles_of_their_tiles(env):
+    env.reset(seed=0)
+    assert env.curriculum is not None
+    starts = env.curriculum.tiles.starts
+    np.testing.assert_allclose(
+        env.truth.base_position_world[:, :2] - starts[0, [0, 1, 0, 1]],
+        np.tile(env.truth.base_position_world[0, :2], (4, 1)),
+        atol=1e-9,
+    )
+    over = env.truth.base_position_world[:, 2] - env.ground.height(env.truth.base_position_world[:, :2])
+    np.testing.assert_allclose(over, over[0], atol=1e-9)
+    feet = env.world.foot_positions()
+    radius = 0.022
+    np.testing.assert_allclose(feet[..., 2] - env.ground.height(feet[..., :2]), radius, atol=0.006)
+
+
+def test_levels_rise_with_what_a_robot_covers_and_fall_with_it():
+    curriculum = TerrainCurriculum(FIELD, FIELD.field(0), 4, 0)  # type: ignore[arg-type]
+    rows, none = np.arange(4), np.zeros(4, bool)
+    curriculum.begin(rows, none)
+    assert curriculum.level.tolist() == [0, 0, 0, 0]
+    command = np.tile([0.6, 0.8], (4, 1))
+    gone = command * np.array([1.0, 0.69, 0.4, 1.0])[:, None]
+    for _ in range(4):
+        curriculum.record(command, gone, np.full(4, 0.5))
+    np.testing.assert_allclose(curriculum.commanded, 2.0)
+    curriculum.begin(rows, np.array([False, False, False, True]))
+    assert curriculum.level.tolist() == [1, 0, 0, 0]
+    # An episode that hardly commanded anything says nothing.
+    curriculum.record(command, command, np.full(4, 0.5))
+    curriculum.begin(rows, none)
+    assert curriculum.level.tolist() == [1, 0, 0, 0]
+    # Beyond the last level any one follows.
+    curriculum.level[:] = 2
+    for _ in range(4):
+        curriculum.record(command, command, np.full(4, 0.5))
+    curriculum.begin(rows, none)
+    assert set(curriculum.level.tolist()) <= {0, 1, 2}
+
+
+def test_an_environment_on_terrain_resumes_exactly(env):
+    env.reset(seed=3)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (12, 4, env.single_action_space.shape[0]))
+    for action in actions[:6]:
+        env.step(action)
+    state = env.get_state()
+    first = [env.step(action)[0] for action in actions[6:]]
+    env.set_state(state)
+    np.testing.assert_array_equal(first, [env.step(action)[0] for action in actions[6:]])
+    assert len(env.privileged_columns) == env.privileged().shape[1] == len(set(env.privileged_columns))
+
+
+def test_tilt_and_height_count_from_the_course_of_the_ground():
+    task, _ = load_task("go2-steer")
+    env = LocomotionEnv(on_terrain(task, "slope:25"), 1, find_world("mujoco"), 0, threads=1)
+    angles = np.array([[0.0, -np.radians(25), 0.0]])
+    truth = replace(
+        env.truth, roll_pitch_yaw=angles, base_position_world=np.array([[3.0, 0.0, 2 * np.tan(np.radians(25)) + 0.3]])
+    )
+    from surefoot.task.env import has_fallen
+    from surefoot.task.reward import base_height
+
+    assert not has_fallen(truth, 0.3, 0.2, env.ground)[0]
+    assert has_fallen(truth, 0.3, 0.2, FLAT)[0]
+    assert base_height(truth.base_position_world, env.ground)[0] == pytest.approx(0.3, abs=1e-6)
+
+
+def test_a_scan_has_the_heights_around_a_turned_robot():
+    robot, ground = RobotDescription.load("go2"), make_terrain("stairs:0.10")
+    points, length = scan_points(robot), robot.leg_geometry.length
+    assert points.shape == (91, 2)
+    position, yaw = np.array([[1.0, 0.0, 0.3]] * 2), np.array([0.0, np.pi])
+    heights = dict(zip(scan_columns(), scan_heights(ground, points, position, yaw).T, strict=True))
+    # 4/4 of a leg of .426 m ahead is on the second tread, behind on the level place.
+    assert length == pytest.approx(0.426)
+    assert heights["ground4.middle"].round(6).tolist() == [-0.1, -0.3]
+    assert heights["ground-4.left2"].round(6).tolist() == [-0.3, -0.1]
+
+
+def test_a_map_of_heights_is_late_and_has_its_errors():
+    robot, ground = RobotDescription.load("go2"), make_terrain("slope:20")
+    exact = HeightScanner(ScanConfig(0.0, 0.0, 0.0, 0.0, 2), robot, 2, 0)
+    rough = HeightScanner(ScanConfig(0.02, 0.0, 0.0, 0.1, 0), robot, 2, 0)
+    yaw, places = np.zeros(2), [np.array([[1.0 + 0.1 * k, 0.0, 0.3]] * 2) for k in range(4)]
+    for scanner in (exact, rough):
+        scanner.reset(np.arange(2), ground, places[0], yaw)
+    for place in places[1:]:
+        for scanner in (exact, rough):
+            scanner.update(ground, place, yaw)
+    np.testing.assert_allclose(exact.heights, scan_heights(ground, exact.points, places[1], yaw))
+    error = rough.heights - scan_heights(ground, rough.points, places[3], yaw)
+    assert 0.005 < np.median(np.abs(error)) < 0.03
+    assert (rough.heights[0] != rough.heights[1]).any()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"sizes": {"stair": (0.1, 0.2)}}, "terrain 'stair' does not exist"),
+        ({"sizes": {"stairs": (0.1, 2.0)}}, "size is 2 m"),
+        ({"sizes": {"stairs": (0.1, 0.2)}, "shares": {"slope": 1.0}}, "terrain.shares.slope is not a kind"),
+        ({"sizes": {"stairs": (0.1, 0.2)}, "columns": 60}, "terrain.columns is 60; it must be 1, the kinds, to 40"),
+        ({"sizes": {"stairs": (0.1, 0.2)}, "levels": 2}, "terrain.start_level is 2"),
+    ],
+)
+def test_a_field_that_does_not_fit_is_refused(values, message):
+    with pytest.raises(SurefootError, match=message):
+        TerrainConfig(**values)

@@ -1,0 +1,156 @@
+"""Contacts of a sphere with the ground, against the nearest of dense points of the surface, and worked by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.arrays import Array
+from surefoot.world.ground import FLAT, Ground
+from surefoot.world.ground_contact import STEEP, sphere_contacts
+
+RADIUS, ERROR = 0.02, 1e-6
+CELL, COUNT = 0.05, 4
+
+
+def level_cells(tops: Array) -> Ground:
+    """Return a ground of blocks with level tops (X, Y)."""
+    return Ground(np.broadcast_to(tops[..., None, None], (*tops.shape, 2, 2)).copy(), CELL)
+
+
+def random_ground(kind: str, rng: np.random.Generator) -> Ground:
+    """Return a ground of few cells; slopes stay below 50 degrees, but for walls."""
+    shape = (COUNT, COUNT)
+    if kind == "rough":
+        return Ground.from_points(rng.uniform(0.0, 0.03, (COUNT + 1, COUNT + 1)), CELL)
+    if kind == "slope":
+        x, y = np.meshgrid(*2 * (CELL * np.arange(COUNT + 1),), indexing="ij")
+        return Ground.from_points(np.array([x, y]).T @ rng.uniform(-0.7, 0.7, 2), CELL)
+    if kind == "blocks":
+        return level_cells(rng.choice([0.0, 0.01, 0.03, 0.06], shape))
+    if kind == "fine":
+        # Cells smaller than the sphere.
+        return Ground.from_points(rng.uniform(0.0, 0.006, (17, 17)), 0.0125)
+    # Steps of 1 cm or more between sloping tops.
+    tops = 0.02 * ((np.arange(COUNT)[:, None] + 2 * np.arange(COUNT)) % 4)
+    return Ground(level_cells(tops).corners + rng.uniform(0, 0.01, (*shape, 2, 2)), CELL)
+
+
+def nearest(triangles: Array, point: Array) -> Array:
+    """Return the points (T, 3) of triangles (T, 3, 3) that are nearest to a point: of sides, or within."""
+    starts, sides = triangles, np.roll(triangles, -1, axis=1) - triangles
+    shares = np.einsum("tsk,tsk->ts", point - starts, sides) / np.einsum("tsk,tsk->ts", sides, sides)
+    places = starts + np.clip(shares, 0.0, 1.0)[..., None] * sides
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    share = np.einsum("tk,tk->t", point - triangles[:, 0], normals) / np.einsum("tk,tk->t", normals, normals)
+    feet = point - share[:, None] * normals
+    inward = np.cross(normals[:, None], sides)
+    within = (np.einsum("tsk,tsk->ts", feet[:, None] - starts, inward) >= 0).all(axis=1)
+    places = np.concatenate([places, np.where(within, feet.T, np.inf).T[:, None]], axis=1)
+    return places[np.arange(len(triangles)), np.argmin(np.linalg.norm(places - point, axis=2), axis=1)]
+
+
+def contacts(ground: Ground, centre: Array) -> tuple[Array, Array]:
+    """Return the carrying contact and that at a wall, (4,) each."""
+    both = sphere_contacts(ground.corners, ground.grid, *centre.tolist(), RADIUS)
+    return np.array(both[0]), np.array(both[1])
+
+
+def least_distances(ground: Ground, triangles: Array, centre: Array) -> tuple[float, float]:
+    """Return the least distances at which places that are nearest around themselves can carry, and are at a wall."""
+    places = nearest(triangles, centre)
+    distance = np.linalg.norm(places - centre, axis=1)
+    least = [np.inf, np.inf]
+    for k in np.flatnonzero(distance < RADIUS):
+        joined = np.linalg.norm(nearest(triangles, places[k]) - places[k], axis=1) < 10 * ERROR
+        free = places[k] + 1e-3 * (centre - places[k])
+        if distance[k] <= distance[joined].min() + ERROR and ground.height(free[:2]) < free[2]:
+            number = int(centre[2] - places[k, 2] < STEEP * distance[k])
+            least[number] = min(least[number], distance[k])
+    return least[0], least[1]
+
+
+@pytest.mark.parametrize("kind", ["rough", "slope", "blocks", "fine", "steps"])
+def test_contacts_are_where_the_surface_is_nearest(kind: str):
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        ground = random_ground(kind, rng)
+        place = rng.uniform(-0.07, 0.07, 2)
+        over = rng.uniform(-RADIUS, 1.1 * RADIUS)
+        centre = np.array([*place, ground.height(place) + over])
+        triangles = ground.triangles()
+        around = triangles - centre
+        triangles = triangles[((around.min(axis=1) < 2 * RADIUS) & (around.max(axis=1) > -2 * RADIUS)).all(axis=1)]
+        carrying, wall = both = contacts(ground, centre)
+        if over < 0:
+            # The nearest way out; a wall beside it may stand free.
+            both = (carrying if carrying[0] > 0 else wall,)
+            expected = RADIUS + np.linalg.norm(nearest(triangles, centre) - centre, axis=1).min(keepdims=True)
+        else:
+            expected = RADIUS - np.array(least_distances(ground, triangles, centre))
+        for (depth, *normal), other in zip(both, expected, strict=True):
+            assert max(depth, 0.0) == pytest.approx(max(other, 0.0), abs=ERROR), (centre, both, expected)
+            assert np.linalg.norm(normal) == pytest.approx(1.0)
+            if depth > 0:
+                touch = centre - (RADIUS - depth) * np.array(normal)
+                assert np.linalg.norm(nearest(triangles, touch) - touch, axis=1).min() < ERROR, (centre, both)
+
+
+def test_a_step_has_a_top_a_wall_and_an_edge():
+    # A step of 6 cm at x = 0; the sphere is 15 mm over what it stands on, or beside the wall.
+    ground = level_cells(np.array([[0.0] * 4] * 2 + [[0.06] * 4] * 2))
+    cases = {
+        (-0.05, 0.0, 0.015): ([0.005, 0, 0, 1], None),
+        (0.05, 0.0, 0.075): ([0.005, 0, 0, 1], None),
+        (-0.012, 0.0, 0.04): (None, [0.008, -1, 0, 0]),
+        # In the corner: both.
+        (-0.012, 0.0, 0.015): ([0.005, 0, 0, 1], [0.008, -1, 0, 0]),
+        # At the edge, from above and from the side: 3-4-5 triangles of 3 mm.
+        (-0.009, 0.0, 0.072): ([0.005, -0.6, 0, 0.8], None),
+        (-0.012, 0.0, 0.069): ([0.005, -0.8, 0, 0.6], None),
+        (-0.0144, 0.0, 0.0642): (None, [0.005, -0.96, 0, 0.28]),
+        # Over the step, close to its edge: the edge is none for what is above it.
+        (0.001, 0.0, 0.075): ([0.005, 0, 0, 1], None),
+        # Sunk into the tread before the riser by 3 mm: out by the tread; the riser from its foot on.
+        (-0.004, 0.0, -0.003): ([0.023, 0, 0, 1], [0.015, -1, 0, 0]),
+        # Behind the wall by 2 mm: out by the wall.
+        (0.002, 0.0, 0.03): (None, [0.022, -1, 0, 0]),
+        (-0.05, 0.0, 0.03): (None, None),
+    }
+    for centre, both in cases.items():
+        for contact, expected in zip(contacts(ground, np.array(centre)), both, strict=True):
+            if expected is None:
+                assert contact[0] <= 0, centre
+            else:
+                np.testing.assert_allclose(contact, expected, atol=1e-9, err_msg=str(centre))
+
+
+def test_edges_that_cells_share_without_a_step_are_no_obstacles():
+    # Along a plane, level or sloping, every contact has its normal and its depth, however deep the sphere is in it.
+    for slope in (np.zeros(2), np.array([0.3, -0.2])):
+        at = CELL * np.arange(COUNT + 1) - CELL * COUNT / 2
+        ground = Ground.from_points(slope[0] * at[:, None] + slope[1] * at, CELL)
+        normal = np.array([*-slope, 1.0]) / np.sqrt(1.0 + slope @ slope)
+        for x in np.linspace(-0.06, 0.06, 49):
+            for depth in (0.001, 0.015, 0.0199, 0.03):
+                centre = np.array([x, 0.4 * x, slope @ [x, 0.4 * x]]) + (RADIUS - depth) * normal
+                carrying, wall = contacts(ground, centre)
+                np.testing.assert_allclose(carrying, [depth, *normal], atol=1e-9)
+                assert wall[0] <= 0
+
+
+def test_a_sphere_rolls_over_a_ridge_and_over_the_edge_of_a_block_without_a_jump():
+    # The depth at a fixed height over the top is greatest over it, and falls steadily beyond its edge.
+    block = level_cells(np.array([[0.06] * 4] * 2 + [[0.0] * 4] * 2))
+    depths = [contacts(block, np.array([x, 0.013, 0.075]))[0][0] for x in np.linspace(-0.02, 0.013, 100)]
+    assert depths[0] == pytest.approx(0.005)
+    assert (np.diff(depths) <= 1e-12).all()
+    assert np.diff(depths).min() > -5e-4
+
+
+def test_beyond_the_field_its_border_goes_on_and_the_plane_has_no_wall():
+    ground = level_cells(np.full((COUNT, COUNT), 0.03))
+    assert contacts(ground, np.array([0.5, 0.0, 0.045]))[0].tolist() == pytest.approx([0.005, 0.0, 0.0, 1.0])
+    carrying, wall = contacts(FLAT, np.array([3.0, -1.0, 0.015]))
+    assert carrying.tolist() == pytest.approx([0.005, 0.0, 0.0, 1.0])
+    assert wall[0] < 0
