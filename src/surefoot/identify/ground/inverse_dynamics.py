@@ -158,7 +158,7 @@ class InverseDynamics:
         """
         model, data = self.model, self.data
         data.qpos[:3] = 0.0
-        data.qpos[3:7] = rpy_quat(*roll_pitch, 0.0)
+        data.qpos[3:7] = rpy_quat(roll_pitch[0], roll_pitch[1], 0.0)
         data.qpos[self._motor_q] = self.robot.motor_sign * angles
         data.qpos[self._knee_q] = knees
         data.qvel[:] = velocity
