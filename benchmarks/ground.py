@@ -59,9 +59,9 @@ class Walk:
         task = replace(task_from_contract(policy.contract), randomize={})
         self.env = LocomotionEnv(task, command.num_envs, cast(Any, make_world), seed=1, threads=1)
         self.env.ground = ground
+        self.observation, _ = self.env.reset()
         self.policy, self.env_step = policy, self.env.world.step
         self.env.world.step = self._step  # type: ignore[method-assign]
-        self.observation, _ = self.env.reset(seed=1)
         self.ended, self.steps = 0, 0
         self.control = policy.contract.control_step / self.env.robot.timing.servo_step
 

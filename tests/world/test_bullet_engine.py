@@ -18,7 +18,7 @@ from surefoot.rotations import xyzw_matrix
 from surefoot.world import bullet_model
 from surefoot.world.bullet_kernels import NEAR, pin_kernel, sole_kernel
 from surefoot.world.bullet_model import BulletModel, BulletSettings
-from surefoot.world.ground import Ground, uneven_floor
+from surefoot.world.ground import FLAT, Ground, uneven_floor
 from surefoot.world.ground_contact import sphere_contacts
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
@@ -261,8 +261,10 @@ def test_planes_touch_the_ground_where_feet_do(make_world):
 def test_a_shank_meets_a_ground_with_cells_and_its_foot_the_planes_alone():
     robot, ground = RobotDescription.load("go2"), blocks()
     params = PhysicalParams.nominal(robot, 1)
-    (model,) = SimWorld(robot, 1, params, config=WorldConfig(ground=ground), engine="bullet").engine.models
-    (flat,) = SimWorld(robot, 1, params, engine="bullet").engine.models
+    worlds = [SimWorld(robot, 1, params, config=WorldConfig(ground=one), engine="bullet") for one in (ground, FLAT)]
+    for world in worlds:
+        world.engine.set_state(np.array([0]), worlds[1].engine.initial_state)
+    (model,), (flat,) = (world.engine.models for world in worlds)
     for leg, foot in zip(robot.legs, model.feet, strict=True):
         (sphere,) = pybullet.getCollisionShapeData(model.body, foot, model.client)
         shank = robot.urdf.places[leg.foot][0]
