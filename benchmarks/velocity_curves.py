@@ -1,22 +1,22 @@
-"""Error of following commands over minutes of training, with a reference gait and from scratch.
+"""Error of following commands over minutes of training: with randomization and without, with a reference gait and not.
 
-    python benchmarks/velocity_curves.py results/steer
+    python benchmarks/velocity_curves.py results/steer/learning.csv
 
-Reads the folder's CSV files, one for each run of `velocity_tracking.py --every MINUTES --out FILE`, draws curves.png
-there, and prints after how many minutes of training all three errors were first under some limits, with the factor
-between the geometric means of the two groups and its Welch interval of 95 % over seeds. Times are those of the
-points that were measured, so they are known to the minutes between two points.
+Reads what `velocity_tracking.py --every MINUTES --out FILE` wrote, draws the curves beside it (.png), and prints after
+how many minutes of training all three errors were first under some limits (-: never). Of two groups of runs it gives
+the factor between their geometric means too, with its Welch interval of 95 % over seeds. Times are those of the points
+that were measured, so they are known to the minutes between two points.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import pandas as pd
 import tyro
 
 from surefoot.arrays import Array
@@ -25,27 +25,26 @@ from surefoot.report.figures.style import COLORS, new_figure
 from surefoot.robot.commands import COMMANDS
 from surefoot.tables import print_table
 
-LIMITS = {"": ((0.10, 0.08, 0.20), (0.05, 0.05, 0.12)), "_stride": ((0.04, 0.04, 0.06),)}
+LIMITS = {"": ((0.10, 0.08, 0.20), (0.05, 0.04, 0.08)), "_stride": ((0.04, 0.025, 0.02),)}
 """Errors forward and sideways [m/s] and of the yaw rate [rad/s] to get under, at once and over strides."""
-WINDOW = 300.0
+WINDOW = 60.0
 """Training time at the end of a run over which errors are averaged [s]."""
-STARTS = {"reference": "reference and feedback", "scratch": "from scratch"}
 _NAMES = ("forward (m/s)", "sideways (m/s)", "yaw rate (rad/s)")
 
 Run = dict[str, Array]
 """Columns of one run, each (points,)."""
 
 
-def read_runs(folder: Path) -> dict[str, list[Run]]:
-    """Return the runs of each start."""
-    runs: dict[str, list[Run]] = {start: [] for start in STARTS}
-    for path in sorted(folder.glob("*.csv")):
-        with path.open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-        start = str(columns.pop("start")[0])
-        columns.pop("robot")
-        runs[start].append({name: np.asarray(column, np.float64) for name, column in columns.items()})
+def read_runs(path: Path) -> dict[str, list[Run]]:
+    """Return the runs by what they have in common but the seed."""
+    table = pd.read_csv(path, keep_default_na=False)
+    runs: dict[str, list[Run]] = {}
+    for (robot, start, ranges, threads), group in table.groupby(["robot", "start", "randomize", "threads"], sort=False):
+        parts = (robot, start, *([ranges] if ranges != "none" else []), *(["1 thread"] if threads == 1 else []))
+        numbers = group.drop(columns=["robot", "start", "randomize"])
+        runs[", ".join(parts)] = [
+            {name: one[name].to_numpy(float) for name in one} for _, one in numbers.groupby("seed")
+        ]
     return runs
 
 
@@ -72,7 +71,7 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
         for k, (ax, name) in enumerate(zip(axes, _NAMES, strict=True)):
             for color, (start, group) in zip(COLORS, runs.items(), strict=False):
                 for number, run in enumerate(group):
-                    label = STARTS[start] if number == 0 else None
+                    label = start if number == 0 else None
                     ax.loglog(run["seconds"] / 60, errors(run, "")[:, k], color=color, alpha=0.8, label=label)
             ax.set_title(f"error {name}")
             ax.set_xlabel("training (min)")
@@ -82,23 +81,23 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
         axes[0].legend()
 
 
-def main(folder: Annotated[Path, tyro.conf.Positional] = Path("results/steer")) -> None:
+def main(path: Annotated[Path, tyro.conf.Positional] = Path("results/steer/learning.csv")) -> None:
     """Print the tables and draw the figure."""
-    runs = read_runs(folder)
+    runs = read_runs(path)
     table = []
     for ending, limits in LIMITS.items():
         for limit in limits:
             times = {start: [first_under(run, ending, limit) for run in group] for start, group in runs.items()}
-            finite = all(map(math.isfinite, chain(*times.values())))
-            texts = {STARTS[start]: ", ".join(f"{time:.1f}" for time in group) for start, group in times.items()}
-            table.append(
-                {
-                    "errors under": " ".join(f"{bound:.2f}" for bound in limit),
-                    "of": "strides" if ending else "every step",
-                    **texts,
-                    "factor": factor(times["scratch"], times["reference"]).text(1) if finite else "",
-                }
-            )
+            shown = {
+                start: ", ".join(f"{time:.1f}" for time in group).replace("nan", "-") for start, group in times.items()
+            }
+            bounds = " ".join(f"{bound:g}" for bound in limit)
+            row = {"errors under": bounds, "of": "strides" if ending else "every step"}
+            if len(times) == 2:
+                first, second = times.values()
+                finite = all(map(math.isfinite, chain(first, second)))
+                shown["factor"] = factor(second, first).text(1) if finite else ""
+            table.append(row | shown)
     print_table(table, "Minutes of training to errors, for each seed", text_columns=2)
     table = []
     for start, group in runs.items():
@@ -111,9 +110,9 @@ def main(folder: Annotated[Path, tyro.conf.Positional] = Path("results/steer")) 
             }
             whole = {name: f"{run[name][0]:.0f}" for name in ("seed", "episodes")}
             minutes, falls = f"{run['seconds'][-1] / 60:.0f}", f"{run['falls'][late].sum():.0f}"
-            table.append({"start": STARTS[start], **whole, "minutes": minutes, **means, "falls": falls})
+            table.append({"runs": start, **whole, "minutes": minutes, **means, "falls": falls})
     print_table(table, f"Mean errors of the last {WINDOW / 60:g} minutes of training", text_columns=1)
-    draw(runs, folder / "curves.png")
+    draw(runs, path.with_suffix(".png"))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How well a robot follows commands after some minutes of training on this computer, from nothing.
+r"""How well a robot follows commands after some minutes of training on this computer, from nothing.
 
 The time runs from the start of training (models built, compiled code loaded) to its end; with one thread it is the
 process's time on a processor, which other programs change little, with more it is the wall's. Then the deterministic
@@ -6,16 +6,20 @@ policy is run on fresh commands, one for each robot: 8 s from standing, of which
 Errors are root mean squares of speed forward and sideways [m/s] and yaw rate [rad/s], of every control step and
 averaged over a stride. Episodes that fell count up to the fall.
 
-    python benchmarks/velocity_tracking.py --minutes 4 --every 1 --threads 1 --out results/steer/reference-0.csv
+    python benchmarks/velocity_tracking.py --seeds 0 1 2 --minutes 3 --every 0.5 --out results/steer/learning.csv
+    python benchmarks/velocity_tracking.py --seeds 0 1 2 --minutes 8 --every 0.5 --randomize table1 \
+        --out results/steer/learning.csv
 
-writes errors on the way too, for `velocity_curves.py`.
+write errors on the way, a row a point, for `velocity_curves.py`. Runs that are whole in the file stay as they are; one
+that was cut off is trained again.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import csv
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,9 +30,10 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.tracking import STRIDE, Tracking
-from surefoot.learn.config import load_train_config
+from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.robot.commands import COMMANDS
+from surefoot.robot.randomization import load_ranges
 from surefoot.tables import write_csv
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.pushes import PushConfig
@@ -72,66 +77,62 @@ def measure(learner: PpoLearner, episodes: int) -> dict[str, Any]:
     task = fresh_commands(config.task, float(env.nominal.control_step[0]))
     traces = run_episodes(TrainedPolicy(learner), task, episodes, SimWorld, config.seed + FRESH, config.threads)
     errors = Tracking.from_traces(traces, env.gait.reference.period or STRIDE)
-    return {
-        "rmse": errors.rmse.round(4).tolist(),
-        "rmse_stride": errors.rmse_stride.round(4).tolist(),
-        "falls": sum(trace.fell for trace in traces),
-        "episodes": episodes,
-    }
+    named: dict[str, float] = {}
+    for ending, values in (("", errors.rmse), ("_stride", errors.rmse_stride)):
+        named |= {f"{name}{ending}": x for name, x in zip(COMMANDS, values.round(4).tolist(), strict=True)}
+    return {"falls": sum(trace.fell for trace in traces), "episodes": episodes, **named}
 
 
-def write_curve(path: Path, run: dict[str, Any], curve: list[dict[str, Any]]) -> None:
-    """Write a row for each point of the curve, after the columns that name the run."""
-    rows = []
-    for point in curve:
-        errors = {
-            f"{command}{ending}": error
-            for ending in ("", "_stride")
-            for command, error in zip(COMMANDS, point[f"rmse{ending}"], strict=True)
-        }
-        rows.append({**run, **{name: value for name, value in point.items() if "rmse" not in name}, **errors})
-    write_csv(path, rows)
+def train(config: TrainConfig, minutes: float, every: float, episodes: int) -> Iterator[dict[str, Any]]:
+    """Train for some minutes, and yield the errors every `every` minutes; measuring them is outside the time."""
+    clock = time.process_time if config.threads == 1 else time.perf_counter
+    spent, due, start = 0.0, every, clock()
+    learner = PpoLearner(config, SimWorld)
+    while due <= minutes + 1e-9:
+        learner.update()
+        spent += clock() - start
+        if spent >= 60 * due:
+            yield {"seconds": round(spent, 1), "control_steps": learner.steps, **measure(learner, episodes)}
+            due = every * (spent // (60 * every) + 1)
+        start = clock()
 
 
 def main() -> int:
-    """Train for some minutes and print the errors."""
+    """Train with each seed and print the errors."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--robot", default="go2", help="name or folder of the robot")
     parser.add_argument("--minutes", type=float, default=4.0, help="of training")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--episodes", type=int, default=128, help="fresh commands at the end")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--episodes", type=int, default=128, help="fresh commands at each point")
     parser.add_argument("--scratch", action="store_true", help="without a reference gait")
-    parser.add_argument("--every", type=float, default=0.0, help="minutes between errors on the way, outside the time")
+    parser.add_argument("--randomize", default="none", help="table of ranges from which robots are drawn in training")
+    parser.add_argument("--every", type=float, help="minutes between errors, outside the time; once, if not given")
     parser.add_argument("--threads", type=int, default=0, help="of simulation and learning; 0: one a core")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--out", type=Path, help="CSV file for the errors on the way")
+    parser.add_argument("--out", type=Path, help="CSV file for the errors, with those of earlier runs")
     options = parser.parse_args()
-    config = replace(load_train_config("steer", options.robot), seed=options.seed, threads=options.threads)
-    config = replace(config, learning_threads=options.threads)
+    every = options.every or options.minutes
+    base = load_train_config("steer", options.robot)
+    base = replace(base, threads=options.threads, learning_threads=options.threads)
+    ranges = load_ranges(options.randomize, robot=base.task.robot)
+    base = replace(base, task=replace(base.task, randomize=ranges))
     if options.scratch:
-        config = replace(config, task=from_scratch(config.task))
-    run = {"robot": options.robot, "start": "scratch" if options.scratch else "reference"}
-    run |= {"seed": options.seed, "threads": options.threads}
-    spent = 0.0
-    curve: list[dict[str, Any]] = []
-    clock = time.process_time if options.threads == 1 else time.perf_counter
-    start = clock()
-    learner = PpoLearner(config, SimWorld)
-    while spent <= 60 * options.minutes:
-        learner.update()
-        spent += clock() - start
-        if options.every and spent > 60 * options.every * (len(curve) + 1):
-            curve.append(
-                {"seconds": round(spent, 1), "control_steps": learner.steps, **measure(learner, options.episodes)}
-            )
+        base = replace(base, task=from_scratch(base.task))
+    rows: list[dict[str, Any]] = []
+    if options.out and options.out.exists():
+        with options.out.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    for seed in options.seeds:
+        run = {"robot": options.robot, "start": "scratch" if options.scratch else "reference"}
+        run |= {"randomize": options.randomize, "seed": str(seed), "threads": str(options.threads)}
+        own = [row for row in rows if row.items() >= run.items()]
+        if own and float(own[-1]["seconds"]) >= 60 * options.minutes:
+            continue
+        rows = [row for row in rows if row not in own]
+        for point in train(replace(base, seed=seed), options.minutes, every, options.episodes):
+            print({**run, **point}, flush=True)
+            rows.append({**run, **point})
             if options.out:
-                write_curve(options.out, run, curve)
-            if not options.json:
-                print(curve[-1], flush=True)
-        start = clock()
-    seconds = {"seconds": round(spent, 1), "control_steps": learner.steps, "robot": learner.env.robot.name}
-    result = {**seconds, "seed": options.seed, **measure(learner, options.episodes)}
-    print(json.dumps({**result, "curve": curve} if curve else result) if options.json else result)
+                write_csv(options.out, rows)
     return 0
 
 

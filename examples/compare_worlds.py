@@ -210,7 +210,7 @@ class Comparison:
 
 def lift(world: SimWorld, height: float) -> None:
     """Raise the robot by a height [m]."""
-    world.engine.raise_base(np.array([0]), np.array([height]))
+    world.engine.move_base(np.array([0]), np.array([[0.0, 0.0, height]]))
 
 
 Parts = list[tuple[float, np.ndarray, np.ndarray]]

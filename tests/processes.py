@@ -22,8 +22,8 @@ from surefoot import progress
 from surefoot.cli.main import main
 
 SUREFOOT = (sys.executable, "-m", "surefoot")
-BUSY = 0.010
-"""Lateness [s] of a sleep from which on the computer is too busy for real time."""
+BUSY = 0.003
+"""Lateness [s] of a bare loop from which on the computer is too busy for real time: half a control step of 6 ms."""
 
 
 def surefoot(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -168,27 +168,34 @@ def emulators(kind: type[Any] = Emulator) -> Iterator[Callable[..., Any]]:
             emulator.stop()
 
 
-class TooBusyError(AssertionError):
-    """The computer had no time for what the test wanted to do just then."""
+class BareLoop:
+    """A process that wakes every millisecond and does nothing; `worst` is how much too late it woke at worst [s].
 
+    Args:
+        priority: among real-time processes, where this is allowed: only the computer itself then delays it. 0 is
+            ordinary: other programs delay it too.
+    """
 
-class Watchman(threading.Thread):
-    """Sleeps for a millisecond again and again, and sees how much too late it wakes at worst [s]."""
+    CODE = """
+import contextlib, os, select, sys, time
+priority, worst = int(sys.argv[1]), 0.0
+with contextlib.suppress(OSError):
+    os.sched_setscheduler(0, os.SCHED_FIFO if priority else os.SCHED_OTHER, os.sched_param(priority))
+while True:
+    before = time.monotonic()
+    if select.select([sys.stdin], [], [], 0.001)[0]:
+        break
+    worst = max(worst, time.monotonic() - before - 0.001)
+print(worst)
+"""
 
-    def __init__(self) -> None:
-        super().__init__(daemon=True)
-        self.worst, self._over = 0.0, False
+    def __init__(self, priority: int) -> None:
+        command = [sys.executable, "-S", "-E", "-c", self.CODE, str(priority)]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.worst = 0.0
 
-    def run(self) -> None:
-        while not self._over:
-            before = time.monotonic()
-            time.sleep(0.001)
-            self.worst = max(self.worst, time.monotonic() - before - 0.001)
-
-    def __enter__(self) -> Watchman:
-        self.start()
+    def __enter__(self) -> BareLoop:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._over = True
-        self.join()
+        self.worst = float(self._process.communicate()[0])

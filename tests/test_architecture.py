@@ -31,7 +31,7 @@ ALLOWED: dict[str, set[str]] = {
         "evaluation",
         "task",
         "robot",
-        "world.ground",
+        *("world.ground", "world.terrain"),
         "identify.result",
         "identify.logs.errors",
         "adopt.examination",

@@ -14,7 +14,7 @@ from unittest import mock
 
 import pytest
 from edited import edited_policy
-from processes import Emulator, EmulatorHere, TooBusyError, emulators, refused, run_surefoot, surefoot
+from processes import Emulator, EmulatorHere, emulators, refused, run_surefoot, surefoot
 
 pytest.importorskip("mujoco")
 onnx = pytest.importorskip("onnx")
@@ -79,12 +79,8 @@ def test_a_healthy_robot_passes_all_on_the_ground(port_of: Callable[..., str]):
 def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator], tmp_path: Path):
     emulator = emulate("--rack")
     _, checks = doctor("trot", emulator.port, "--rack", "--yes", "--steps", "300", run=run_surefoot)
-    failures = {name: checks[name]["message"] for name in failed(checks)}
-    if failures and set(failures) <= {"inference", "control loop"}:
-        raise TooBusyError(f"this computer's own speed: {failures}")
-    assert not failures
-    if checks["control latency"]["passed"] is None:
-        raise TooBusyError(checks["control latency"]["message"])  # motors answered too late to be distinguished
+    assert not {name: checks[name]["message"] for name in failed(checks)}
+    assert checks["control latency"]["passed"], checks["control latency"]["message"]
     assert checks["link, round trip"]["value"] < 0.003
     assert checks["control latency"]["value"] == pytest.approx(0.02, abs=0.006)
     assert checks["inference"]["value"] < 0.001

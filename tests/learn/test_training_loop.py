@@ -158,20 +158,38 @@ def test_a_run_can_start_from_the_networks_of_another_run(whole: TrainingLoop, t
     assert same_weights(again, loop)
 
 
-def test_a_run_with_randomization_can_start_from_one_without(whole: TrainingLoop, tmp_path: Path) -> None:
-    task = {"randomize": {"motor_friction": [0.0, 0.05]}, "pushes": {"enabled": True}}
-    config = tiny_config(start_from=str(whole.folder.path), seed=5, steps=256, task=task)
-    other = TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
-    own, learned = (one.learner.algorithm.save() for one in (other, whole))
-    assert all(torch.equal(value, learned["actor_state_dict"][name]) for name, value in own["actor_state_dict"].items())
-    name = next(name for name, value in learned["critic_state_dict"].items() if value.dim() == 2 and len(value) > 1)
-    old, new = learned["critic_state_dict"][name], own["critic_state_dict"][name]
-    columns = [one.learner.env.privileged_columns for one in (whole, other)]
-    assert columns[1][: len(columns[0])] == columns[0]
-    assert new.shape[1] - old.shape[1] == len(columns[1]) - len(columns[0]) > 0
-    assert torch.equal(new[:, : old.shape[1]], old)
-    assert not new[:, old.shape[1] :].any()
-    other.learner.update()
+def test_a_run_starts_from_one_with_other_ranges_and_more_exploration(whole: TrainingLoop, tmp_path: Path) -> None:
+    def start(before: TrainingLoop, **task: object) -> TrainingLoop:
+        config = tiny_config(start_from=str(before.folder.path), steps=256, task=task, ppo={"start_std": 0.2})
+        return TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
+
+    def first_layer(loop: TrainingLoop) -> dict[str, torch.Tensor]:
+        """Return the value network's weights by the input that only it observes."""
+        layers = loop.learner.algorithm.save()["critic_state_dict"].values()
+        weights = next(value for value in layers if value.dim() == 2 and len(value) > 1)
+        columns = loop.learner.env.privileged_columns
+        return dict(zip(columns, weights.T[-len(columns) :], strict=True))
+
+    pushed = start(whole, randomize={"motor_friction": [0.0, 0.05]})
+    own, learned = (one.learner.algorithm.save()["actor_state_dict"] for one in (pushed, whole))
+    spread = "distribution.log_std_param"
+    assert all(torch.equal(value, learned[name]) for name, value in own.items() if name != spread)
+    assert torch.allclose(own[spread].exp(), torch.tensor(0.2))
+    assert not torch.allclose(learned[spread], own[spread])
+    before, after = first_layer(whole), first_layer(pushed)
+    assert after.keys() - before.keys() == {"motor_friction"}
+    assert all(torch.equal(after[name], before[name]) for name in before)
+    assert not after["motor_friction"].any()
+    pushed.learner.update()
+    pushed.save()
+    # Another range comes first, and pushes end.
+    last = first_layer(pushed)
+    ranges = {"base_mass_ratio": [0.9, 1.1], "motor_friction": [0.0, 0.1]}
+    other = first_layer(start(pushed, randomize=ranges, pushes={"enabled": False}))
+    assert not other.pop("base_mass_ratio").any()
+    assert other.keys() == last.keys() - {"push_x", "push_y"}
+    assert last["motor_friction"].any()
+    assert all(torch.equal(other[name], last[name]) for name in other)
 
 
 def test_start_from_refuses_networks_of_other_layers(whole: TrainingLoop, tmp_path: Path) -> None:

@@ -157,8 +157,8 @@ COLUMNS = {
     "rmse_yaw_rate": ("at once: yaw rate", "rad/s"),
 }
 """Measures that are printed, with headings and units: falls; errors of following commands over strides (root mean
-square);
-mechanical power; energy over weight and distance along commands; mean heat of the hottest motor; errors at once."""
+square); mechanical power; energy over weight and distance along commands; mean heat of the hottest motor; errors at
+once."""
 
 
 def texts(table: pd.DataFrame, condition: str) -> list[dict[str, str]]:

@@ -37,6 +37,8 @@ class PPOConfig:
     """Standard deviation of the first policy's normalized actions, which go from -1 to 1."""
     final_std: Annotated[float, Within(0, 100)] = 0.0
     """Greatest standard deviation at the end of the run; the limit falls linearly from init_std. 0: no limit."""
+    start_std: Annotated[float, Within(0, 100)] = 0.0
+    """Standard deviation of a run's first actions whose networks come from another run; 0: what that one ended with."""
     epochs: Annotated[int, Within(1, 1000)] = 5
     """Passes over the samples of an update."""
     minibatches: Annotated[int, Within(1, 1_000_000)] = 4
@@ -107,8 +109,8 @@ class TrainConfig:
     machines with more or fewer cores learn the same."""
     start_from: str | None = None
     """Folder of another run, whose networks as it left them are this run's first ones: the same layers,
-    observations and legs; everything else may differ. Of a run without randomization to one with it, the value network
-    gets what is drawn as further inputs."""
+    observations and legs; everything else may differ. With other ranges or pushes the value network gets
+    inputs for them, and loses those of former ones."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learning algorithm."""
 

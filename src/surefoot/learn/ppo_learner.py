@@ -6,7 +6,7 @@ import gc
 import math
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -222,26 +222,36 @@ class PpoLearner:
         network = nn.Sequential(self.policy.obs_normalizer, self.policy.mlp)
         return export_policy(network, contract, path, robot=self.env.robot.archive)
 
-    def load_networks(self, algorithm: dict[str, Any], appended: bool = False) -> None:
+    def load_networks(self, algorithm: dict[str, Any], privileged_columns: Sequence[str]) -> None:
         """Load only the networks of another run's state.
 
         Args:
             algorithm: its part of the state.
-            appended: whether what the value network observes here and did not there comes last; its weights are 0.
+            privileged_columns: names of what only its value network observed. Inputs that it did not have get weights
+                of 0 here; those that are not observed any more are dropped.
 
         Raises:
             SurefootError: networks of other layers, observations or actions.
         """
-        if appended:
-            critic = self.algorithm.save()["critic_state_dict"]
-            old = algorithm["critic_state_dict"].items()
-            algorithm = {**algorithm, "critic_state_dict": {name: _widened(one, critic.get(name)) for name, one in old}}
+        own, former = self.env.privileged_columns, list(privileged_columns)
+        if self.config.ppo.privileged_critic and own != former:
+            first = self.observation["policy"].shape[1]
+            places = [first + former.index(name) if name in former else -1 for name in own]
+            inputs = torch.tensor([*range(first), *places])
+            critic = dict(algorithm["critic_state_dict"])
+            for name, new in self.algorithm.save()["critic_state_dict"].items():
+                if name == "mlp.0.weight" or (name.startswith("obs_normalizer") and new.dim() == 2):
+                    critic[name] = _take_inputs(critic[name], new, inputs, first + len(former))
+            algorithm = {**algorithm, "critic_state_dict": critic}
         try:
             self.algorithm.load(algorithm, {"actor": True, "critic": True}, strict=True)
         except RuntimeError as error:
             raise SurefootError(
                 f"start_from: the other run's networks do not fit this run: {_first_mismatch(error)}"
             ) from None
+        if self.config.ppo.start_std:
+            with torch.no_grad():
+                self.policy.distribution.log_std_param.fill_(math.log(self.config.ppo.start_std))
 
     def get_state(self) -> dict[str, Any]:
         """Return the state for an exact resume."""
@@ -277,13 +287,16 @@ class PpoLearner:
         torch.set_rng_state(state["torch"])
 
 
-def _widened(old: torch.Tensor, own: torch.Tensor | None) -> torch.Tensor:
-    """Return a network's tensor with further inputs: weights of 0, or the normalization of a new network."""
-    if own is None or old.dim() != 2 or old.shape[0] != own.shape[0] or old.shape[1] >= own.shape[1]:
+def _take_inputs(old: torch.Tensor, new: torch.Tensor, inputs: torch.Tensor, width: int) -> torch.Tensor:
+    """Return weights or normalization of other inputs: for each, its place among the `width` old ones, or -1.
+
+    A new input has weights of 0, or the normalization of a new network.
+    """
+    if old.shape != (len(new), width):
         return old
-    wide = own.clone() if len(own) == 1 else torch.zeros_like(own)
-    wide[:, : old.shape[1]] = old
-    return wide
+    taken = new.clone() if len(new) == 1 else torch.zeros_like(new)
+    taken[:, inputs >= 0] = old[:, inputs[inputs >= 0]]
+    return taken
 
 
 def _first_mismatch(error: Exception) -> str:

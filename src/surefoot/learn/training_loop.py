@@ -94,9 +94,11 @@ class TrainingLoop:
         self.learner = PpoLearner(config, make_world)
         if config.start_from is not None and not resume:
             other, before = RunFolder.open(Path(config.start_from))
-            # Forces of pushes and drawn parameters come last among what the value network observes.
-            appended = not before.task.randomize and before.task.pushes.enabled <= config.task.pushes.enabled
-            self.learner.load_networks(other.load()["learner"]["algorithm"], appended)
+            # Only ranges and pushes may change what the value network observes.
+            task = replace(config.task, randomize=before.task.randomize, pushes=before.task.pushes)
+            env = LocomotionEnv(task, 1, make_world, threads=1)
+            env.reset()
+            self.learner.load_networks(other.load()["learner"]["algorithm"], env.privileged_columns)
         self.best: Evaluation | None = None
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0

@@ -1,9 +1,9 @@
 """Where a sphere, the end of a foot, is deepest in the ground: exact for slopes, for edges and for walls of steps.
 
 A foot beside a step touches two things: what it stands on, and the wall. So there are two contacts of a sphere: the
-deepest one that can carry it, and the deepest one at a wall. The ground is solid downward from its surface; a contact is
-where the surface is nearer to the centre of the sphere than around that place. So edges that cells share without a step
-or a ridge are no obstacles, whatever the sides of cells.
+deepest one that can carry it, and the deepest one at a wall. The ground is solid downward from its surface; a contact
+is where the surface is nearer to the centre of the sphere than around that place. So edges that cells share without a
+step or a ridge are no obstacles, whatever the sides of cells.
 
 A sphere whose centre is in the ground has the nearest way out as its contact; beside it, a wall that stands free above
 the surface over the centre: the riser before a foot that has sunk into a tread.
@@ -56,8 +56,8 @@ def _height(corners: Array, u: float, v: float, step_u: float, step_v: float, go
 
     Places count cells from the field's corner.
     """
-    i = min(max(int(math.floor(u + step_u)), 0), corners.shape[0] - 1)
-    j = min(max(int(math.floor(v + step_v)), 0), corners.shape[1] - 1)
+    i = min(max(math.floor(u + step_u), 0), corners.shape[0] - 1)
+    j = min(max(math.floor(v + step_v), 0), corners.shape[1] - 1)
     return _cell_height(corners[i, j], _clip(u + go * step_u - i), _clip(v + go * step_v - j))
 
 
@@ -65,8 +65,8 @@ def _height(corners: Array, u: float, v: float, step_u: float, step_v: float, go
 def _is_nearest(corners: Array, u: float, v: float, z: float, normal: tuple[float, float, float], side: float) -> bool:
     """Return whether the surface around a place (u, v) of an edge at height z is behind the plane with a normal there.
 
-    Around any place it is flat between rays along the sides and diagonals of cells, but for walls. A ray along a wall is
-    looked at on both sides.
+    Around any place it is flat between rays along the sides and diagonals of cells, but for walls. A ray along a wall
+    is looked at on both sides.
     """
     for ray in range(10):
         step_u, step_v = 0.0, 0.0
@@ -166,15 +166,15 @@ def sphere_contacts(
     side = grid[2]
     u, v, reach = (x - grid[0]) / side, (y - grid[1]) / side, radius / side
     last_i, last_j = corners.shape[0] - 1, corners.shape[1] - 1
-    i, j = min(max(int(math.floor(u)), 0), last_i), min(max(int(math.floor(v)), 0), last_j)
+    i, j = min(max(math.floor(u), 0), last_i), min(max(math.floor(v), 0), last_j)
     height = _cell_height(corners[i, j], _clip(u - i), _clip(v - j))
     if not (0.0 <= u <= last_i + 1 and 0.0 <= v <= last_j + 1):
         return (radius - z + height, 0.0, 0.0, 1.0), NO_CONTACT
     buried = z < height
     carrying, wall = NO_CONTACT, NO_CONTACT
     least, nx, ny, nz = np.inf, 0.0, 0.0, 1.0
-    for other_i in range(max(int(math.floor(u - reach)), 0), min(int(math.floor(u + reach)), last_i) + 1):
-        for other_j in range(max(int(math.floor(v - reach)), 0), min(int(math.floor(v + reach)), last_j) + 1):
+    for other_i in range(max(math.floor(u - reach), 0), min(math.floor(u + reach), last_i) + 1):
+        for other_j in range(max(math.floor(v - reach), 0), min(math.floor(v + reach), last_j) + 1):
             other = corners[other_i, other_j]
             # The cell's place that is nearest from above.
             at_u, at_v = min(max(u, other_i), other_i + 1.0), min(max(v, other_j), other_j + 1.0)
@@ -231,10 +231,10 @@ def highest(corners: Array, grid: Array, x: float, y: float, reach_x: float, rea
         return 0.0
     cell, columns, rows = grid[2], corners.shape[0], corners.shape[1]
     top = -np.inf
-    first_i = min(max(int(math.floor((x - reach_x - grid[0]) / cell)), 0), columns - 1)
-    last_i = min(max(int(math.floor((x + reach_x - grid[0]) / cell)), 0), columns - 1)
-    first_j = min(max(int(math.floor((y - reach_y - grid[1]) / cell)), 0), rows - 1)
-    last_j = min(max(int(math.floor((y + reach_y - grid[1]) / cell)), 0), rows - 1)
+    first_i = min(max(math.floor((x - reach_x - grid[0]) / cell), 0), columns - 1)
+    last_i = min(max(math.floor((x + reach_x - grid[0]) / cell), 0), columns - 1)
+    first_j = min(max(math.floor((y - reach_y - grid[1]) / cell), 0), rows - 1)
+    last_j = min(max(math.floor((y + reach_y - grid[1]) / cell), 0), rows - 1)
     for i in range(first_i, last_i + 1):
         for j in range(first_j, last_j + 1):
             for k in range(4):

@@ -91,7 +91,8 @@ def _level_cells(tops: Array) -> Array:
 def _stairs(size: float, half: float, cell: float, _: np.random.Generator) -> Heights:
     distance = _distance(half, cell)
     steps = np.ceil(np.round(np.maximum(distance, 0.0) / TREAD, 6))
-    return _level_cells(size * steps), size * np.where(distance > 0, distance / TREAD + 0.5, 0.0)
+    course: Array = size * np.where(distance > 0, distance / TREAD + 0.5, 0.0)
+    return _level_cells(size * steps), course
 
 
 def _slope(size: float, half: float, cell: float, _: np.random.Generator) -> Heights:
@@ -131,7 +132,7 @@ def _blocks(size: float, half: float, cell: float, rng: np.random.Generator) -> 
     i, j = (np.floor(np.round((one + half) / BLOCK, 6)).astype(np.int64) for one in (x, y))
     tops = rng.random((i.max() + 1, j.max() + 1))[i, j] * size
     far = _distance(half, cell) > 0
-    return _level_cells(tops * far), 0.5 * size * far
+    return _level_cells(tops * far), np.where(far, 0.5 * size, 0.0)
 
 
 def _gaps(size: float, half: float, cell: float, _: np.random.Generator) -> Heights:
@@ -256,8 +257,8 @@ def read_map(path: Path) -> Ground:
     off = np.abs(near - plane @ np.linalg.lstsq(plane, near, rcond=None)[0]).max()
     if off > MAX_START_STEP:
         raise SurefootError(
-            f"{path}: heights are up to {off:.2f} m off a plane within {START_RADIUS:g} m of the middle, where the robot "
-            f"starts; at most {MAX_START_STEP:g}"
+            f"{path}: heights are up to {off:.2f} m off a plane within {START_RADIUS:g} m of the middle, where the "
+            f"robot starts; at most {MAX_START_STEP:g}"
         )
     return Ground.from_points(heights - float(ground.height(np.zeros(2))), cell, course=_smooth(ground))
 
@@ -339,7 +340,8 @@ def make_field(
         rows.append([np.concatenate(parts, axis=1) for parts in zip(*made, strict=True)])
     corners, course = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     center = (0.5 * (levels - 1) * tile, 0.5 * (columns - 1) * tile)
-    starts = tile * np.stack(np.meshgrid(np.arange(levels), np.arange(columns), indexing="ij"), axis=-1)
+    places = np.stack(np.meshgrid(np.arange(levels), np.arange(columns), indexing="ij"), axis=-1)
+    starts: Array = (tile * places).astype(np.float64)
     return TerrainField(Ground(corners, cell, center, course), starts, kinds)
 
 
