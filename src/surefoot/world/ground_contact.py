@@ -225,18 +225,27 @@ def sphere_contacts(
 
 
 @_function
-def highest(corners: Array, grid: Array, x: float, y: float, reach_x: float, reach_y: float) -> float:
-    """Return the greatest height [m] of the cells that a rectangle around (x, y) touches."""
-    if corners.shape[0] == 0:
-        return 0.0
-    cell, columns, rows = grid[2], corners.shape[0], corners.shape[1]
-    top = -np.inf
-    first_i = min(max(math.floor((x - reach_x - grid[0]) / cell), 0), columns - 1)
-    last_i = min(max(math.floor((x + reach_x - grid[0]) / cell), 0), columns - 1)
-    first_j = min(max(math.floor((y - reach_y - grid[1]) / cell), 0), rows - 1)
-    last_j = min(max(math.floor((y + reach_y - grid[1]) / cell), 0), rows - 1)
-    for i in range(first_i, last_i + 1):
-        for j in range(first_j, last_j + 1):
-            for k in range(4):
-                top = max(top, corners[i, j, k // 2, k % 2])
-    return top
+def row_clearance(
+    corners: Array,
+    grid: Array,
+    middle: tuple[float, float, float],
+    offset: tuple[float, float, float],
+    radius: float,
+    bound: float,
+) -> float:
+    """Return how far [m] three spheres in a row are from the ground, 0 or less if they touch it; at most the bound.
+
+    Args:
+        corners: as in `sphere_contacts`.
+        grid: as corners.
+        middle: centre of the middle one [m].
+        offset: from each to the next [m].
+        radius: of the spheres [m].
+        bound: see above [m].
+    """
+    clearance = bound
+    for k in range(-1, 2):
+        x, y, z = middle[0] + k * offset[0], middle[1] + k * offset[1], middle[2] + k * offset[2]
+        carrying, wall = sphere_contacts(corners, grid, x, y, z, radius + bound)
+        clearance = min(clearance, bound - max(carrying[0], wall[0]))
+    return clearance

@@ -123,21 +123,26 @@ class MujocoEngine:
         shapes = np.flatnonzero(model.geom_conaffinity & 1).astype(np.int64)
         bodies = model.geom_bodyid[shapes].astype(np.int64)
         order = np.argsort(bodies, kind="stable")
-        shapes, bodies, extents = shapes[order], bodies[order], []
+        shapes, bodies, axes, covers = shapes[order], bodies[order], [], []
         for shape in shapes:
             radius, half, _ = size = model.geom_size[shape]
-            extents.append(
-                {
-                    int(kinds.mjGEOM_BOX): [*size, 0.0],
-                    int(kinds.mjGEOM_CAPSULE): [0.0, 0.0, half, radius],
-                    int(kinds.mjGEOM_CYLINDER): [radius, radius, half, 0.0],
-                }.get(int(model.geom_type[shape]), [0.0, 0.0, 0.0, model.geom_rbound[shape]])
-            )
+            # Half lengths along the axes, and what is added in every direction.
+            *halves, added = {
+                int(kinds.mjGEOM_BOX): [*size, 0.0],
+                int(kinds.mjGEOM_CAPSULE): [0.0, 0.0, half, radius],
+                int(kinds.mjGEOM_CYLINDER): [radius, radius, half, 0.0],
+            }.get(int(model.geom_type[shape]), [0.0, 0.0, 0.0, model.geom_rbound[shape]])
+            third = np.array(halves)
+            axes.append(int(np.argmax(third)))
+            third[axes[-1]] /= 3
+            covers.append([2 * third[axes[-1]], np.linalg.norm(third) + added, np.linalg.norm(halves) + added])
         others = [model.geom_conaffinity[model.geom_bodyid == body] & ~1 for body in bodies]
         return {
             "shape_geom": shapes,
             "shape_body": bodies,
-            "shape_extent": np.array(extents).reshape(-1, 4),
+            "shape_axis": np.array(axes, np.int64),
+            "shape_cover": np.array(covers).reshape(-1, 3),
+            "clearance": np.zeros((len(self.datas), len(shapes))),
             "geom_conaffinity": np.array([one.geom_conaffinity.ctypes.data for one in self.models], np.int64),
             "body_conaffinity": np.array([one.body_conaffinity.ctypes.data for one in self.models], np.int64),
             "body_bits": np.array([np.bitwise_or.reduce(bits) for bits in others], np.int64),
