@@ -23,7 +23,7 @@ from surefoot.world.actuation import (
     roll_pitch_yaw,
 )
 from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
-from surefoot.world.ground_contact import row_clearance, sphere_contacts
+from surefoot.world.ground_contact import box_clearance, row_clearance, sphere_contacts
 from surefoot.world.native import call_step, doubles, ints, pointers, take_number
 
 Index = NDArray[np.int64]
@@ -76,7 +76,9 @@ class Native(NamedTuple):
     shape_geom: Index  # shapes that meet the ground by MuJoCo's contacts, in the order of their bodies
     shape_body: Index
     shape_axis: Index  # along which each is longest
-    shape_cover: Array  # distance and radius of three spheres in a row along it that cover the shape, and of one [m]
+    shape_count: Index  # of spheres in a row along it that cover the shape
+    shape_cover: Array  # distance and radius of these, and the radius of a single one [m]
+    shape_half: Array  # half lengths of boxes (S, 3) [m]
     clearance: Array  # how far each of a robot's shapes can move before it touches the ground (N, S) [m]
     geom_conaffinity: Index
     body_conaffinity: Index
@@ -136,15 +138,27 @@ def _select_shapes(native: Native, worker: int, i: int) -> None:
             native.clearance[i, k] -= motion
             # Not written with `<`: what is not finite is near.
             if not native.clearance[i, k] > NEAR + motion:
-                column, offset = 9 * g + native.shape_axis[k], native.shape_cover[k, 0]
-                native.clearance[i, k] = row_clearance(
+                row, offset, middle = 9 * g, native.shape_cover[k, 0], (x, y, z)
+                axis = row + native.shape_axis[k]
+                clearance = row_clearance(
                     native.ground,
                     native.ground_grid,
-                    (x, y, z),
-                    (offset * xmat[column], offset * xmat[column + 3], offset * xmat[column + 6]),
+                    middle,
+                    (offset * xmat[axis], offset * xmat[axis + 3], offset * xmat[axis + 6]),
+                    native.shape_count[k],
                     native.shape_cover[k, 1],
                     LOOK,
                 )
+                half = native.shape_half[k]
+                if half[0] > 0.0 and not clearance >= LOOK:
+                    reach_x = abs(xmat[row]) * half[0] + abs(xmat[row + 1]) * half[1] + abs(xmat[row + 2]) * half[2]
+                    reach_y = abs(xmat[row + 3]) * half[0] + abs(xmat[row + 4]) * half[1] + abs(xmat[row + 5]) * half[2]
+                    reach_z = abs(xmat[row + 6]) * half[0] + abs(xmat[row + 7]) * half[1] + abs(xmat[row + 8]) * half[2]
+                    reach = (reach_x, reach_y, reach_z)
+                    clearance = max(
+                        clearance, box_clearance(native.ground, native.ground_grid, middle, reach, LOOK)
+                    )
+                native.clearance[i, k] = clearance
                 near = not native.clearance[i, k] > NEAR + motion
         geoms[g] = 1 if near else 0
         if near:
