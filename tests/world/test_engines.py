@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from surefoot.robot import RobotDescription
+from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
+ROUGH = Ground.from_points(np.random.default_rng(2).uniform(-0.02, 0.02, (30, 30)), 0.1)
 START = {"start_linear_speed": 0.05, "start_angular_speed": 0.1}
 
 
@@ -38,9 +40,9 @@ def test_the_same_seed_gives_the_same_world(make_world, trot, assert_same, engin
         assert not np.array_equal(getattr(one[-2], name), getattr(other[-2], name))
 
 
-@pytest.mark.parametrize("actuator", ["dc", "constraint"])
-def test_a_state_continues_exactly_in_another_world(make_world, trot, assert_same, varied, engine, actuator):
-    config = {"actuator": actuator, "thermal_protection": actuator == "dc", **START}
+@pytest.mark.parametrize(("actuator", "ground"), [("dc", FLAT), ("constraint", FLAT), ("dc", ROUGH)])
+def test_a_state_continues_exactly_in_another_world(make_world, trot, assert_same, varied, engine, actuator, ground):
+    config = {"actuator": actuator, "thermal_protection": actuator == "dc", "ground": ground, **START}
     values = varied(2, bullet=engine != "mujoco")
     world = make_world(2, seed=1, config=config, engine=engine, **values)
     other = make_world(2, seed=2, config=config, engine=engine)
