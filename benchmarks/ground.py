@@ -5,8 +5,8 @@
 
 Only `world.step` counts: servo, motors, physics, contacts and sensors. Robots start 4 m from the level place in the
 middle of a terrain, and go on with the commands of the policy's task; those that fall start anew. The grounds take turns
-of one control step of all robots, so that whatever else the machine does meets all of them alike; the ratio is that of
-the medians over turns, with quartiles of the turns' ratios.
+of one control step of all robots, so that whatever else the machine does meets all alike; the ratio is the median over
+turns, with quartiles. Where legs and bellies touch the ground, MuJoCo has contacts to solve, which take their time.
 """
 
 from __future__ import annotations

@@ -268,9 +268,7 @@ def test_a_shank_meets_a_ground_with_cells_and_its_foot_the_planes_alone():
     for leg, foot in zip(robot.legs, model.feet, strict=True):
         (sphere,) = pybullet.getCollisionShapeData(model.body, foot, model.client)
         shank = robot.urdf.places[leg.foot][0]
-        shapes, both = (
-            pybullet.getCollisionShapeData(one.body, one.links[shank], one.client) for one in (model, flat)
-        )
+        shapes, both = (pybullet.getCollisionShapeData(one.body, one.links[shank], one.client) for one in (model, flat))
         assert sphere[2] == pybullet.GEOM_SPHERE
         assert len(shapes) == len(both) - 1 > 0
     np.testing.assert_allclose(model.foot_positions(), flat.foot_positions(), atol=1e-9)
@@ -290,7 +288,7 @@ def test_a_ground_that_bullet_has_no_room_for_and_boxes_as_feet_are_refused(robo
     with pytest.raises(SurefootError, match="feet are boxes in world bullet-published"):
         SimWorld(robot, 1, config=config, engine="bullet-published")
     monkeypatch.setattr(bullet_model, "_MAX_INDICES", 300)
-    with pytest.raises(SurefootError, match="triangles with .* Bullet takes at most 100 with"):
+    with pytest.raises(SurefootError, match=r"triangles with .* Bullet takes at most 100 with"):
         SimWorld(robot, 1, config=config, engine="bullet")
 
 
