@@ -59,7 +59,9 @@ $(BROWSER): $(READY)
 	@touch $(BROWSER)
 
 # Types are checked beside the tests, which often wait; the summary of the tests comes last. In a fresh clone, kernels are
-# compiled before, and not in each of the processes.
+# compiled before, and not in each of the processes. Threads that wait for work do not spin: others have work.
+test: export OPENBLAS_NUM_THREADS := 1
+test: export OMP_WAIT_POLICY := passive
 test: style $(BROWSER) ## Check style and types, and run the tests (ARGS="-k gait" for some)
 	@nice $(BIN)/mypy & types=$$!; \
 	test -e src/surefoot/actuator/__pycache__/kernels.sha256 || \

@@ -17,8 +17,9 @@ last command that the robot accepted, and how many of the three runs left the ro
 `runs`: `surefoot deploy trot-robust` in lockstep for 10 s, on robots with other noise, with the program in Python, with
 the firmware, and with the firmware on an STM32F405 in QEMU.
 
-`live`: the same in real time, behind a socket: control steps missed, the greatest age of a state, and how often the
-emulated robot was more than 10 ms behind real time.
+`live`: the same in real time, behind a socket. A row a run: how it ended, control steps missed, the greatest age of a
+state, how often the emulated robot was more than 10 ms behind real time, and the times between the wakes of a loop
+without work beside it. `interrupted` is 1 if one of these was over 12 ms, two control steps: the computer stood still.
 
 `stm32f4`: bytes of flash and RAM of the STM32F405's firmware, which is linked into 32 and 8 KiB, and instructions that
 QEMU counts (`-icount shift=0`) in a servo step and for messages.
@@ -35,11 +36,13 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bare_loop import BareLoop
 from emulated import SUREFOOT, deploy
 from link_soak import BadLine
 
@@ -63,6 +66,8 @@ ROBOT = RobotDescription.load("minitaur")
 CODEC = Codec(ROBOT.num_motors)
 PHASES = {"rise": 0.6, "run": 1.4, "sit": 1.65}
 """When a fault begins [s after arming]; the policy runs from 1.1 to 1.5 s."""
+MAX_BARE_GAP = 12.0
+"""Time [ms] between two wakes of a loop without work, beyond which the computer has interrupted a run."""
 FAULTS = (
     *("unplug={}", "drop=1@{}", "corrupt=1@{}", "cut-frames=1@{}", "stale-state={}", "repeat-sequence={}"),
     *("backward-sequence={}", "reboot={}", "hang=0.2@{}", "tilt={}", "battery-low=11@{}", "motor-hot=95@{}"),
@@ -242,13 +247,12 @@ def run_policies(runs: int, folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def run_live(runs: int, folder: Path) -> list[dict[str, Any]]:
-    """Deploy a policy in real time, on all programs by turns; return a row a program."""
+def run_live(runs: int, folder: Path) -> Iterator[dict[str, Any]]:
+    """Deploy a policy in real time, on all programs by turns; give a row a run."""
     programs: dict[str, list[object]] = {"Python": []}
     for name, target in (("C", "board"), ("QEMU", "board-qemu")):
         programs[name] = ["--firmware", build_firmware(folder, target=target)]
-    rows: dict[str, dict[str, Any]] = {}
-    for _, (name, options) in itertools.product(range(runs), programs.items()):
+    for number, (name, options) in itertools.product(range(1, runs + 1), programs.items()):
         robot = [*SUREFOOT, "emulate", "--socket", folder / "line", *options]
         host = [*SUREFOOT, "deploy", "trot-robust", "--port", folder / "line", "--duration", 10, "--json"]
         with subprocess.Popen(
@@ -257,22 +261,22 @@ def run_live(runs: int, folder: Path) -> list[dict[str, Any]]:
             assert process.stdout is not None
             process.stdout.readline()
             words = list(map(str, [*host, "--out", folder / "live"]))
+            bare = BareLoop()
             done = subprocess.run(words, capture_output=True, text=True, check=False)
+            bare_figures = bare.end()
             process.terminate()
             _, summary = process.communicate()
-        result: dict[str, Any] = {"ended": "refused", "what": done.stderr[-200:]}
+        result: dict[str, Any] = {"ended": "refused", "what": done.stderr[-200:].strip()}
         if done.stdout:
             (result,) = json.loads(done.stdout)["runs"]
-        row = rows.setdefault(
-            name, {"program": name, "runs": 0, "to_the_end": 0, "behind": 0, "missed": 0, "age_ms": 0.0}
-        )
-        row["runs"] += 1
-        row["to_the_end"] += result["ended"] == "time"
-        row["behind"] += int(summary.partition("; behind ")[2].split()[0])
-        row["missed"] += result.get("timing", {}).get("missed", 0)
-        row["age_ms"] = max(row["age_ms"], result.get("timing", {}).get("state_age_max_ms", 0.0))
-        print(name, result["ended"], result.get("what"), flush=True)
-    return list(rows.values())
+        timing = result.get("timing", {})
+        yield {
+            **{"program": name, "number": number, "ended": result["ended"], "what": result.get("what", "")},
+            **{"missed": timing.get("missed"), "age_ms": timing.get("state_age_max_ms")},
+            "behind": int(summary.partition("; behind ")[2].split()[0]),
+            **bare_figures,
+            "interrupted": bare_figures["bare_max_ms"] > MAX_BARE_GAP,
+        }
 
 
 def main() -> int:
@@ -292,7 +296,11 @@ def main() -> int:
             write_csv(results / "runs.csv", run_policies(options.runs, folder))
             return 0
         if options.what == "live":
-            write_csv(results / "live.csv", run_live(options.runs, folder))
+            rows = []
+            for row in run_live(options.runs, folder):
+                print(row, flush=True)
+                rows.append(row)
+                write_csv(results / "live.csv", rows)
             return 0
         if options.what == "stm32f4":
             return write_json(results / "stm32f4.json", measure_stm32f4(folder))

@@ -29,9 +29,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bare_loop import BareLoop
 from go2_runs import (
     ROBOTS,
-    BareLoop,
     Deploy,
     Robot,
     Witness,

@@ -211,37 +211,6 @@ def watch(
         time.sleep(0.01)
 
 
-class BareLoop:
-    """A process of the keeper's priority that only wakes every 2 ms: what the computer itself is late by."""
-
-    _PROGRAM = """if True:
-        import json, sys, threading, time
-        from surefoot.deploy.pacer import BOARD_PRIORITY, undisturbed
-        ended, gaps = threading.Event(), []
-        threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
-        with undisturbed(BOARD_PRIORITY):
-            due = last = time.monotonic()
-            while not ended.is_set():
-                due = max(due + 0.002, last)
-                time.sleep(max(due - time.monotonic(), 0.0))
-                now = time.monotonic()
-                gaps.append(1e3 * (now - last))
-                last = now
-        gaps.sort()
-        print(json.dumps({"bare_p99_ms": gaps[int(0.99 * len(gaps))], "bare_max_ms": gaps[-1]}))
-    """
-
-    def __init__(self) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", self._PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-
-    def end(self) -> dict[str, float]:
-        """End it; return the 99th percentile and the greatest of the times [ms] between its wakes."""
-        figures: dict[str, float] = json.loads(self._process.communicate()[0])
-        return figures
-
-
 @contextlib.contextmanager
 def busy_programs(count: int) -> Iterator[None]:
     """Run programs that do nothing but need a processor."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import functools
+import gc
 import os
 import time
 from collections.abc import Callable, Generator, Iterator
@@ -69,6 +70,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: (item.get_closest_marker("realtime") is not None, item.path not in slow))
     if cache := getattr(config, "cache", None):  # none with `-p no:cacheprovider`
         cache.set(REALTIME, [item.nodeid for item in items if item.get_closest_marker("realtime")])
+
+
+def pytest_collection_finish() -> None:
+    """Hide from the garbage collector what tests import: each deployment searches all the rest before it begins."""
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -1,36 +1,72 @@
-"""The driver of motors on a CAN bus, against drives that are simulated: the frames of docs and manuals, and a step."""
+"""The driver of motors on a CAN bus, alone and below the board's program, with drives that are simulated.
+
+The board's program and the driver are compiled for this computer. Frames are those of the actuators' manuals: to a
+drive position (16 bits), speed, kp, kd and torque (12 each); from it its number, position (16), speed, torque (12
+each), temperature and error (8 each).
+"""
 
 from __future__ import annotations
 
 import ctypes
+import shutil
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from compiled_firmware import compiled, needs_gcc, needs_qemu
 
-from surefoot.firmware.project import write_sources
+from surefoot.deploy import messages
+from surefoot.deploy.board.limits import Limits
+from surefoot.deploy.messages import Message, Mode, Reason, State
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, encode_frame
+from surefoot.firmware.project import firmware_handshake, write_sources
 from surefoot.robot import RobotDescription
 
 pytestmark = needs_gcc
-MOTORS, DT = 12, 0.002
-MAX_ANGLE, MAX_SPEED, MAX_TORQUE, MAX_KP, MAX_KD = 12.5, 45.0, 24.0, 500.0, 5.0
-BUS = """
+ROBOT = RobotDescription.load("go2")
+HANDSHAKE = firmware_handshake(ROBOT, Limits.from_robot(ROBOT))
+POSE = (HANDSHAKE.angle_low + HANDSHAKE.angle_high) / 2
+MOTORS, DT = 12, HANDSHAKE.servo_period
+RANGES = ((-12.5, 12.5), (-45.0, 45.0), (0.0, 500.0), (0.0, 5.0), (-24.0, 24.0))
+"""Of position [rad], speed [rad/s], kp [N m/rad], kd [N m s/rad] and torque [N m]."""
+BITS = (16, 12, 12, 12, 12)
+STEPS = [(high - low) / (2**bits - 1) for (low, high), bits in zip(RANGES, BITS, strict=True)]
+"""Resolution of each."""
+SWITCH_ON = b"\xff" * 7 + b"\xfc"
+HARNESS = """
 #include <string.h>
+#include "board.h"
 #include "can_bus.h"
+#include "drivers.h"
 #include "hal.h"
-static can_frame in[64], out[64];
-static int arrived, taken, sent;
+static can_frame in[64], out[32];
+static int arrived, taken, waiting;
+static uint8_t line[4096];
+static size_t line_size;
 uint64_t now;
+void hal_start(void) { start_motors(); }
 uint64_t hal_time(void) { return now; }
+void hal_idle(void) {}
+size_t hal_read_line(uint8_t *bytes, size_t room) { (void)bytes; (void)room; return 0; }
+bool hal_write_line(const uint8_t *bytes, size_t size) { if (size > sizeof(line) - line_size) return false;
+    memcpy(line + line_size, bytes, size); line_size += size; return true; }
+void hal_read_imu(float angles[3], float rates[3]) { memset(angles, 0, 12); memset(rates, 0, 12); }
+float hal_read_voltage(void) { return 30.0f; }
+uint8_t hal_sit(const char **text) { (void)text; return 0; }
+void hal_start_watchdog(uint32_t microseconds) { (void)microseconds; }
+void hal_feed_watchdog(void) {}
 void can_start(void) {}
-bool can_send(const can_frame *frame) { if (sent == 64) return false; out[sent++] = *frame; return true; }
+void can_clear(void) { waiting = 0; }
+bool can_send(const can_frame *frame) { if (waiting == 32) return false; out[waiting++] = *frame; return true; }
 bool can_receive(can_frame *frame) { if (taken == arrived) return false; *frame = in[taken++]; return true; }
-void put(unsigned id, const uint8_t *data) { if (taken == arrived) taken = arrived = 0;
-    in[arrived].id = (uint16_t)id; memcpy(in[arrived++].data, data, 8); }
-int get(uint8_t *data) { if (sent == 0) return -1; memcpy(data, out[0].data, 8);
-    int id = out[0].id; memmove(out, out + 1, (size_t)--sent * sizeof(out[0])); return id; }
+void put(unsigned id, const uint8_t *data, unsigned length) { if (taken == arrived) taken = arrived = 0;
+    in[arrived].id = (uint16_t)id; in[arrived].length = (uint8_t)length; memcpy(in[arrived++].data, data, length); }
+int get(uint8_t *data) { if (waiting == 0 || out[0].length != 8) return -1; memcpy(data, out[0].data, 8);
+    int id = out[0].id; memmove(out, out + 1, (size_t)--waiting * sizeof(out[0])); return id; }
+size_t get_line(uint8_t *bytes) { size_t size = line_size; memcpy(bytes, line, size); line_size = 0; return size; }
 """
 
 
@@ -39,137 +75,361 @@ class Order(ctypes.Structure):
 
 
 class Drive:
-    """A drive with its motor, an inertia of .02 kg m2: obeys the last frame, and answers it."""
+    """A drive with its motor, an inertia of .02 kg m2: obeys the last order while it is on, and answers each frame.
 
-    def __init__(self) -> None:
-        self.angle = self.speed = self.torque = 0.0
-        self.on = False
-        self.error = 0
+    After 20 ms without a frame it forgets the order.
+    """
+
+    def __init__(self, angle: float) -> None:
+        self.angle, self.speed, self.torque = angle, 0.0, 0.0
+        self.order = np.zeros(5)
+        """Position, speed, kp, kd, torque."""
+        self.obeyed: list[np.ndarray] = []
+        """All orders."""
+        self.on = self.mute = False
+        self.error, self.temperature, self.waited = 0, 31, 0
 
     def obey(self, data: bytes) -> bytes:
-        if data == b"\xff" * 7 + b"\xfc":
+        """Take a frame; return the answer without the drive's number."""
+        self.waited = 0
+        if data == SWITCH_ON:
             self.on = True
         else:
-            bits = int.from_bytes(data, "big")
-            fields = [bits >> 48, bits >> 36 & 4095, bits >> 24 & 4095, bits >> 12 & 4095, bits & 4095]
-            angle, speed = fields[0] / 65535 * 25.0 - 12.5, fields[1] / 4095 * 90.0 - 45.0
-            kp, kd, torque = fields[2] / 4095 * MAX_KP, fields[3] / 4095 * MAX_KD, fields[4] / 4095 * 48.0 - 24.0
-            self.torque = (torque + kp * (angle - self.angle) + kd * (speed - self.speed)) * self.on
-        return self.answer()
+            bits, self.order = int.from_bytes(data, "big"), np.zeros(5)
+            for k in reversed(range(5)):
+                self.order[k] = RANGES[k][0] + STEPS[k] * (bits & (2 ** BITS[k] - 1))
+                bits >>= BITS[k]
+            self.obeyed.append(self.order)
+            self.act()
+        p, v, t = (
+            round((np.clip(number, *RANGES[k]) - RANGES[k][0]) / STEPS[k])
+            for k, number in ((0, self.angle), (1, self.speed), (4, self.torque))
+        )
+        return bytes([*(p << 24 | v << 12 | t).to_bytes(5, "big"), self.temperature, self.error])
 
-    def answer(self, number: int = 0) -> bytes:
-        p = round((self.angle + 12.5) / 25.0 * 65535)
-        v, t = round((self.speed + 45.0) / 90.0 * 4095), round((np.clip(self.torque, -24, 24) + 24.0) / 48.0 * 4095)
-        return bytes([number, *(p << 24 | v << 12 | t).to_bytes(5, "big"), 31, self.error])
+    def act(self) -> None:
+        """Set the torque by the last order."""
+        angle, speed, kp, kd, torque = self.order
+        wanted = torque + kp * (angle - self.angle) + kd * (speed - self.speed)
+        self.torque = float(np.clip(wanted, *RANGES[4])) if self.on and not self.error else 0.0
 
     def step(self) -> None:
-        self.speed += DT * self.torque / 0.02
-        self.angle += DT * self.speed
+        """Move for a servo step, with ten steps of the drive's own loop."""
+        self.waited += 1
+        if self.waited > 0.02 / DT:
+            self.order = np.zeros(5)
+        for _ in range(10):
+            self.act()
+            self.speed += DT / 10 * self.torque / 0.02
+            self.angle += DT / 10 * self.speed
 
 
-class Bus:
-    """The driver and its drives."""
+class Board:
+    """The board's program with the driver, a bus and its drives; time passes with servo steps."""
 
-    def __init__(self, folder: Path) -> None:
-        write_sources(folder, RobotDescription.load("go2"))
-        (folder / "bus.c").write_text(BUS)
-        words = ["gcc", "-std=c11", "-shared", "-fPIC", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
-        words += [f"-I{folder / name}" for name in ("core", "drivers")]
-        sources = folder / "drivers" / "can_motors.c", folder / "bus.c"
-        subprocess.run([*words, *map(str, sources), "-o", str(folder / "driver.so")], check=True)
-        self.c = ctypes.CDLL(str(folder / "driver.so"))
-        self.c.get.restype = ctypes.c_int
-        self.drives = [Drive() for _ in range(MOTORS)]
-        self.silent: set[int] = set()
-        self.c.start_motors()
+    def __init__(self, library: Path) -> None:
+        self.c = ctypes.CDLL(str(library))
+        self.drives = [Drive(angle) for angle in POSE]
+        self.room = 1000
+        """How many frames the bus carries in a servo step."""
+        self.answer_id = lambda number: 0
+        self.number = 0
+        self.host, self.states, self.faults = Decoder(Codec(MOTORS)), list[State](), list[messages.Fault]()
 
-    def exchange(self) -> int:
-        """Carry the frames both ways; return how many the driver sent."""
-        data, count = (ctypes.c_uint8 * 8)(), 0
-        while (number := self.c.get(data)) >= 0:
+    def exchange(self) -> list[tuple[int, bytes]]:
+        """Carry frames to the drives and their answers back; return what the drives got, with identifiers."""
+        data, carried = (ctypes.c_uint8 * 8)(), []
+        while len(carried) < self.room and (number := self.c.get(data)) >= 0:
+            carried.append((number, bytes(data)))
             answer = self.drives[number - 1].obey(bytes(data))
-            if number - 1 not in self.silent:
-                self.c.put(0, bytes([number]) + answer[1:])
-            count += 1
-        return count
+            if not self.drives[number - 1].mute:
+                self.put(self.answer_id(number), bytes([number]) + answer)
+        return carried
+
+    def put(self, name: int, data: bytes) -> None:
+        """Put a frame on the bus to the board."""
+        self.c.put(name, data, len(data))
 
     def read(self) -> np.ndarray:
-        """Angles, speeds and torques (3, M)."""
+        """Angles, speeds and torques (3, M) by the driver."""
         seen = np.zeros((3, MOTORS), np.float32)
         self.c.hal_read_motors(*(row.ctypes.data_as(ctypes.c_void_p) for row in seen))
         return seen
 
-    def drive(self, **changes: float) -> None:
-        orders = (Order * MOTORS)(*(Order(**changes) for _ in range(MOTORS)))
-        self.c.hal_drive_motors(orders)
+    def drive(self, orders: Iterable[dict[str, float]]) -> list[tuple[int, bytes]]:
+        """Drive the motors by the driver alone; return the frames."""
+        self.c.hal_drive_motors((Order * MOTORS)(*(Order(**order) for order in orders)))
+        return self.exchange()
 
-    def hazard(self) -> tuple[int, str]:
-        text = ctypes.c_char_p(b"")
-        return self.c.hal_hazard(ctypes.byref(text)) & 255, (text.value or b"").decode()
+    def wait(self) -> None:
+        """Let a servo step pass."""
+        ctypes.c_uint64.in_dll(self.c, "now").value += round(1e6 * DT)
 
-    def wait(self, microseconds: int) -> None:
-        now = ctypes.c_uint64.in_dll(self.c, "now")
-        now.value += microseconds
+    def send(self, message: Message) -> None:
+        """Send a message of the host."""
+        self.number += 1
+        now = ctypes.c_uint64.in_dll(self.c, "now").value / 1e6
+        frame = encode_frame(self.host.codec, message, self.number, now)
+        self.c.board_receive(frame, ctypes.c_size_t(len(frame)))
+
+    def run(self, steps: int, target: np.ndarray | None = None) -> None:
+        """Run servo steps, each with a command if there is a target."""
+        line = (ctypes.c_uint8 * 4096)()
+        for _ in range(steps):
+            if target is not None:
+                self.send(messages.Position(7, target))
+            elif self.number:
+                self.send(messages.Ping(1))
+            self.c.board_tick()
+            self.exchange()
+            self.wait()
+            for drive in self.drives:
+                drive.step()
+            self.c.board_report()
+            for packet in self.host.feed(bytes(line[: self.c.get_line(line)])):
+                for kind, kept in ((State, self.states), (messages.Fault, self.faults)):
+                    kept.append(packet.message) if isinstance(packet.message, kind) else None  # type: ignore[attr-defined]
+
+    def arm(self) -> tuple[Mode, Reason]:
+        """Request that the robot arms; return its mode and reason."""
+        self.send(messages.Arm(7, Mode.POSITION, 0.006, 0.001))
+        self.run(2, POSE)
+        return self.mode
+
+    @property
+    def mode(self) -> tuple[Mode, Reason]:
+        return Mode(self.states[-1].mode), Reason(self.states[-1].reason)
+
+
+def build(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Return the compiled program, with changes of the driver."""
+    write_sources(folder, ROBOT)
+    (folder / "harness.c").write_text(HARNESS)
+    source = (driver := folder / "drivers" / "can_motors.c").read_text()
+    for old, new in changes:
+        assert old in source
+        source = source.replace(old, new)
+    driver.write_text(source)
+    words = ["gcc", "-std=c11", "-O1", "-shared", "-fPIC", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
+    words += ["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
+    words += [f"-I{folder / name}" for name in ("core", "drivers")]
+    sources = driver, folder / "core" / "board.c", folder / "harness.c"
+    subprocess.run([*words, *map(str, sources), "-lm", "-o", str(folder / "board.so")], check=True)
+    return folder / "board.so"
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(tmp_path_factory.mktemp("can"))
 
 
 @pytest.fixture
-def bus(tmp_path: Path) -> Bus:
-    return Bus(tmp_path)
+def board(library: Path, tmp_path: Path) -> Board:
+    # Another file has variables of its own.
+    return Board(Path(shutil.copy(library, tmp_path / "board.so")))
 
 
-def test_drives_are_switched_on_follow_a_step_and_are_read(bus):
-    assert bus.hazard() == (18, "a motor's drive does not answer")
-    bus.c.hal_enable_motors()
-    assert bus.exchange() == MOTORS
-    assert all(drive.on for drive in bus.drives)
-    for _ in range(300):
-        bus.drive(target=0.7, kp=20.0, kd=0.8)
-        assert bus.exchange() == MOTORS
-        seen = bus.read()
-        np.testing.assert_allclose(seen[0], [drive.angle for drive in bus.drives], atol=25 / 65535)
-        np.testing.assert_allclose(seen[1], [drive.speed for drive in bus.drives], atol=90 / 4095)
-        np.testing.assert_allclose(seen[2], [drive.torque for drive in bus.drives], atol=48 / 4095)
-        for drive in bus.drives:
-            drive.step()
-        bus.wait(2000)
-    assert bus.hazard() == (0, "")
-    assert seen[0] == pytest.approx(0.7, abs=0.002)
-    # A torque without gains, and numbers that are none.
-    bus.drive(feedforward=1.5)
-    bus.exchange()
-    assert bus.read()[2] == pytest.approx(1.5, abs=0.012)
-    bus.drive(feedforward=np.nan, target=np.nan, kp=np.nan, kd=np.inf)
-    bus.exchange()
-    assert all(np.isfinite(drive.torque) for drive in bus.drives)
+@pytest.fixture
+def armed(board: Board) -> Board:
+    """The board armed, its drives on and in their pose."""
+    board.c.board_start()
+    board.run(5)
+    board.send(messages.Hello(7, 0.002))
+    board.run(5)
+    assert board.arm() == (Mode.POSITION, Reason.NONE)
+    return board
 
 
-def test_a_drive_that_is_silent_or_reports_an_error_damps(bus):
-    bus.c.hal_enable_motors()
-    bus.exchange()
-    bus.read()
-    bus.silent = {7}
-    for _ in range(6):
-        bus.drive()
-        bus.exchange()
-        bus.read()
-        assert bus.hazard() == (0, "")
-        bus.wait(2000)
-    assert bus.hazard() == (18, "a motor's drive does not answer")
-    bus.silent, bus.drives[3].error = set(), 5
-    bus.drive()
-    bus.exchange()
-    bus.read()
-    assert bus.hazard() == (18, "a motor's drive reports an error")
+# Frames.
 
 
-def test_frames_of_others_on_the_bus_have_no_effect(bus):
-    before = bus.read()
-    for number, name in ((99, 0), (0, 0), (1, 5)):
-        bus.c.put(name, bytes([number, *[255] * 7]))
-    np.testing.assert_array_equal(bus.read(), before)
+def test_frames_have_the_bytes_of_the_manual(board):
+    """Worked by hand: 1 rad is 13.5/25 of 65535, 35388.9, or 8A3D; 20 N m/rad is 163.8 of 4095, or 0A4; and so on."""
+    zero, some, most = map(bytes.fromhex, ("8000800000000800", "8A3D8000A43338FF", "FFFF800FFFFFFFFF"))
+    orders = [{}, {"target": 1.0, "kp": 20.0, "kd": 1.0, "feedforward": 3.0}]
+    orders += [{"target": 12.5, "kp": 500.0, "kd": 5.0, "feedforward": 24.0}] * 10
+    frames = board.drive(orders)
+    assert frames[::2] == [(number, SWITCH_ON) for number in range(1, 13)]
+    assert frames[1::2] == [(1, zero), (2, some), *((number, most) for number in range(3, 13))]
+    # -1 rad is 30146.1, 10 rad/s 2502.5 (the drive's 9C6 is 9.989 rad/s), -6 N m 1535.6 or 600.
+    board.put(0, bytes.fromhex("0475C29C66001E00"))
+    np.testing.assert_allclose(board.read()[:, 3], [-1.0, 9.989, -6.0], atol=0.006)
+    temperature = np.zeros(MOTORS, np.float32)
+    board.c.hal_read_temperatures(temperature.ctypes.data_as(ctypes.c_void_p))
+    assert temperature[3] == 30.0
+
+
+def test_numbers_go_both_ways_within_the_resolution(board):
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        sent = np.array([rng.uniform(*limits, MOTORS) for limits in RANGES])
+        for drive, angle, speed in zip(board.drives, sent[0], sent[1], strict=True):
+            drive.angle, drive.speed = angle, speed
+        names = "target", "kp", "kd", "feedforward"
+        board.drive(dict(zip(names, map(float, sent[[0, 2, 3, 4], m]), strict=True)) for m in range(MOTORS))
+        got = np.array([drive.order for drive in board.drives]).T
+        sent[1] = 0.0
+        half = np.array(STEPS)[:, None] * 0.505
+        assert (np.abs(got - sent) <= half).all()
+        seen = [[drive.angle, drive.speed, drive.torque] for drive in board.drives]
+        assert (np.abs(board.read() - np.transpose(seen)) <= half[[0, 1, 4]]).all()
+        board.wait()
+
+
+def test_numbers_out_of_range_are_clipped_and_what_is_no_number_gives_no_torque(board):
+    beyond = {"target": 1e9, "kp": 1e9, "kd": np.inf, "feedforward": 25.0}
+    board.drive([beyond] * 6 + [{name: -number for name, number in beyond.items()}] * 6)
+    ends = np.array(RANGES)
+    for drives, column in ((board.drives[:6], 1), (board.drives[6:], 0)):
+        for drive in drives:
+            np.testing.assert_allclose(drive.order[[0, 2, 3, 4]], ends[[0, 2, 3, 4], column])
+    board.drive(
+        [{"target": 1.0, "kp": 20.0, "kd": 1.0, "feedforward": 3.0} | {name: np.nan for name in beyond}] * 6
+        + [{"target": np.nan, "kp": 20.0, "kd": 1.0}] * 6
+    )
+    for drive in board.drives:
+        assert drive.order[2] == 0.0
+        assert abs(drive.order[4]) < STEPS[4]
+
+
+def test_directions_zeros_and_offsets_of_an_owner_are_obeyed(tmp_path):
+    board = Board(
+        build(
+            tmp_path,
+            ("zero[SUREFOOT_MOTORS] = {0}", "zero[SUREFOOT_MOTORS] = {0.5f, -0.25f}"),
+            ("direction[SUREFOOT_MOTORS] = {", "direction[SUREFOOT_MOTORS] = {-1.0f, 1.0f, -1.0f, "),
+            ("[0 ... SUREFOOT_MOTORS - 1] = 1.0f", "[3 ... SUREFOOT_MOTORS - 1] = 1.0f"),
+            ("TEMPERATURE_OFFSET 0", "TEMPERATURE_OFFSET (-40)"),
+        )
+    )
+    for drive in board.drives:
+        drive.angle, drive.speed, drive.temperature = 1.0, 2.0, 71
+    board.drive([{"target": 1.5, "feedforward": 3.0}] * MOTORS)
+    assert [round(float(drive.order[0]), 3) for drive in board.drives[:4]] == [-1.0, 1.75, -1.5, 1.5]
+    assert [round(float(drive.order[4]), 1) for drive in board.drives[:4]] == [-3.0, 3.0, -3.0, 3.0]
+    seen = board.read()[:, :4]
+    np.testing.assert_allclose(seen[0], [-0.5, 0.75, -1.0, 1.0], atol=2e-4)
+    np.testing.assert_allclose(seen[1], [-2.0, 2.0, -2.0, 2.0], atol=0.012)
+    np.testing.assert_allclose(seen[2], 3.0, atol=0.013)
+    temperature = np.zeros(MOTORS, np.float32)
+    board.c.hal_read_temperatures(temperature.ctypes.data_as(ctypes.c_void_p))
+    assert set(temperature) == {31.0}
+
+
+def test_answers_of_others_have_no_effect_and_those_with_a_drives_own_identifier_count(board):
+    assert np.isnan(board.read()[:2]).all()
+    for number, name, length in ((99, 0, 8), (0, 0, 8), (1, 5, 8), (1, 0, 6), (1, 0, 0)):
+        board.put(name, bytes([number, *[255] * 7])[:length])
+    assert np.isnan(board.read()[:2]).all()
+    board.answer_id = lambda number: number
+    board.drive([{}] * MOTORS)
+    np.testing.assert_allclose(board.read()[0], POSE, atol=STEPS[0])
+
+
+# Below the board's program.
+
+
+def test_the_board_switches_drives_on_and_they_follow_its_commands(armed):
+    assert all(drive.on for drive in armed.drives)
+    target = POSE + 0.3
+    armed.run(250, target)
+    assert armed.mode == (Mode.POSITION, Reason.NONE)
+    last = armed.states[-1]
+    np.testing.assert_allclose(last.motor_angle, target, atol=0.01)
+    np.testing.assert_allclose(last.motor_angle, [drive.angle for drive in armed.drives], atol=0.01)
+    assert set(last.temperature) == {31}
+    order = np.array([drive.order for drive in armed.drives])
+    np.testing.assert_allclose(order[:, 0], target, atol=STEPS[0])
+    np.testing.assert_allclose(order[:, 2], HANDSHAKE.servo_kp, atol=STEPS[2])
+    np.testing.assert_allclose(order[:, 3], HANDSHAKE.servo_kd, atol=STEPS[3])
+
+
+def silence(board: Board) -> None:
+    """A drive hears, and is not heard."""
+    board.drives[7].mute = True
+
+
+def report_error(board: Board) -> None:
+    """A drive has switched itself off, and says so."""
+    board.drives[7].error = 5
+
+
+def switch_off(board: Board) -> None:
+    """The bus is off: it carries nothing."""
+    board.room = 0
+
+
+def fill(board: Board) -> None:
+    """The bus is full: other frames leave room for seven in a servo step."""
+    board.room = 7
+
+
+def overheat(board: Board) -> None:
+    """A drive has 120 degC."""
+    board.drives[7].temperature = 120
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason", "text"),
+    [
+        (silence, Reason.MOTOR_OFF, "the drive of motor 07 does not answer"),
+        (report_error, Reason.MOTOR_OFF, "the drive of motor 07 reports an error"),
+        (switch_off, Reason.MOTOR_OFF, "the drive of motor 00 does not answer"),
+        (fill, Reason.MOTOR_OFF, "the drive of motor 07 does not answer"),
+        (overheat, Reason.TEMPERATURE, "a motor has 120 degC; the limit is 88"),
+    ],
+    ids=("silent", "error", "bus off", "bus full", "hot"),
+)
+def test_a_fault_damps_all_motors_until_it_is_gone_and_the_robot_is_armed_anew(armed, fault, reason, text):
+    armed.run(10, POSE + 0.1)
+    before = len(armed.drives[0].obeyed)
+    fault(armed)
+    # 10 ms of silence, the answers that were on their way, and the step that finds it.
+    armed.run(7, POSE + 0.1)
+    assert armed.mode == (Mode.FAULT, reason)
+    assert armed.faults[-1].text == text
+    ended = armed.drives[0].obeyed[before + 6 :]
+    assert not any(order[2] for order in ended)
+    heard = [drive for number, drive in enumerate(armed.drives) if number < armed.room]
+    for drive in heard:
+        assert drive.order[2] == 0.0
+        assert drive.order[3] == pytest.approx(HANDSHAKE.servo_kd[0], abs=STEPS[3])
+        assert abs(drive.order[4]) < STEPS[4]
+    # It does not arm while it lasts; drives that the bus does not reach have damped themselves.
+    armed.run(round(HANDSHAKE.rearm_after / DT))
+    assert not any(drive.order[2] for drive in armed.drives)
+    armed.send(messages.Arm(7, Mode.POSITION, 0.006, 0.001))
+    armed.run(1)
+    assert armed.mode == (Mode.FAULT, reason)
+    assert armed.faults[-1].text == text
+    # When it is gone no drive gets an order of before; one that was without power meanwhile is switched on.
+    orders = [len(drive.obeyed) for drive in armed.drives]
+    armed.room = 1000
+    for drive in armed.drives:
+        drive.mute, drive.error, drive.temperature = False, 0, 31
+        drive.on = fault is not switch_off
+    armed.run(20)
+    assert not any(
+        order[2] for drive, count in zip(armed.drives, orders, strict=True) for order in drive.obeyed[count:]
+    )
+    assert armed.mode == (Mode.FAULT, reason)
+    assert armed.arm() == (Mode.POSITION, Reason.NONE)
+    assert all(drive.on and drive.order[2] for drive in armed.drives)
+
+
+def test_a_drive_that_is_never_there_keeps_the_board_from_arming(board):
+    board.c.board_start()
+    board.drives[11].mute = True
+    board.send(messages.Hello(7, 0.002))
+    board.run(20)
+    assert board.arm() == (Mode.DISARMED, Reason.NONE)
+    assert board.faults[0].reason == Reason.MOTOR_OFF
+    assert board.faults[0].text == "the drive of motor 11 does not answer"
+    assert np.isnan(board.states[-1].motor_angle[11])
+    assert all(drive.order[2] == 0.0 for drive in board.drives)
 
 
 @needs_qemu
 def test_it_fits_the_stm32f405_with_its_bus():
     drivers = "drivers/can_motors.c stm32f4/can_bus.c drivers/no_sensors.c"
-    assert compiled(RobotDescription.load("go2"), None, None, "board.elf", f"DRIVERS={drivers}").exists()
+    assert compiled(ROBOT, None, None, "board.elf", f"DRIVERS={drivers}").exists()

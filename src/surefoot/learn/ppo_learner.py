@@ -60,6 +60,8 @@ class UpdateFigures:
     rmse: dict[str, float] | None = None
     """Root mean square error of each command: mean speed [m/s] or rate [rad/s] over a control step less that which the
     gait follows; None without commands."""
+    levels: dict[str, float] | None = None
+    """Mean level of the robots on each kind of terrain; None without tiles."""
 
 
 class PpoLearner:
@@ -198,6 +200,7 @@ class PpoLearner:
             rmse=None
             if env.commands is None
             else dict(zip(COMMANDS, map(float, np.sqrt(squares / config.steps_per_update)), strict=True)),
+            levels=None if env.curriculum is None else dict(env.curriculum.levels()),
         )
 
     def _limit_std(self) -> None:

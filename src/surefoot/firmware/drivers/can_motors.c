@@ -1,16 +1,20 @@
 /* Motors with drives of their own on a CAN bus: a template, for drives that take position, speed, kp, kd and torque in
- * one frame of 8 bytes, and answer each with theirs. Actuators of the MIT Mini Cheetah, and many made after them, do.
+ * one frame of 8 bytes, and answer each with position, speed, torque, temperature and error. Actuators made after those of
+ * the MIT Mini Cheetah do (its own answer with 6 bytes). Their voltage is not in the frame: measure the battery's.
  *
  * To adapt: identifiers, ranges and zeros below, by the drive's manual; then the layout, if its frames differ. A bus of
  * 1 Mbit/s carries four motors a millisecond: two frames of some 120 bits each. With more, use several buses, or a longer
  * servo_period in core/robot.h. Let the drives switch themselves off when no frame comes for some 20 ms.
  *
  * The drives close the servo's loop themselves, with the gains of core/robot.h and limits of their own. */
+#include <math.h>
+
 #include "can_bus.h"
 #include "drivers.h"
 #include "hal.h"
 
 #define FIRST_ID 1u          /* of motor 0; the others follow */
+#define SWITCH_ON 0xFCu      /* the word that a drive is switched on with */
 #define SILENCE 10000u       /* us without an answer, after which a motor counts as off */
 #define MAX_ANGLE 12.5f      /* rad; frames hold -MAX to MAX */
 #define MAX_SPEED 45.0f      /* rad/s */
@@ -47,12 +51,17 @@ static float unpack(uint32_t number, float low, float high, uint32_t bits)
     return low + (high - low) * (float)number / (float)((1u << bits) - 1u);
 }
 
-/* Frames that a drive takes as words: seven bytes FF, and one that says what. */
-static void send_word(uint16_t motor, uint8_t word)
+/* Frames that a drive takes as words: seven bytes FF, and one that says what. Return whether there was room. */
+static bool send_word(uint16_t motor, uint8_t word)
 {
-    const can_frame frame = {(uint16_t)(FIRST_ID + motor), {0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, word}};
+    const can_frame frame = {(uint16_t)(FIRST_ID + motor), 8, {0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, word}};
 
-    (void)can_send(&frame);
+    return can_send(&frame);
+}
+
+static bool is_silent(int motor)
+{
+    return !seen[motor].heard || hal_time() - seen[motor].time > SILENCE;
 }
 
 static void take_answers(void)
@@ -61,10 +70,11 @@ static void take_answers(void)
 
     while (can_receive(&frame)) {
         const uint8_t *const d = frame.data;
-        const uint32_t motor = (uint32_t)d[0] - FIRST_ID; /* the answer's identifier is the master's, 0 */
+        const uint32_t motor = (uint32_t)d[0] - FIRST_ID;
         uint32_t p, v, t;
 
-        if (frame.id != 0u || motor >= SUREFOOT_MOTORS) {
+        /* The identifier of an answer is the master's, 0, or the drive's own. */
+        if (frame.length != 8u || motor >= SUREFOOT_MOTORS || (frame.id != 0u && frame.id != d[0])) {
             continue;
         }
         p = (uint32_t)d[1] << 8 | d[2];
@@ -87,11 +97,7 @@ void start_motors(void)
 
 void hal_enable_motors(void)
 {
-    uint16_t m;
-
-    for (m = 0; m < SUREFOOT_MOTORS; m++) {
-        send_word(m, 0xFC);
-    }
+    /* hal_drive_motors switches on what is silent, and at first all are. */
 }
 
 void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS], float torque[SUREFOOT_MOTORS])
@@ -100,8 +106,8 @@ void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS],
 
     take_answers();
     for (m = 0; m < SUREFOOT_MOTORS; m++) {
-        angle[m] = seen[m].angle;
-        speed[m] = seen[m].speed;
+        angle[m] = seen[m].heard ? seen[m].angle : NAN;
+        speed[m] = seen[m].heard ? seen[m].speed : NAN;
         torque[m] = seen[m].torque;
     }
 }
@@ -111,7 +117,7 @@ void hal_read_temperatures(float temperature[SUREFOOT_MOTORS])
     int m;
 
     for (m = 0; m < SUREFOOT_MOTORS; m++) {
-        temperature[m] = seen[m].temperature;
+        temperature[m] = seen[m].heard ? seen[m].temperature : NAN;
     }
 }
 
@@ -119,33 +125,39 @@ void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
 {
     uint16_t m;
 
+    can_clear(); /* what a bus has not carried in a servo period is old: one that returns must not bring it */
     for (m = 0; m < SUREFOOT_MOTORS; m++) {
         const float angle = direction[m] * (order[m].target - zero[m]);
         const uint32_t p = pack(angle, -MAX_ANGLE, MAX_ANGLE, 16), v = pack(0.0f, -MAX_SPEED, MAX_SPEED, 12);
-        const uint32_t kp = pack(order[m].kp, 0.0f, MAX_KP, 12), kd = pack(order[m].kd, 0.0f, MAX_KD, 12);
+        const uint32_t kp = pack(isnan(angle) ? 0.0f : order[m].kp, 0.0f, MAX_KP, 12);
+        const uint32_t kd = pack(order[m].kd, 0.0f, MAX_KD, 12);
         const uint32_t t = pack(direction[m] * order[m].feedforward, -MAX_TORQUE, MAX_TORQUE, 12);
         const can_frame frame = {
             (uint16_t)(FIRST_ID + m),
+            8,
             {(uint8_t)(p >> 8), (uint8_t)p, (uint8_t)(v >> 4), (uint8_t)((v & 15u) << 4 | kp >> 8), (uint8_t)kp,
              (uint8_t)(kd >> 4), (uint8_t)((kd & 15u) << 4 | t >> 8), (uint8_t)t},
         };
 
-        (void)can_send(&frame); /* one that the bus has no room for is lost; a newer one follows */
+        /* A drive that was without power is off. The order follows, should it hear and not be heard. */
+        if (!is_silent(m) || send_word(m, SWITCH_ON)) {
+            (void)can_send(&frame); /* one that the bus has no room for is lost; a newer one follows */
+        }
     }
 }
 
 uint8_t hal_hazard(const char **text)
 {
-    const uint64_t now = hal_time();
+    static char silent[] = "the drive of motor 00 does not answer", wrong[] = "the drive of motor 00 reports an error";
     int m;
 
     for (m = 0; m < SUREFOOT_MOTORS; m++) {
-        if (!seen[m].heard || now - seen[m].time > SILENCE) {
-            *text = "a motor's drive does not answer";
-            return SUREFOOT_REASON_MOTOR_OFF;
-        }
-        if (seen[m].error != 0u) {
-            *text = "a motor's drive reports an error";
+        char *const said = is_silent(m) ? silent : wrong;
+
+        if (said == silent || seen[m].error != 0u) {
+            said[19] = (char)('0' + m / 10);
+            said[20] = (char)('0' + m % 10);
+            *text = said;
             return SUREFOOT_REASON_MOTOR_OFF;
         }
     }

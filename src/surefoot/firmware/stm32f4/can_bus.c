@@ -16,6 +16,7 @@
 #define CAN_TDLR(box) REGISTER(CAN + 0x188u + 0x10u * (box))
 #define CAN_TDHR(box) REGISTER(CAN + 0x18Cu + 0x10u * (box))
 #define CAN_RIR REGISTER(CAN + 0x1B0u)
+#define CAN_RDTR REGISTER(CAN + 0x1B4u)
 #define CAN_RDLR REGISTER(CAN + 0x1B8u)
 #define CAN_RDHR REGISTER(CAN + 0x1BCu)
 #define CAN_FMR REGISTER(CAN + 0x200u)
@@ -37,7 +38,7 @@ static void send_some(void)
         const can_frame *const frame = &out[sent % RING];
         const uint8_t *const d = frame->data;
 
-        CAN_TDTR(box) = 8;
+        CAN_TDTR(box) = frame->length;
         CAN_TDLR(box) = d[0] | (uint32_t)d[1] << 8 | (uint32_t)d[2] << 16 | (uint32_t)d[3] << 24;
         CAN_TDHR(box) = d[4] | (uint32_t)d[5] << 8 | (uint32_t)d[6] << 16 | (uint32_t)d[7] << 24;
         CAN_TIR(box) = (uint32_t)frame->id << 21 | 1u;
@@ -55,12 +56,14 @@ void can_transmit_interrupt(void)
 void can_receive_interrupt(void)
 {
     while ((CAN_RF0R & 3u) != 0u) {
-        if (received - taken < RING) {
+        /* Others than data with an identifier of 11 bits are left out, and what there is no room for. */
+        if (received - taken < RING && (CAN_RIR & 6u) == 0u && (CAN_RDTR & 15u) <= 8u) {
             can_frame *const frame = &in[received % RING];
             const uint32_t low = CAN_RDLR, high = CAN_RDHR;
             uint32_t k;
 
             frame->id = (uint16_t)(CAN_RIR >> 21);
+            frame->length = (uint8_t)(CAN_RDTR & 15u);
             for (k = 0; k < 4u; k++) {
                 frame->data[k] = (uint8_t)(low >> 8u * k);
                 frame->data[k + 4u] = (uint8_t)(high >> 8u * k);
@@ -93,6 +96,14 @@ void can_start(void)
     CAN_IER = 1u | 1u << 1;
     NVIC_ISER(0) = 1u << CAN1_TX_IRQ | 1u << CAN1_RX0_IRQ;
     CAN_MCR = 1u << 6 | 1u << 2; /* go on after errors; frames leave in the order of their requests */
+}
+
+void can_clear(void)
+{
+    NVIC_ICER(0) = 1u << CAN1_TX_IRQ; /* its interrupt sends */
+    sent = written;
+    CAN_TSR = 1u << 7 | 1u << 15 | 1u << 23; /* of the mailboxes: one that is leaving stays */
+    NVIC_ISER(0) = 1u << CAN1_TX_IRQ;
 }
 
 bool can_send(const can_frame *frame)

@@ -108,79 +108,80 @@ class InverseDynamics:
         knees, rates = self._knees(angles), self._knee_rates(angles)
         # Change of T along the motion: accelerations of the knees without acceleration of the motors.
         ahead, behind = (self._knee_rates(angles + side * _STEP * 10 * speeds) for side in (1.0, -1.0))
-        pair_speed = speeds[:, self._pairs]
-        curving = np.einsum("tlkm,tlm->tlk", (ahead - behind) / (20 * _STEP), pair_speed)
-        moments = [self._at(t, motion, knees[t], rates[t], curving[t]) for t in range(len(angles))]
-        return Forces(*map(np.array, zip(*moments, strict=True)))
-
-    def _at(
-        self, t: int, motion: Motion, knees: Array, rates: Array, curving: Array
-    ) -> tuple[list[Array], Array, list[float], float]:
-        model, data, sign = self.model, self.data, self.robot.motor_sign.astype(float)
-        roll, pitch = motion.roll_pitch[t]
-        data.qpos[:3] = 0.0
-        data.qpos[3:7] = rpy_quat(roll, pitch, 0.0)
-        data.qpos[self._motor_q] = sign * motion.motor_angle[t]
-        data.qpos[self._knee_q] = knees
-        motors = len(sign)
+        curving = np.einsum("tlkm,tlm->tlk", (ahead - behind) / (20 * _STEP), speeds[:, self._pairs])
         # u = T (v, w): the base's six, then motors; MuJoCo's base velocity is linear in the world, angular in the base.
-        transform = np.zeros((model.nv, 6 + motors))
-        transform[:6, :6] = np.eye(6)
-        transform[self._motor, 6 + np.arange(motors)] = sign
+        count, motors, legs, nv = *angles.shape, len(self._pairs), self.model.nv
+        transform = np.zeros((count, nv, 6 + motors))
+        transform[:, range(6), range(6)] = 1.0
+        transform[:, self._motor, 6 + np.arange(motors)] = self.robot.motor_sign
         for leg, pair in enumerate(self._pairs):
-            transform[np.ix_(self._knee[leg], 6 + pair)] = rates[leg]
-        speed = np.concatenate([np.zeros(3), motion.angular_velocity[t], motion.motor_velocity[t]])
-        data.qvel[:] = transform @ speed
+            transform[:, self._knee[leg][:, None], 6 + pair] = rates[:, leg]
+        change = np.zeros((count, nv))
+        change[:, self._knee] = curving
+        reduce = transform.transpose(0, 2, 1)
+        speed = np.concatenate([np.zeros((count, 3)), motion.angular_velocity, speeds], axis=1)
+        velocity = _apply(transform, speed)
+        terms = [self._terms(*at) for at in zip(motion.roll_pitch, angles, knees, velocity, strict=True)]
+        inertia, bias, down, jacobians, turn, feet = map(np.array, zip(*terms, strict=True))
+        reduced, jacobians = reduce @ inertia @ transform, jacobians @ transform[:, None]
+        still = _apply(reduce, bias + _apply(inertia, change))
+        # Directions of the legs' planes, in the world: forward and up of the base.
+        plane = turn[:, :, [0, 2]]
+        across = plane.transpose(0, 2, 1)
+        measured = np.concatenate([motion.angular_acceleration, motion.motor_acceleration], axis=1)
+        fixed = _apply(reduced[:, :, 3:], measured) + still
+        # Unknown: acceleration of the base's origin in the plane (2), and two forces a leg.
+        pushes = jacobians.transpose(0, 1, 3, 2) @ plane[:, None]
+        left = np.zeros((count, 2 + motors, 2 + 2 * legs))
+        left[:, :2, :2] = across @ reduced[:, :3, :3] @ plane
+        left[:, 2:, :2] = reduced[:, 6:, :3] @ plane
+        for leg in range(legs):
+            left[:, :2, 2 + 2 * leg : 4 + 2 * leg] = -(across @ pushes[:, leg, :3])
+            left[:, 2:, 2 + 2 * leg : 4 + 2 * leg] = -pushes[:, leg, 6:]
+        right = np.concatenate([_apply(across, fixed[:, :3]), fixed[:, 6:] - motion.motor_torque], axis=1)
+        solution = np.linalg.solve(left, -right[..., None])[..., 0]
+        forces = solution[:, 2:].reshape(count, legs, 2)
+        whole = fixed + _apply(reduced[:, :, :3], _apply(plane, solution[:, :2]))
+        pushed = np.einsum("tlk,tlk->t", pushes[:, :, 4], forces)
+        # The residual about y is due to the base's own inertia.
+        lifted = _apply(across, whole[:, :3] - _apply(reduce, down)[:, :3])
+        needed = np.concatenate([lifted, (whole[:, 4] - pushed)[:, None]], axis=1)
+        rate, own = motion.angular_velocity, self.base_inertia
+        turning = motion.angular_acceleration @ own.T + np.cross(rate, rate @ own.T)
+        return Forces(feet, forces, needed, turning[:, 1])
+
+    def _terms(self, roll_pitch: Array, angles: Array, knees: Array, velocity: Array) -> tuple[Array, ...]:
+        """Return MuJoCo's terms at one time.
+
+        Mass matrix, bias, weight, Jacobians of the feet's lowest points (L, 3, nv), the base's rotation, positions of
+        these points from the base's origin (L, 2).
+        """
+        model, data = self.model, self.data
+        data.qpos[:3] = 0.0
+        data.qpos[3:7] = rpy_quat(roll_pitch[0], roll_pitch[1], 0.0)
+        data.qpos[self._motor_q] = self.robot.motor_sign * angles
+        data.qpos[self._knee_q] = knees
+        data.qvel[:] = velocity
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_crb(model, data)
         mujoco.mj_comVel(model, data)
-        inertia = np.zeros((model.nv, model.nv))
+        inertia, bias, down = np.zeros((model.nv, model.nv)), np.zeros(model.nv), np.zeros(model.nv)
         mujoco.mj_fullM(model, data, inertia)
-        bias = np.zeros(model.nv)
         mujoco.mj_rne(model, data, 0, bias)
-        change = np.zeros(model.nv)
-        change[self._knee] = curving
-        reduced = transform.T @ inertia @ transform
-        still = transform.T @ (bias + inertia @ change)
-        jacobians = []
-        for geom in self._feet:
-            whole = np.zeros((3, model.nv))
+        jacobians = np.zeros((len(self._feet), 3, model.nv))
+        for geom, jacobian in zip(self._feet, jacobians, strict=True):
             # The ground pushes at the lowest point of a foot's round end.
             point = data.geom_xpos[geom] - [0.0, 0.0, model.geom_size[geom, 0]]
-            mujoco.mj_jac(model, data, whole, None, point, int(model.geom_bodyid[geom]))
-            jacobians.append(whole @ transform)
-        turn = data.xmat[self.base].reshape(3, 3)
-        # Directions of the legs' planes, in the world: forward and up of the base.
-        plane = turn[:, [0, 2]]
-        measured = np.concatenate([motion.angular_acceleration[t], motion.motor_acceleration[t]])
-        fixed = reduced[:, 3:] @ measured + still
-        fixed[6:] -= motion.motor_torque[t]
-        # Unknown: acceleration of the base's origin in the plane (2), and two forces a leg.
-        legs = len(jacobians)
-        rows = np.concatenate([plane.T @ reduced[:3], reduced[6:]])
-        left = np.zeros((2 + motors, 2 + 2 * legs))
-        left[:, :2] = rows[:, :3] @ plane
-        for leg, jacobian in enumerate(jacobians):
-            force = jacobian.T @ plane
-            left[:2, 2 + 2 * leg : 4 + 2 * leg] = -(plane.T @ force[:3])
-            left[2:, 2 + 2 * leg : 4 + 2 * leg] = -force[6:]
-        right = -np.concatenate([plane.T @ fixed[:3], fixed[6:]])
-        solution = np.linalg.solve(left, right)
-        acceleration, forces = plane @ solution[:2], solution[2:].reshape(legs, 2)
-        feet = [
-            (turn.T @ (data.geom_xpos[geom] - data.xpos[self.base]))[[0, 2]] - [0.0, self.robot.five_bar.foot_radius]
-            for geom in self._feet
-        ]
-        whole = reduced[:, :3] @ acceleration + reduced[:, 3:] @ measured + still
-        pushed = sum(jacobian.T @ (plane @ force) for jacobian, force in zip(jacobians, forces, strict=True))
-        down = np.zeros(model.nv)
+            mujoco.mj_jac(model, data, jacobian, None, point, int(model.geom_bodyid[geom]))
+        turn = data.xmat[self.base].reshape(3, 3).copy()
+        feet = ((data.geom_xpos[self._feet] - data.xpos[self.base]) @ turn)[:, [0, 2]]
         data.qvel[:] = 0.0
         mujoco.mj_comVel(model, data)
         mujoco.mj_rne(model, data, 0, down)
-        weight = transform.T @ down
-        # The residual about y is due to the base's own inertia.
-        needed = [*(plane.T @ (whole[:3] - weight[:3])), whole[4] - pushed[4]]
-        rate = motion.angular_velocity[t]
-        turning = self.base_inertia @ motion.angular_acceleration[t] + np.cross(rate, self.base_inertia @ rate)
-        return feet, forces, needed, float(turning[1])
+        return inertia, bias, down, jacobians, turn, feet - [0.0, self.robot.five_bar.foot_radius]
+
+
+def _apply(matrices: Array, vectors: Array) -> Array:
+    """Return the products (T, N) of matrices (T, N, M) and vectors (T, M)."""
+    return (matrices @ vectors[..., None])[..., 0]
