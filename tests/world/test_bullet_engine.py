@@ -288,7 +288,7 @@ def test_a_ground_that_bullet_has_no_room_for_and_boxes_as_feet_are_refused(robo
     with pytest.raises(SurefootError, match="feet are boxes in world bullet-published"):
         SimWorld(robot, 1, config=config, engine="bullet-published")
     monkeypatch.setattr(bullet_model, "_MAX_INDICES", 300)
-    with pytest.raises(SurefootError, match="triangles with .* Bullet takes at most 100 with"):
+    with pytest.raises(SurefootError, match=r"triangles with .* Bullet takes at most 100 with"):
         SimWorld(robot, 1, config=config, engine="bullet")
 
 

@@ -254,8 +254,8 @@ def row_clearance(
         last_i, last_j = corners.shape[0] - 1, corners.shape[1] - 1
         # Beyond the field its border goes on.
         u, v = min(max(u, 0.0), last_i + 1.0), min(max(v, 0.0), last_j + 1.0)
-        for i in range(max(int(math.floor(u - reach)), 0), min(int(math.floor(u + reach)), last_i) + 1):
-            for j in range(max(int(math.floor(v - reach)), 0), min(int(math.floor(v + reach)), last_j) + 1):
+        for i in range(max(math.floor(u - reach), 0), min(math.floor(u + reach), last_i) + 1):
+            for j in range(max(math.floor(v - reach), 0), min(math.floor(v + reach), last_j) + 1):
                 cell = corners[i, j]
                 at_u, at_v = min(max(u - i, 0.0), 1.0), min(max(v - j, 0.0), 1.0)
                 level = side * math.hypot(u - i - at_u, v - j - at_v)
@@ -298,10 +298,10 @@ def box_clearance(corners: Array, grid: Array, middle: Vector, reach: Vector, bo
         return min(bottom, bound)
     side, last_i, last_j = grid[2], corners.shape[0] - 1, corners.shape[1] - 1
     top, wide, deep = -np.inf, reach[0] + bound, reach[1] + bound
-    first_i = min(max(int(math.floor((middle[0] - wide - grid[0]) / side)), 0), last_i)
-    first_j = min(max(int(math.floor((middle[1] - deep - grid[1]) / side)), 0), last_j)
-    for i in range(first_i, min(max(int(math.floor((middle[0] + wide - grid[0]) / side)), 0), last_i) + 1):
-        for j in range(first_j, min(max(int(math.floor((middle[1] + deep - grid[1]) / side)), 0), last_j) + 1):
+    first_i = min(max(math.floor((middle[0] - wide - grid[0]) / side), 0), last_i)
+    first_j = min(max(math.floor((middle[1] - deep - grid[1]) / side), 0), last_j)
+    for i in range(first_i, min(max(math.floor((middle[0] + wide - grid[0]) / side), 0), last_i) + 1):
+        for j in range(first_j, min(max(math.floor((middle[1] + deep - grid[1]) / side), 0), last_j) + 1):
             for k in range(4):
                 top = max(top, corners[i, j, k // 2, k % 2])
     return min(bottom - top, bound)

@@ -155,9 +155,7 @@ def _select_shapes(native: Native, worker: int, i: int) -> None:
                     reach_y = abs(xmat[row + 3]) * half[0] + abs(xmat[row + 4]) * half[1] + abs(xmat[row + 5]) * half[2]
                     reach_z = abs(xmat[row + 6]) * half[0] + abs(xmat[row + 7]) * half[1] + abs(xmat[row + 8]) * half[2]
                     reach = (reach_x, reach_y, reach_z)
-                    clearance = max(
-                        clearance, box_clearance(native.ground, native.ground_grid, middle, reach, LOOK)
-                    )
+                    clearance = max(clearance, box_clearance(native.ground, native.ground_grid, middle, reach, LOOK))
                 native.clearance[i, k] = clearance
                 near = not native.clearance[i, k] > NEAR + motion
         geoms[g] = 1 if near else 0
