@@ -39,6 +39,10 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
             raise SurefootError(f"it is for robot '{contract.robot}'")
         if (error := _signs_error(robot, contract.motor_signs, "policy")) is not None:
             raise SurefootError(error)
+        if any(part.name == "height_scan" for part in contract.observation):
+            raise SurefootError(
+                "it observes a map of the ground's heights (height_scan), which nothing sends to a robot"
+            )
         observer = Observer(robot, tuple(part.name for part in contract.observation), contract.action_names)
         for what, names, nominal in (
             ("motor", contract.motor_names, robot.motor_names),

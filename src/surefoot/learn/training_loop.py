@@ -94,8 +94,9 @@ class TrainingLoop:
         self.learner = PpoLearner(config, make_world)
         if config.start_from is not None and not resume:
             other, before = RunFolder.open(Path(config.start_from))
-            # Only ranges and pushes may change what the value network observes.
-            task = replace(config.task, randomize=before.task.randomize, pushes=before.task.pushes)
+            # Only ranges, pushes and terrain may change what the value network observes.
+            former = before.task
+            task = replace(config.task, randomize=former.randomize, pushes=former.pushes, terrain=former.terrain)
             env = LocomotionEnv(task, 1, make_world, threads=1)
             env.reset()
             self.learner.load_networks(other.load()["learner"]["algorithm"], env.privileged_columns)
