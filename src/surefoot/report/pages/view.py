@@ -28,7 +28,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.appearance import Appearance
 from surefoot.robot.urdf import GREY, Color
 from surefoot.rotations import in_heading_frame, matrix_quat, quat_yaw
-from surefoot.world.ground import FLAT, Ground
+from surefoot.world.ground import Ground
 
 _TRAIL_POINTS = 300
 _FOLLOW = 0.4
