@@ -1,20 +1,24 @@
 """Draw the pictures of robots in the documentation: python docs/pictures.py [FOLDER ...].
 
 They are docs/gaits.webp, two gaits in motion; docs/gaits.png, moments of a stride; docs/leg-space.png, the coordinates
-of a leg; docs/robots.png, the robots that ship; and, out of six folders that `surefoot robot new` wrote,
-docs/robots-imported.png.
+of a leg; docs/robots.png, the robots that ship; docs/terrain.png, a policy on terrain; and, out of six folders that
+`surefoot robot new` wrote, docs/robots-imported.png.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from gallery import recorded
 from PIL import Image, ImageDraw
 
+from surefoot.api.policies import find_policy, load_policy, run_policy
+from surefoot.api.simulator import evaluation_task, with_duration
+from surefoot.evaluation.recorded import ground_of
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.renderer import Camera, View, draw
 from surefoot.report.drawing.scene import extent, poses, trace_poses
@@ -31,6 +35,9 @@ BETWEEN, FPS = (1.0, 4.7), 20
 PUSH = 60.0
 """Force of its pushes [N]."""
 RED = (200, 40, 40)
+TERRAIN = ("stairs:0.04", "slope:8", "rough:0.12", "blocks:0.06")
+"""Terrain on which a policy is shown, `ON_IT` seconds after its start at .5 m/s."""
+ON_IT = 4.0
 
 
 def sheet(pictures: list[Image.Image], columns: int) -> Image.Image:
@@ -131,6 +138,20 @@ def portrait(robot: RobotDescription, size: tuple[int, int]) -> Image.Image:
     return picture
 
 
+def on_terrain(policy: str, terrain: str, size: tuple[int, int]) -> Image.Image:
+    """Return a policy on a terrain, on its way forward."""
+    controller, robot, task = load_policy(find_policy(policy), None)
+    task = with_duration(evaluation_task(task, robot, {}, terrain=terrain), robot, ON_IT)
+    task = replace(task, commands=replace(task.commands, each=((0.5, 0.0, 0.0),)))
+    (trace,) = run_policy(controller, task, 1, "mujoco", seed=0, name=policy)
+    placed = trace_poses(robot, trace)
+    mesh, stack = Mesh(robot.appearance(), list(placed)), np.array([frames[-1] for frames in placed.values()])
+    view = View(Camera.for_robot(1.2 * extent(robot)), placed[robot.base][-1, :2, 3], size, ground_of(trace))
+    picture = draw(mesh, stack, view)
+    write_label(picture, terrain)
+    return picture
+
+
 def moving(path: Path, size: tuple[int, int]) -> None:
     """Write an animation: a gallop beside a trot that is pushed."""
     gallop = motion("gallop", "gallop", size)
@@ -140,6 +161,7 @@ def moving(path: Path, size: tuple[int, int]) -> None:
 
 
 if __name__ == "__main__":
+    sheet([on_terrain("go2-steer", one, (480, 300)) for one in TERRAIN], 2).save(FOLDER / "terrain.png")
     moving(FOLDER / "gaits.webp", (400, 280))
     leg_space(FOLDER / "leg-space.png")
     sheet([*stride("gallop", (320, 240)), *stride("trot", (320, 240))], MOMENTS).save(FOLDER / "gaits.png")

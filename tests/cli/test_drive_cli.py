@@ -120,6 +120,7 @@ BAD = [
     ),
     *('{"ghost": "../../etc/passwd"}', '{"ghost": 1}', '{"ghost": ["x"]}', '{"record": {}, "export": []}'),
     *('{"policy": "../../etc/passwd"}', '{"policy": []}', '{"speed": 1e9}', '{"speed": {}}', '{"command": 3}'),
+    *('{"terrain": ["lava"]}', '{"terrain": ["stairs", 9]}', '{"terrain": ["slope", "x"]}', '{"terrain": []}'),
     *("{", "[" * 999),
 ]
 
@@ -492,6 +493,24 @@ def test_page_changes_policy_and_world(running: Running, page: Page):
         assert running.measure(0.1)
         page.locator("#world").select_option("mujoco")
         running.until(lambda: running.drive.world == "mujoco")
+
+
+@in_browser
+def test_page_changes_the_terrain_and_draws_it(running: Running, page: Page):
+    page.locator("#terrain").select_option("slope")
+    running.until(lambda: running.drive.terrain == "slope:15")
+    page.locator("#size").fill("5")
+    running.until(lambda: running.drive.terrain == "slope:5")
+    ground, view = running.drive.robot.env.ground, "document.getElementById('view').contentWindow.__viserMutable"
+    assert ground.height(np.array([2.0, 0.0])) == pytest.approx(np.tan(np.radians(5.0)))
+    assert np.abs(running.measure(0.1)[0].position[:2]).max() < 0.05
+    page.wait_for_function(
+        f"{view}.nodeRefFromName['/world/ground']?.getObjectByProperty('isMesh', true)?.material.map"
+    )
+    page.locator("#terrain").select_option("flat")
+    running.until(lambda: running.drive.terrain == "flat")
+    page.locator("#size").wait_for(state="hidden")
+    assert running.drive.robot.env.ground.is_flat
 
 
 @in_browser

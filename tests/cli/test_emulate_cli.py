@@ -26,6 +26,7 @@ DDS = ["--link", "dds", "--interface", "lo"]
         (["--fault", "melt"], "'melt' is no fault; choices: corrupt, drop"),
         (["--fault", "drop=0.1", "--fault", "drop"], "fault drop is given twice"),
         (["--lockstep", "--fault", "overload"], "it does not go with --lockstep"),
+        (["--terrain", "stairs:9"], "terrain stairs: size is 9 m; it must be 0.01 to 0.4"),
         (["--rack", "--fault", "tilt"], "it does not go with --rack"),
         (["--fault", "slow-servo=0.0025"], "fault slow-servo is 0.0025; it must be whole servo steps of 0.001 s"),
         (["--link", "dds"], "link dds needs the network interface of the topics; give --interface, such as lo"),

@@ -15,6 +15,7 @@ from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.plant import Plant
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.actuation import new_actuation, set_actuation_params
+from surefoot.world.ground import Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -23,6 +24,13 @@ DAMPED = MotorOrder(Mode.DISARMED, np.zeros(8))
 
 def ideal(robot, **more) -> Plant:
     return Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), **more)
+
+
+def test_a_plant_sits_on_its_ground(robot):
+    flat, raised = (ideal(robot, ground=Ground(np.full((4, 4, 2, 2), z), 1.0)) for z in (0.0, 0.3))
+    assert raised.capture().position[2] == pytest.approx(flat.capture().position[2] + 0.3, abs=1e-3)
+    raised.step(DAMPED)
+    assert raised.capture().contact_ticks.sum() > 0
 
 
 def position(values) -> MotorOrder:

@@ -12,6 +12,7 @@ pytest.importorskip("mujoco")
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.errors import SurefootError
 from surefoot.evaluation.driven import FIXED, DrivenRobot
+from surefoot.evaluation.recorded import ground_of
 from surefoot.robot.params import PARAMETERS
 
 
@@ -34,6 +35,17 @@ def robot(go2: DrivenRobot) -> DrivenRobot:
 def run(robot: DrivenRobot, seconds: float) -> np.ndarray:
     """Return the velocities of some time [s]."""
     return np.array([robot.step().velocity for _ in range(round(seconds / robot.step_time))])
+
+
+def test_terrain_is_that_of_the_robot_and_of_what_is_recorded():
+    policy, _, task, _ = load_gait(find_policy("go2-steer"), None)
+    robot = DrivenRobot(policy, task, "mujoco", "blocks:0.03")
+    recording = robot.record()
+    robot.step()
+    trace = recording.trace("go2-steer", "mujoco")
+    assert trace.meta["terrain"] == "blocks:0.03"
+    np.testing.assert_array_equal(ground_of(trace).corners, robot.env.ground.corners)
+    assert robot.env.ground.corners.max() > 0.02
 
 
 def test_a_command_is_cut_to_the_limits_and_followed(robot: DrivenRobot):

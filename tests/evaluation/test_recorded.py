@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.recorded import assign_to_policies, find_traces, save_runs
+from surefoot.evaluation.recorded import assign_to_policies, find_traces, ground_of, save_runs
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
@@ -22,6 +22,16 @@ def test_traces_are_found_in_all_folders_below(tmp_path: Path, make_run: MakeRun
     recorded = find_traces(tmp_path)
     assert [path for path, _ in recorded] == sorted(places)
     assert [path for path, _ in find_traces(places[1])] == [places[1]]
+
+
+def test_ground_of_a_trace_is_made_again_and_never_read_from_a_file(tmp_path: Path, make_run: MakeRun):
+    ground = ground_of(make_run(terrain="blocks:0.1", seed=3))
+    assert ground is ground_of(make_run(2.0, terrain="blocks:0.1", seed=3))
+    assert (ground.corners != ground_of(make_run(terrain="blocks:0.1", seed=4)).corners).any()
+    for name in ("flat", "field", "map.npz", str(tmp_path / "a:1.npz"), "stairs:0.1.png"):
+        assert ground_of(make_run(terrain=name)).is_flat
+    with pytest.raises(SurefootError, match="terrain stairs: size is 99 m"):
+        ground_of(make_run(terrain="stairs:99"))
 
 
 def test_find_traces_refuses_a_folder_without_traces(tmp_path: Path):

@@ -51,6 +51,21 @@ def test_runs_begin_at_the_origin_and_head_along_x(make_run: MakeRun):
     assert np.allclose(np.abs(run["columns"]["pose"][-1, 3:] @ rpy_quat(0.1, -0.2, 0.0)), 1.0, atol=1e-6)
 
 
+def test_runs_on_terrain_stay_where_they_were_on_it(make_run: MakeRun):
+    place = {"base_position_world": np.tile([2.0, 0.5, 0.6], (201, 1))}
+    rows = [swinging(make_run, arrays=place, terrain=name) for name in ("slope:20", "slope:20", "flat")]
+    data = data_of(recording_page(rows))
+    assert data["layout"] == "over"
+    assert [run["ground"] for run in data["runs"]] == ["/world/ground0", "/world/ground0", "/world/ground1"]
+    columns = data["runs"][0]["columns"]
+    np.testing.assert_allclose(columns["pose"][:, :3], np.tile([2.0, 0.5, 0.6], (len(columns["pose"]), 1)), atol=1e-3)
+    np.testing.assert_allclose(columns["level"], np.tan(np.radians(20.0)), atol=0.02)
+    assert "level" not in data["runs"][2]["columns"]
+    assert "on slope:20" in data["runs"][0]["notes"][0]
+    with pytest.raises(SurefootError, match=r"^go2: terrain 'lava' does not exist"):
+        recording_page([swinging(make_run, terrain="lava:1")])
+
+
 def test_unmeasured_base_is_held_at_standing_height(make_run: MakeRun):
     nothing = {"base_position_world": np.full((201, 3), np.nan), "base_quat_world": np.full((201, 4), np.nan)}
     rolled = {"roll_pitch_yaw": np.tile([0.1, -0.2, 3.0], (200, 1)), "foot_contact": np.full((200, 4), np.nan)}

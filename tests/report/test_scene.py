@@ -130,6 +130,20 @@ def test_the_viewer_places_every_link_by_its_pose(trace: EpisodeTrace):
         assert np.allclose(data.xmat[body].reshape(3, 3), placed[link][99, :3, :3], atol=1e-6)
 
 
+def test_the_viewer_shows_ground_that_is_not_flat():
+    mujoco = pytest.importorskip("mujoco")
+    from surefoot.cli.helpers.viewer import build_stage
+    from surefoot.world.terrain import make_terrain
+
+    model = build_stage(ROBOT.appearance(), make_terrain("stairs:0.10"))
+    data, found = mujoco.MjData(model), np.zeros(1, np.int32)
+    mujoco.mj_forward(model, data)
+    for x, height in ((0.9, 0.0), (1.15, 0.1), (1.45, 0.2)):
+        distance = mujoco.mj_ray(model, data, np.array([x, 0.0, 5.0]), np.array([0.0, 0.0, -1.0]), None, 1, -1, found)
+        assert found[0] == 0
+        assert distance == pytest.approx(5.0 - height, abs=1e-6)
+
+
 @pytest.mark.parametrize("name", RobotDescription.available())
 def test_a_robot_of_any_size_fills_the_picture(name: str) -> None:
     robot = RobotDescription.load(name)

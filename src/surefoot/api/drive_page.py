@@ -20,6 +20,7 @@ from surefoot.api.policy_list import list_policies
 from surefoot.errors import SurefootError, choices
 from surefoot.robot.commands import COMMANDS, STAND
 from surefoot.world.registry import WORLDS
+from surefoot.world.terrain import KINDS, check_size, is_map
 
 if TYPE_CHECKING:
     from surefoot.deploy.command_sources import CommandSource
@@ -39,6 +40,13 @@ _COMMAND_TIMEOUT = 3.0
 """Time after which a command that is not repeated ends [s]."""
 _PUSH_DURATIONS = (0.1, 0.3, 1.0)
 """How long a push may last [s]."""
+_FIRST_SIZES = {
+    **{"stairs": 0.08, "stairs_down": 0.10, "slope": 15.0, "slope_down": 15.0},
+    **{"rough": 0.08, "blocks": 0.06, "gaps": 0.15, "stones": 0.40},
+}
+"""Sizes of terrain that is chosen."""
+_SIZE_STEPS = {"m": 0.005, "deg": 0.5}
+"""Steps of a terrain's slider, by unit."""
 RECORDINGS = Path("recordings")
 """Folder of recordings, if no other is given."""
 _LIST_PERIOD = 10.0
@@ -79,6 +87,8 @@ class DrivePage:
         world: name of the world.
         robot: name or folder of the robot of that policy; the one of its task, if None.
         adjust: returns that policy's task in another simulator. Tasks of other policies stay as they are.
+        recordings: folder of recordings.
+        terrain: what robots stand on: flat, KIND:SIZE, or the path of a map.
     """
 
     source: CommandSource | None = None
@@ -92,6 +102,7 @@ class DrivePage:
         robot: str | None = None,
         adjust: Callable[[TaskConfig, RobotDescription], TaskConfig] = lambda task, _: task,
         recordings: Path = RECORDINGS,
+        terrain: str = "flat",
     ) -> None:
         from surefoot.api.drive_recordings import DriveRecordings
 
@@ -106,8 +117,9 @@ class DrivePage:
         self._command_time = 0.0
         self._settings: dict[str, float] = {}
         """What was set by sliders; it holds for every robot that is loaded."""
-        self.policy, self.world = policy, world
-        self.robot, self._name = self._load(policy, world)
+        self.policy, self.world, self.terrain = policy, world, terrain
+        self._maps = [terrain] if is_map(terrain) else []
+        self.robot, self._name = self._load(policy, world, terrain)
         self._robot_name = self.robot.env.task.robot
         self.ghost: DrivenRobot | None = None
         """A robot beside the first one, which has the same commands, pushes and parameters."""
@@ -123,12 +135,13 @@ class DrivePage:
             self.policies = list_policies(self._first, self.robot.robot.name)
         return self.policies != before
 
-    def _load(self, policy: str, world: str) -> tuple[DrivenRobot, str]:
-        """Return a robot with a policy in a world, and the policy's own name."""
+    def _load(self, policy: str, world: str, terrain: str) -> tuple[DrivenRobot, str]:
+        """Return a robot with a policy in a world on a terrain, and the policy's own name."""
         from surefoot.evaluation.driven import DrivenRobot
 
         runtime, description, task, origin = load_gait(find_policy(policy), self._robot_name)
-        robot = DrivenRobot(runtime, self._adjust(task, description) if policy == self._first else task, world)
+        task = self._adjust(task, description) if policy == self._first else task
+        robot = DrivenRobot(runtime, task, world, terrain)
         for name, value in self._settings.items():
             with contextlib.suppress(SurefootError):  # this world or robot does not have it
                 robot.set(name, value)
@@ -210,7 +223,7 @@ class DrivePage:
 
     def _show_robot(self) -> None:
         """Show new robots on the page."""
-        self._view.show(*(robot.robot for robot in self._robots))
+        self._view.show(self.robot.env.ground, *(robot.robot for robot in self._robots))
         self._draw()
         self._send_options()
 
@@ -222,6 +235,8 @@ class DrivePage:
             policy=self.policy,
             ghost=self.ghost_policy,
             world=self.world,
+            terrain=self.terrain,
+            terrains=_terrains() | {path: None for path in self._maps},
             robot=robot.name,
             weight=round(robot.weight, 2),
             node=f"/world/{robot.base}",
@@ -300,6 +315,8 @@ class DrivePage:
             self._record(bool(value))
         elif name == "export":
             self.recordings.export(str(value))
+        elif name == "terrain":
+            self._choose_terrain(*value)
         elif name in ("policy", "world", "ghost"):
             self._choose(name, value)
 
@@ -316,22 +333,38 @@ class DrivePage:
         elif not on and self.recordings.is_recording:
             self.recordings.stop()
 
+    def _choose_terrain(self, kind: Any, *size: Any) -> None:
+        names = ["flat", *KINDS, *self._maps]
+        if kind not in names:
+            raise SurefootError(f"terrain must be one of {choices(names)}")
+        if kind not in KINDS:
+            self._load_chosen("terrain", kind)
+            return
+        (number,) = finite_numbers([*size] or [_FIRST_SIZES[kind]], 1)
+        check_size(kind, number)
+        self._load_chosen("terrain", f"{kind}:{number:g}")
+
     def _choose(self, what: str, value: Any) -> None:
-        """Load another policy, world or ghost; commands and what the sliders set stay."""
         names = self.worlds if what == "world" else [entry.name for entry in self.policies]
         if value not in names and (what, value) != ("ghost", ""):
             raise SurefootError(f"{what} must be one of {choices(names)}")
+        self._load_chosen(what, str(value))
+
+    def _load_chosen(self, what: str, value: str) -> None:
+        """Load another policy, world, terrain or ghost; commands and what the sliders set stay."""
         self._record(False)
         command = self.robot.commanded
-        chosen = {"policy": self.policy, "world": self.world, "ghost": self.ghost_policy, what: str(value)}
+        names = {"policy": self.policy, "world": self.world, "terrain": self.terrain, "ghost": self.ghost_policy}
+        chosen = names | {what: value}
+        place = chosen["world"], chosen["terrain"]
         try:
             robot, ghost = (self.robot, self._name), (self.ghost, self._ghost_name)
             if what != "ghost":
-                robot = self._load(chosen["policy"], chosen["world"])
+                robot = self._load(chosen["policy"], *place)
             if what != "policy":
-                ghost = self._load(chosen["ghost"], chosen["world"]) if chosen["ghost"] else (None, "")
+                ghost = self._load(chosen["ghost"], *place) if chosen["ghost"] else (None, "")
             (self.robot, self._name), (self.ghost, self._ghost_name) = robot, ghost
-            self.policy, self.world, self.ghost_policy = chosen["policy"], chosen["world"], chosen["ghost"]
+            self.policy, self.world, self.terrain, self.ghost_policy = chosen.values()
         finally:
             if self.ghost is not None:
                 self._restart()
@@ -347,6 +380,15 @@ class DrivePage:
         for robot in self._robots:
             if robot.limits is not None:
                 robot.command(command)
+
+
+def _terrains() -> dict[str, Any]:
+    """Return kinds of terrain for the page: unit and meaning of the size, least, greatest, step and first size."""
+    kinds: dict[str, Any] = {"flat": None}
+    for name, kind in KINDS.items():
+        step = kind.multiple or _SIZE_STEPS[kind.unit]
+        kinds[name] = [kind.unit, kind.meaning, *kind.range, step, _FIRST_SIZES[name]]
+    return kinds
 
 
 def _figures(robot: DrivenRobot) -> dict[str, Any]:

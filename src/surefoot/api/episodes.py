@@ -10,6 +10,7 @@ from surefoot.robot.commands import COMMANDS
 if TYPE_CHECKING:
     from surefoot.robot import RobotDescription
     from surefoot.task.trace import EpisodeTrace
+    from surefoot.world.ground import Ground
 
 
 def draw_episode(folder: Path, trace: EpisodeTrace, robot: RobotDescription) -> list[Path]:
@@ -102,15 +103,17 @@ def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
     return texts
 
 
-def film(robot: RobotDescription, trace: EpisodeTrace, path: Path) -> Path:
-    """Write a video (.mp4) of a trace; return its path."""
+def film(robot: RobotDescription, trace: EpisodeTrace, path: Path, ground: Ground | None = None) -> Path:
+    """Write a video (.mp4) of a trace on a ground, the trace's if None; return its path."""
+    from surefoot.evaluation.recorded import ground_of
     from surefoot.report.drawing.renderer import Camera
     from surefoot.report.drawing.scene import extent, trace_poses
     from surefoot.report.drawing.video import render_video
 
     parts, poses = robot.appearance(), trace_poses(robot, trace)
-    camera = Camera.for_robot(extent(robot))
-    return render_video(parts, poses, trace.time, path, overlay=captions(trace), follow=robot.base, camera=camera)
+    camera, ground = Camera.for_robot(extent(robot)), ground or ground_of(trace)
+    text = captions(trace)
+    return render_video(parts, poses, trace.time, path, overlay=text, follow=robot.base, camera=camera, ground=ground)
 
 
 def captions(trace: EpisodeTrace) -> list[str]:
@@ -124,6 +127,8 @@ def captions(trace: EpisodeTrace) -> list[str]:
     from surefoot.evaluation.tracking import motion
 
     half, steered = max(round(0.5 / trace.meta["control_step"]), 1), bool(np.isfinite(trace.command).any())
+    terrain = trace.meta["terrain"]
+    place = str(trace.meta["world"]) + ("" if terrain == "flat" else f" on {terrain}")
     lines = []
     velocity = motion(trace) if steered else np.zeros((trace.num_steps, 3))
     for step, time in enumerate(trace.time):
@@ -135,5 +140,5 @@ def captions(trace: EpisodeTrace) -> list[str]:
             texts = {name: [decimal(float(value)) for value in row] for name, row in rows.items()}
             speed = "".join(f"\n{name}: forward {x}, left {y} m/s, turn {w} rad/s" for name, (x, y, w) in texts.items())
         separator = "" if steered else "   "
-        lines.append(f"{trace.meta['policy']} in {trace.meta['world']}\n{time:4.1f} s{separator}{speed}")
+        lines.append(f"{trace.meta['policy']} in {place}\n{time:4.1f} s{separator}{speed}")
     return lines

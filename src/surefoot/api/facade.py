@@ -131,6 +131,7 @@ def evaluate(
     pushes: bool = False,
     push_force: tuple[float, float] | None = None,
     commands: str | Path | None = None,
+    terrain: str | Path = "flat",
     threads: int = 0,
 ) -> Evaluation:
     """Run a policy in simulation and measure it, as `surefoot evaluate` does.
@@ -148,6 +149,7 @@ def evaluate(
         pushes: push the robot at random, as its task says.
         push_force: least and greatest force of pushes [N].
         commands: file of commands to follow (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]).
+        terrain: what the robot stands on, such as "stairs:0.10", or a map of heights (.npz, .png).
         threads: threads of the simulation; 0: one a core.
 
     Raises:
@@ -167,6 +169,7 @@ def evaluate(
         pushes=pushes,
         push_force=push_force,
         commands=None if commands is None else Path(commands),
+        terrain=str(terrain),
     )
     title = f"{episodes} episodes"
     traces = run_policy(loaded.controller, task, episodes, world, seed, threads, loaded.name, title)
@@ -185,6 +188,7 @@ def play(
     params: Parameters = None,
     pushes: bool = False,
     commands: str | Path | None = None,
+    terrain: str | Path = "flat",
 ) -> Video:
     """Run a policy once and make a video of it, which a notebook plays.
 
@@ -198,6 +202,7 @@ def play(
         params: physical parameters that differ from the policy's.
         pushes: push the robot at random, as its task says.
         commands: file of commands to follow.
+        terrain: what the robot stands on, as in `evaluate`.
 
     Raises:
         SurefootError: as `evaluate`, or a file of another ending than .mp4.
@@ -213,9 +218,10 @@ def play(
     path = folder / f"{loaded.name}.mp4" if out is None else Path(out)
     if path.suffix.lower() != ".mp4":
         raise SurefootError(f"video {path}: the name must end in .mp4")
-    task = _task(loaded, params, duration, pushes=pushes, commands=None if commands is None else Path(commands))
+    given = None if commands is None else Path(commands)
+    task = _task(loaded, params, duration, pushes=pushes, commands=given, terrain=str(terrain))
     (trace,) = run_policy(loaded.controller, task, 1, world, seed, name=loaded.name)
-    return Video(film(loaded.robot, trace, path))
+    return Video(film(loaded.robot, trace, path, task.terrain.make_ground(seed)))
 
 
 @report_missing_extras
@@ -224,6 +230,7 @@ def drive(
     *,
     world: str = "mujoco",
     robot: str | Path | None = None,
+    terrain: str | Path = "flat",
     host: str | None = None,
     port: int = 0,
 ) -> Drive:
@@ -233,6 +240,7 @@ def drive(
         policy: as `load` takes it.
         world: name of the world.
         robot: another robot than the policy's own.
+        terrain: what the robot stands on, as in `evaluate`; the page has a choice.
         host: address to listen at for other machines; this machine only, if None.
         port: TCP port; 0: a free one.
 
@@ -243,7 +251,7 @@ def drive(
 
     loaded = load(policy, robot=robot)
     name = policy if isinstance(policy, str) else str(loaded.path)
-    return Drive(DrivePage(name, world, loaded.robot.location), host, port)
+    return Drive(DrivePage(name, world, loaded.robot.location, terrain=str(terrain)), host, port)
 
 
 @report_missing_extras

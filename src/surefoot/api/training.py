@@ -131,6 +131,8 @@ def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], No
     episodes = sorted(traces["without_pushes"], key=lambda trace: trace.base_position_world[-1, 0])
     median = episodes[len(episodes) // 2]
     draw_episode(figures, median, robot)
-    film(robot, median, figures / "video.mp4")
+    # That of the median's environment, whose seed it has.
+    field = task.terrain.field(0)
+    film(robot, median, figures / "video.mp4", field.ground if field else None)
     median.save(figures / EPISODE)
     return summaries

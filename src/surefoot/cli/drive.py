@@ -12,6 +12,7 @@ from surefoot.cli.helpers.options import (
     PluginNames,
     PolicyName,
     RobotName,
+    Terrain,
     World,
     check_folder,
 )
@@ -25,6 +26,7 @@ class DriveCommand:
     policy: PolicyName
     world: World = "mujoco"
     robot: RobotName = None
+    terrain: Terrain = "flat"
     page_port: PagePort = PAGE_PORT
     commands: str | None = None
     """What steers in place of the page: a file (CSV: time, forward, sideways, yaw_rate), keyboard or gamepad at this
@@ -41,6 +43,6 @@ def main(argv: list[str]) -> int:
     check_folder(command.out)
     from surefoot.api.drive_page import DrivePage, serve
 
-    drive = DrivePage(command.policy, command.world, command.robot, recordings=command.out)
+    drive = DrivePage(command.policy, command.world, command.robot, recordings=command.out, terrain=command.terrain)
     serve(drive, command.host, command.page_port, command.commands)
     return 0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.cli.helpers.options import Repeated, Settings, World, files_by_suffix
+from surefoot.cli.helpers.options import Repeated, Settings, Terrain, World, files_by_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
@@ -61,8 +61,9 @@ class EmulateCommand:
     """Hold the base in the air."""
     ideal_sensors: bool = False
     """Encoders and IMU without quantization, noise and drift, a battery that does not sag."""
+    terrain: Terrain = "flat"
     seed: Seed = 0
-    """Seed of noise, and of faults at random."""
+    """Seed of noise, of faults at random, and of terrain that is drawn."""
     baud: Annotated[float, Within(0, 1e8)] = 921600.0
     """Bits a second of the serial line, in real time; 0: bytes take no time."""
     symlink: Path | None = None
@@ -184,12 +185,13 @@ def make_plant(command: EmulateCommand, robot: RobotDescription, servo_every: in
     """Return the robot's body."""
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
     from surefoot.emulator.plant import Plant
+    from surefoot.world.terrain import make_terrain
 
     sensors, power = SensorConfig(), PowerConfig.from_robot(robot)
     if command.ideal_sensors:
         sensors, power = SensorConfig.ideal(), PowerConfig.ideal(robot)
-    params = _params(command, robot)
-    return Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every)
+    params, ground = _params(command, robot), make_terrain(command.terrain, command.seed)
+    return Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every, ground)
 
 
 def make_loop(
@@ -295,7 +297,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
             if command.viewer:
                 from surefoot.cli.helpers.viewer import EmulateViewer
 
-                observers.append(EmulateViewer(command.robot, board.plant))
+                observers.append(EmulateViewer(command.robot, board.plant, command.terrain, command.seed))
             board.on_step = [observer.see for observer in observers]
             # A microcontroller has a processor of its own, so the emulator comes before other processes.
             with contextlib.nullcontext() if command.lockstep else undisturbed():

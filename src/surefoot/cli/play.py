@@ -56,10 +56,11 @@ def main(argv: list[str]) -> int:
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):
         import_module(module)
     (trace,) = run_policy(policy, task, 1, command.world, command.seed, name=origin["name"])
+    ground = task.terrain.make_ground(command.seed)
     if window:
-        replay(robot, trace)
+        replay(robot, trace, ground)
     else:
-        print(f"wrote {film(robot, trace, command.out or Path(f'{path.stem}.mp4'))}")
+        print(f"wrote {film(robot, trace, command.out or Path(f'{path.stem}.mp4'), ground)}")
     return 0
 
 
@@ -69,6 +70,7 @@ def _serve_page(command: PlayCommand) -> int:
         raise SurefootError("--browser and --out are given; a page makes no MP4")
     from surefoot.api.drive_page import DrivePage, serve
 
-    drive = DrivePage(command.policy, command.world, command.robot, replace(command, commands=None).apply)
+    adjust = replace(command, commands=None).apply
+    drive = DrivePage(command.policy, command.world, command.robot, adjust, terrain=command.terrain)
     serve(drive, None, PAGE_PORT, None if command.commands is None else str(command.commands))
     return 0

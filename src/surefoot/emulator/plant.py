@@ -16,6 +16,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator
 from surefoot.world.actuation import read_delayed, read_imu
+from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.registry import DEFAULT_WORLD
 from surefoot.world.sim_world import SimWorld
@@ -57,6 +58,7 @@ class Plant:
         rack: hold the base in the air.
         engine: name of the physics engine in the registry of worlds.
         servo_every: physics steps between two of the servo.
+        ground: what the robot sits on.
 
     Raises:
         SurefootError: parameters that the robot does not allow, or a robot that does not settle sitting.
@@ -72,11 +74,12 @@ class Plant:
         rack: bool = False,
         engine: str = DEFAULT_WORLD,
         servo_every: int = 1,
+        ground: Ground = FLAT,
     ) -> None:
         self.robot, self.params = robot, params or PhysicalParams.nominal(robot)
         self.sensors, self.power = sensors or SensorConfig(), power or PowerConfig.from_robot(robot)
         self.servo_every = servo_every
-        config = WorldConfig(rest=robot.poses.sit, rack=rack, threads=1)
+        config = WorldConfig(rest=robot.poses.sit, rack=rack, ground=ground, threads=1)
         self.world = SimWorld(robot, 1, self.params, seed, config, engine)
         self.extra_latency = self.voltage_drop = 0.0
         """Further age of all readings [s]; fall of the open-circuit voltage [V] besides that by the charge used."""

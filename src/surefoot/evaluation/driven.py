@@ -17,11 +17,13 @@ from surefoot.task.commands import CommandGenerator
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.reward import base_rates
+from surefoot.task.terrain import TerrainConfig
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world, is_modelled
 
 FIXED = ("control_step",)
 """Parameters that belong to the policy, and can't be changed while it runs."""
+_SEED = 1
 _MAX_STEPS = 1_000_000
 _LIE_TIME = 1.5
 """How long a robot that fell lies until it stands again at its start [s]."""
@@ -106,7 +108,7 @@ class Recording:
         Raises:
             SurefootError: no control step was recorded.
         """
-        meta = {"policy": policy, "world": world, "ended": self.ended or "stopped"}
+        meta = {"policy": policy, "world": world, "seed": _SEED, "ended": self.ended or "stopped"}
         if not self._recorder.steps:
             raise SurefootError("no control step was recorded")
         return self._recorder.trace(0, len(self._recorder.steps), meta)
@@ -119,16 +121,18 @@ class DrivenRobot:
         policy: gives the feedback.
         task: what it was trained on; neither pushes nor randomization act.
         world: name of the world.
+        terrain: what the robot stands on, as `TerrainConfig.ground`.
     """
 
-    def __init__(self, policy: Policy, task: TaskConfig, world: str) -> None:
+    def __init__(self, policy: Policy, task: TaskConfig, world: str, terrain: str = "flat") -> None:
         pushes = replace(task.pushes, enabled=False)
         # Every start is the same, so that robots that start together can be compared.
         task = replace(task, start_linear_speed=0.0, start_angular_speed=0.0)
-        task = replace(task, pushes=pushes, max_steps=_MAX_STEPS, randomize={})
+        ground = TerrainConfig(ground=terrain, scan=task.terrain.scan)
+        task = replace(task, pushes=pushes, max_steps=_MAX_STEPS, randomize={}, terrain=ground)
         self._command = CommandGenerator(1)
         self.policy, self.world = policy, world
-        self.env = LocomotionEnv(task, 1, find_world(world), seed=1, autoreset=False, threads=1, source=self._command)
+        self.env = LocomotionEnv(task, 1, find_world(world), _SEED, autoreset=False, threads=1, source=self._command)
         self.robot, self.step_time = self.env.robot, float(self.env.world.params.control_step[0])
         self.limits = task.commands.limits(self.robot)
         self.rows: deque[DrivenStep] = deque(maxlen=4000)

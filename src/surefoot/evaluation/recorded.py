@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,6 +10,8 @@ from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.robot import RobotDescription
 from surefoot.task.partial_trace import SUFFIX, recover
 from surefoot.task.trace import EpisodeTrace
+from surefoot.world.ground import FLAT, Ground
+from surefoot.world.terrain import is_map, make_terrain
 
 RecordedTraces = list[tuple[Path, EpisodeTrace]]
 
@@ -32,6 +35,21 @@ def load_robot(path: Path, trace: EpisodeTrace) -> RobotDescription:
     """Return the robot of a trace, as `EpisodeTrace.load_robot`; errors name the trace's file."""
     with prefix_errors(f"trace file {path}"):
         return trace.load_robot()
+
+
+def ground_of(trace: EpisodeTrace) -> Ground:
+    """Return what a recorded robot stood on; the plane, where a trace does not hold it.
+
+    Raises:
+        SurefootError: a terrain that does not exist.
+    """
+    return _made(trace.meta["terrain"], trace.meta["seed"] or 0)
+
+
+@functools.lru_cache(maxsize=16)
+def _made(name: str, seed: int) -> Ground:
+    # No map is read whose file a trace names.
+    return make_terrain(name, seed) if ":" in name and not is_map(name) else FLAT
 
 
 def save_runs(folder: Path, traces: Sequence[EpisodeTrace]) -> RecordedTraces:

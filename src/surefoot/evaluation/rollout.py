@@ -152,6 +152,7 @@ class EpisodeRecorder:
             **task.return_meta(env.robot),
             "gait_period": env.gait.reference.period,
             "max_steps": task.max_steps,
+            "terrain": task.terrain.name,
             "params_source": task.params_source,
             "params": params,
             "control_step": params["control_step"],

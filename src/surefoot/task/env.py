@@ -31,8 +31,8 @@ __all__ = ["LocomotionEnv", "LocomotionSingleEnv", "SimulationFactory"]
 
 _STRIDE = 0.5
 """Duration of a stride [s] of gaits without a periodic reference."""
-Camera = Callable[[Array, Array, Array], NDArray[np.uint8]]
-"""Takes pictures (N, height, width, 3) of robots: base positions (N, 3), orientations (N, 4), motor angles (N, M)."""
+Camera = Callable[[Array, Array, Array, Ground], NDArray[np.uint8]]
+"""Takes pictures (N, height, width, 3): base positions (N, 3), orientations (N, 4), motor angles (N, M), ground."""
 
 
 def has_fallen(truth: Truth, angle: float, height: float = 0.0, ground: Ground = FLAT) -> NDArray[np.bool_]:
@@ -281,7 +281,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self._camera is None:
             return None
         truth = self.truth
-        return tuple(self._camera(truth.base_position_world, truth.base_quat_world, truth.motor_angle))
+        return tuple(self._camera(truth.base_position_world, truth.base_quat_world, truth.motor_angle, self.ground))
 
     def _motion(self, before: Truth, last_feedback: Array) -> StepMotion:
         """Return the motion of the control step that just ended, which began with a truth and the feedback before."""

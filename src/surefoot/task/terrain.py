@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -73,6 +74,11 @@ class TerrainConfig:
             raise SurefootError(
                 f"terrain.start_level is {self.start_level}; it must be less than levels, {self.levels}"
             )
+
+    @property
+    def name(self) -> str:
+        """What a trace calls it: flat, KIND:SIZE, the name of a map's file, or field."""
+        return "field" if self.sizes else Path(self.ground).name
 
     @property
     def is_flat(self) -> bool:

@@ -48,6 +48,9 @@ class TraceMeta:
     max_steps: Annotated[int, Within(1, 1e9)] = 1000
     gait_period: Annotated[float, Within(1e-3, 1e3)] | None = None
     """Of the reference [s]; None: it has none."""
+    terrain: str = "flat"
+    """What the robot stood on: flat or KIND:SIZE, such as stairs:0.10, made with `seed`; or a name of what a trace does
+    not hold."""
 
     def __post_init__(self) -> None:
         """Refuse names that repeat."""

@@ -28,6 +28,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
 from surefoot.rotations import rpy_quat
+from surefoot.world.ground import FLAT
 
 if TYPE_CHECKING:
     from surefoot.report.pages.server import PageServer
@@ -93,7 +94,7 @@ class Page:
         self._start, self._reported, self._sent, self._received = time.monotonic(), 0.0, 0.0, -math.inf
         self._command = list(STAND)
         self._values: dict[str, Any] = {}
-        view.show(robot)
+        view.show(FLAT, robot)
         self._place([0.0, 0.0, 0.0], robot.resting_angles)
         server.set_options(
             deployed=True,

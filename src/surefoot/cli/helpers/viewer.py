@@ -15,13 +15,15 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
+from surefoot.report.drawing.ground_part import ground_around
 from surefoot.report.drawing.mesh import link_meshes
 from surefoot.report.drawing.scene import poses, trace_poses
 from surefoot.robot import RobotDescription
 from surefoot.robot.appearance import Appearance
 from surefoot.rotations import matrix_quat
 from surefoot.task.trace import EpisodeTrace
-from surefoot.world.ground import FLAT
+from surefoot.world.ground import FLAT, Ground
+from surefoot.world.terrain import make_terrain
 
 if TYPE_CHECKING:
     from surefoot.emulator.plant import Plant
@@ -38,13 +40,19 @@ def has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def build_stage(appearance: Appearance) -> mujoco.MjModel:
+def build_stage(appearance: Appearance, ground: Ground = FLAT) -> mujoco.MjModel:
     """Return a model with ground, light and a mocap body for every link that has parts."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     visual: dict[str, Any] = {"contype": 0, "conaffinity": 0}
-    level, plane = [0.0, 0.0, float(FLAT.height(np.zeros(2)))], mujoco.mjtGeom.mjGEOM_PLANE
-    spec.worldbody.add_geom(rgba=[0.8, 0.82, 0.84, 1], type=plane, pos=level, size=[0, 0, 0.5], **visual)
+    look = {"rgba": [0.8, 0.82, 0.84, 1], **visual}
+    if ground.is_flat:
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.5], **look)
+    else:
+        corners = ground_around(ground, np.zeros(2)).triangles().reshape(-1, 3)
+        mesh = spec.add_mesh(name="ground", uservert=corners.ravel(), userface=np.arange(len(corners), dtype=np.int32))
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, **look)
     links = dict.fromkeys(part.link for part in appearance.parts)
     bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in links}
     for number, (link, color, points, faces) in enumerate(link_meshes(appearance)):
@@ -69,22 +77,22 @@ def set_stage(model: mujoco.MjModel, data: mujoco.MjData, poses: Mapping[str, Ar
     mujoco.mj_kinematics(model, data)
 
 
-def replay(robot: RobotDescription, trace: EpisodeTrace) -> None:
-    """Show a recorded run in real time, repeatedly, until the window is closed."""
+def replay(robot: RobotDescription, trace: EpisodeTrace, ground: Ground = FLAT) -> None:
+    """Show a recorded run on a ground in real time, repeatedly, until the window is closed."""
     recorded, times, start = trace_poses(robot, trace), trace.time, time.perf_counter()
 
     def now() -> tuple[Mapping[str, Array], int]:
         played = (time.perf_counter() - start) % float(times[-1])
         return recorded, min(int(np.searchsorted(times, played)), len(times) - 1)
 
-    _show(robot, now)
+    _show(robot, ground, now)
 
 
-def _show(robot: RobotDescription, now: Callable[[], tuple[Mapping[str, Array], int]]) -> None:
+def _show(robot: RobotDescription, ground: Ground, now: Callable[[], tuple[Mapping[str, Array], int]]) -> None:
     """Show a robot until the window is closed; `now` returns poses (T, 4, 4) by body, and the step to show."""
     import mujoco.viewer
 
-    model = build_stage(robot.appearance())
+    model = build_stage(robot.appearance(), ground)
     data = mujoco.MjData(model)
     with mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as viewer:
         viewer.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
@@ -103,16 +111,18 @@ class EmulateViewer:
     Args:
         robot: name or folder.
         plant: the robot's body.
+        terrain: what it stands on, as `make_terrain` takes it with a seed.
+        seed: see above.
     """
 
-    def __init__(self, robot: str, plant: Plant) -> None:
+    def __init__(self, robot: str, plant: Plant, terrain: str = "flat", seed: int = 0) -> None:
         self._plant = plant
         context = multiprocessing.get_context("spawn")
         # Without a lock: half a new pose is drawn at worst, for 1/60 s.
         self._shared = context.RawArray("d", _BASE + plant.robot.num_motors)
         self._next = 0
         self._write()
-        self._process = context.Process(target=_show_shared, args=(robot, self._shared), daemon=True)
+        self._process = context.Process(target=_show_shared, args=(robot, self._shared, terrain, seed), daemon=True)
         self._process.start()
 
     def see(self, now: int) -> None:
@@ -137,7 +147,7 @@ def pose_of(robot: RobotDescription, numbers: Any) -> dict[str, Array]:
     return poses(robot, row[:3], row[3:_BASE], row[_BASE:])
 
 
-def _show_shared(name: str, shared: Any) -> None:
+def _show_shared(name: str, shared: Any, terrain: str, seed: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the emulator closes the window
     robot = RobotDescription.load(name)
-    _show(robot, lambda: (pose_of(robot, shared), 0))
+    _show(robot, make_terrain(terrain, seed), lambda: (pose_of(robot, shared), 0))

@@ -12,19 +12,20 @@ import numpy as np
 from numba import njit
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-_SKY, _UP, _SUN = 0.34, 0.16, 0.72
+SKY, UP, SUN = 0.34, 0.16, 0.72
 """Light on a surface: from all sides, more from above than from below, and from the sun."""
 _SHINE, _RIM = 0.22, 0.10
 """Reflections: of the sun on a glossy surface, and of the sky where a surface is seen at a slant."""
 
 
-def _compile(function: Function) -> Function:
+def compiled(function: Function) -> Function:
+    """Compile a loop of the renderer."""
     # Without numba's runtime it counts no references to the arrays in tuples; see actuator/compiled.py.
     options = {"cache": True, "nogil": True, "forceinline": True, "error_model": "numpy", "fastmath": True}
     return cast(Function, njit(**options, _nrt=False)(function))
 
 
-@_compile
+@compiled
 def rasterize(points: Any, faces: Any, nearest: Any, face_at: Any) -> None:
     """Write for each pixel the face in front, and how near it is.
 
@@ -89,7 +90,7 @@ class Light(NamedTuple):
     """Distance of two places [m]."""
 
 
-@_compile
+@compiled
 def light_share(light: Light, x: float, y: float, z: float) -> float:
     """Return the share of the sun that reaches a point at height z [m] on the ray to (x, y) on the ground."""
     height, width = light.occluder.shape
@@ -108,7 +109,33 @@ def light_share(light: Light, x: float, y: float, z: float) -> float:
     return 0.25 * share
 
 
-@_compile
+@compiled
+def dark_share(x: float, y: float, reach_x: float, reach_y: float, tile: float) -> float:
+    """Return the share of dark squares in a pixel that reaches so far along x and y around a place [m]."""
+    # A wave of +1 and -1 along x times one along y, each averaged over the pixel.
+    wide_x, wide_y = 0.5 * reach_x / tile, 0.5 * reach_y / tile
+    ax, ay = 0.5 * (x / tile - wide_x), 0.5 * (y / tile - wide_y)
+    bx, by = ax + wide_x, ay + wide_y
+    wave_x = (abs(ax - np.floor(ax) - 0.5) - abs(bx - np.floor(bx) - 0.5)) / wide_x
+    wave_y = (abs(ay - np.floor(ay) - 0.5) - abs(by - np.floor(by) - 0.5)) / wide_y
+    return 0.5 + 0.5 * wave_x * wave_y
+
+
+@compiled
+def shadow_share(light: Light, x: float, y: float) -> float:
+    """Return how dark the ground's shadow is at a place [m], 0 to 1."""
+    rows, columns = light.shadow.shape
+    column, row = (x - light.low[0]) / light.texel - 0.5, (y - light.low[1]) / light.texel - 0.5
+    if not (column >= 0.0 and row >= 0.0 and column < columns - 1 and row < rows - 1):
+        return 0.0
+    c, r = int(column), int(row)
+    u, v = column - c, row - r
+    above = (1.0 - u) * light.shadow[r, c] + u * light.shadow[r, c + 1]
+    below = (1.0 - u) * light.shadow[r + 1, c] + u * light.shadow[r + 1, c + 1]
+    return (1.0 - v) * above + v * below
+
+
+@compiled
 def paint_ground(picture: Any, ground: Any, eye: Any, tile: float, light: Light, dim: float) -> None:
     """Paint the ground, which fills the last rows of a picture.
 
@@ -123,24 +150,11 @@ def paint_ground(picture: Any, ground: Any, eye: Any, tile: float, light: Light,
         dim: how much darker the ground is in full shadow, as a share of its linear color.
     """
     first = len(picture) - len(ground)
-    rows, columns = light.shadow.shape
     for i in range(ground.shape[0]):
         for j in range(ground.shape[1]):
             x, y = eye[0] + ground[i, j, 0], eye[1] + ground[i, j, 1]
-            # A wave of +1 and -1 along x times one along y, each averaged over the pixel.
-            wide_x, wide_y = 0.5 * ground[i, j, 2] / tile, 0.5 * ground[i, j, 3] / tile
-            ax, ay = 0.5 * (x / tile - wide_x), 0.5 * (y / tile - wide_y)
-            bx, by = ax + wide_x, ay + wide_y
-            wave_x = (abs(ax - np.floor(ax) - 0.5) - abs(bx - np.floor(bx) - 0.5)) / wide_x
-            wave_y = (abs(ay - np.floor(ay) - 0.5) - abs(by - np.floor(by) - 0.5)) / wide_y
-            share = 1.0 - ground[i, j, 7] * (0.5 + 0.5 * wave_x * wave_y)
-            column, row = (x - light.low[0]) / light.texel - 0.5, (y - light.low[1]) / light.texel - 0.5
-            if column >= 0.0 and row >= 0.0 and column < columns - 1 and row < rows - 1:
-                c, r = int(column), int(row)
-                u, v = column - c, row - r
-                above = (1.0 - u) * light.shadow[r, c] + u * light.shadow[r, c + 1]
-                below = (1.0 - u) * light.shadow[r + 1, c] + u * light.shadow[r + 1, c + 1]
-                share *= 1.0 - dim * ((1.0 - v) * above + v * below)
+            share = 1.0 - ground[i, j, 7] * dark_share(x, y, ground[i, j, 2], ground[i, j, 3], tile)
+            share *= 1.0 - dim * shadow_share(light, x, y)
             share = np.sqrt(share)
             for k in range(3):
                 picture[first + i, j, k] = np.uint8(ground[i, j, 4 + k] * share)
@@ -159,7 +173,7 @@ class Surface(NamedTuple):
     """Linear colors (F, 3)."""
 
 
-@_compile
+@compiled
 def _color(
     x: float, y: float, f: int, surface: Surface, eye: Any, rays: Any, light: Light
 ) -> tuple[float, float, float]:
@@ -198,13 +212,13 @@ def _color(
     shine = max(nx * hx + ny * hy + nz * hz, 0.0) / max(np.sqrt(hx * hx + hy * hy + hz * hz), 1e-9)
     for _ in range(5):
         shine *= shine
-    diffuse = _SKY + _UP * nz + _SUN * max(lit, 0.0) * sun
+    diffuse = SKY + UP * nz + SUN * max(lit, 0.0) * sun
     gloss = _SHINE * shine * sun + _RIM * (0.6 + 0.4 * nz) * (1.0 - facing) ** 3
     red, green, blue = surface.colors[f, 0], surface.colors[f, 1], surface.colors[f, 2]
     return red * diffuse + gloss, green * diffuse + gloss, blue * diffuse + gloss
 
 
-@_compile
+@compiled
 def paint_faces(
     picture: Any, corner: Any, face_at: Any, parts: int, surface: Surface, eye: Any, rays: Any, light: Light
 ) -> None:

@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageFilter
 
 from surefoot.arrays import Array
+from surefoot.report.drawing.ground_part import faces, ground_around, step_edges
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.raster import Light, Surface, paint_faces, paint_ground, rasterize
-from surefoot.world.ground import FLAT
+from surefoot.report.drawing.uneven_ground import GroundLook, VisibleGround, clip, paint_uneven
+from surefoot.world.ground import FLAT, Ground
 
 TILE = 0.25
 """Side of a square of the ground [m]."""
@@ -35,7 +37,10 @@ _SHADOW = 0.62
 """How much darker the ground is in full shadow, as a share."""
 _TEXELS = 300
 """Points of the shadow along its longer side."""
-_LEVEL = float(FLAT.height(np.zeros(2)))
+_CLEARANCE = 0.4
+"""Least height of the eye over the course of the ground, as a share of that over level ground."""
+_SPREAD = 0.03
+"""Distance [m] over which heights of what casts a shadow are averaged."""
 _EXTENT = 0.8737
 """Extent [m] of a robot that fills the picture of a camera as it stands."""
 
@@ -65,12 +70,20 @@ class Camera:
 
 
 class View:
-    """A pinhole camera that looks at a place (2,) on the ground: x right, y down, depth along its axis, in pixels."""
+    """A pinhole camera that looks at a place (2,) on a ground: x right, y down, depth along its axis, in pixels."""
 
-    def __init__(self, camera: Camera, place: ArrayLike, size: tuple[int, int]) -> None:
+    def __init__(self, camera: Camera, place: ArrayLike, size: tuple[int, int], ground: Ground = FLAT) -> None:
         offset = np.array(camera.offset, dtype=np.float64)
         at = np.asarray(place, dtype=np.float64)
-        self.eye = np.array([*at, FLAT.level(at) + camera.height]) + offset
+        self.place, self.above = at, camera.height + offset[2]
+        """Where it looks; and the height of the eye over level ground [m]."""
+        self.ground = ground
+        level = float(ground.level(at))
+        if not ground.is_flat:
+            # Not into a slope that rises towards the camera.
+            rise = float(ground.level(at + offset[:2])) - level
+            offset[2] += max(rise - (1.0 - _CLEARANCE) * self.above, 0.0)
+        self.eye = np.array([*at, level + camera.height]) + offset
         axis = -offset / np.linalg.norm(offset)
         right = np.cross(axis, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
@@ -100,12 +113,19 @@ class View:
 def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
     """Draw sky, ground, shadows and the mesh, whose links have these poses (L, 4, 4)."""
     points, normals = mesh.place(poses)
-    light = _light(mesh, points)
-    eye = view.eye.astype(np.float32)
-    sky, ground = _backdrop(view.width, view.height, view.focal, float(view.eye[2]) - _LEVEL, tuple(view.axes.flat))
-    picture = sky.copy()
-    paint_ground(picture, ground, eye, TILE, light, _SHADOW)
     pixels, depth = view.project(points)
+    # The light counts heights from the lowest point, so that none is below 0.
+    base = 0.0 if view.ground.is_flat else float(points[:, 2].min())
+    points[:, 2] -= base
+    light = _light(mesh, points)
+    eye = (view.eye - [0.0, 0.0, base]).astype(np.float32)
+    sky, ground = _backdrop(view.width, view.height, view.focal, float(view.above), tuple(view.axes.flat))
+    picture = sky.copy()
+    in_front = None
+    if view.ground.is_flat:
+        paint_ground(picture, ground, eye, TILE, light, _SHADOW)
+    else:
+        in_front = _paint_ground(picture, view, light, base)
     seen = depth > _NEAR
     if seen.any():
         x, y = pixels[seen].T.copy()
@@ -114,6 +134,9 @@ def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
         high = np.clip(np.ceil([x.max(), y.max()]).astype(int), low, size)
         columns, rows = _PARTS * (high - low)
         nearest, face_at = np.zeros((rows, columns), np.float32), np.full((rows, columns), -1, np.int32)
+        if in_front is not None:
+            (left, top), (right, bottom) = _PARTS * low, _PARTS * high
+            nearest = in_front[top:bottom, left:right].copy()
         flat = np.column_stack([_PARTS * (pixels - low), np.where(seen, 1.0 / np.maximum(depth, _NEAR), 0.0)])
         surface = Surface(flat.astype(np.float32), normals, mesh.faces, mesh.color**2)
         rasterize(surface.pixels, mesh.faces, nearest, face_at)
@@ -122,9 +145,42 @@ def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
     return Image.fromarray(picture)
 
 
+def _paint_ground(picture: NDArray[np.uint8], view: View, light: Light, base: float) -> NDArray[np.float32]:
+    """Paint a ground that is not flat; return how near it is, in parts of pixels, as `rasterize` writes it.
+
+    Args:
+        picture: (H, W, 3), the sky.
+        view: the camera, and the ground.
+        light: the sun, with heights over `base` [m].
+        base: see above.
+    """
+    part = ground_around(view.ground, view.place)
+    triangles, normals = faces(part)
+    local, owner = clip((triangles - view.eye) @ view.axes.T, _NEAR)
+    depth = local[..., 2]
+    pixels = view.focal * local[..., :2] / depth[..., None] + np.array([view.width / 2, view.height / 2])
+    size = np.array([view.width, view.height])
+    seen = ((pixels.max(axis=1) > 0) & (pixels.min(axis=1) < size)).all(axis=1)
+    points = np.concatenate([_PARTS * pixels[seen], 1.0 / depth[seen, :, None]], axis=-1).reshape(-1, 3)
+    columns, rows = _PARTS * size
+    nearest, face_at = np.zeros((rows, columns), np.float32), np.full((rows, columns), -1, np.int32)
+    rasterize(points, np.arange(len(points), dtype=np.int32).reshape(-1, 3), nearest, face_at)
+    normals = normals[owner[seen]]
+    away = ((triangles[owner[seen], 0] - view.eye) * normals).sum(axis=1)
+    highest, radius = max(float(light.occluder.max()), 1e-6), _SPREAD / light.texel
+    cover = np.maximum(_blurred(light.occluder > 0.0, radius, 1.0), 0.02)
+    top = highest * _blurred(light.occluder, radius, highest) / cover
+    ground = VisibleGround(np.column_stack([normals, away]), step_edges(part), part.course, part.grid, top, base)
+    color, haze = 255.0 * _GROUND, 255.0 * _HAZE
+    look = GroundLook(color, haze, TILE, _DARK, _SHADOW, float(_FAR * view.above), float(_HAZY * view.above))
+    rays = view.rays(np.zeros(2), _PARTS)
+    paint_uneven(picture, face_at, _PARTS, ground, view.eye, rays, light, look)
+    return nearest
+
+
 def _light(mesh: Mesh, points: Array) -> Light:
-    """Return the sun with the shadow of a mesh with points (P, 3) in the world."""
-    height = points[:, 2] - _LEVEL
+    """Return the sun with the shadow of a mesh with points (P, 3), whose heights are not below 0."""
+    height = points[:, 2]
     slant = height / _TO_SUN[2]
     # Columns by themselves: numpy finds the least and greatest of each far faster.
     x, y = points[:, 0] - _TO_SUN[0] * slant, points[:, 1] - _TO_SUN[1] * slant
@@ -145,17 +201,18 @@ def _light(mesh: Mesh, points: Array) -> Light:
 def _soften(occluder: NDArray[np.float32], texel: float) -> NDArray[np.float32]:
     """Return the shadow (H, W), 0 to 1, of what stands at these heights: the higher, the softer."""
     top = max(float(occluder.max()), 1e-6)
-
-    def blurred(values: NDArray[Any], radius: float) -> NDArray[np.float32]:
-        image = Image.fromarray(values.astype(np.uint8)).filter(ImageFilter.GaussianBlur(radius))
-        return np.asarray(image, np.float32) / np.float32(255.0)
-
-    cover, radius = 255.0 * (occluder > 0.0), 0.05 * top / texel
-    sharp, soft = blurred(cover, 1.0), blurred(cover, radius)
+    cover, radius = occluder > 0.0, 0.05 * top / texel
+    sharp, soft = _blurred(cover, 1.0, 1.0), _blurred(cover, radius, 1.0)
     # Mean height of what is around a place, as a share of the greatest.
-    share = np.clip(1.6 * blurred(255.0 / top * occluder, radius) / np.maximum(soft, 0.02), 0.0, 1.0)
+    share = np.clip(1.6 * _blurred(occluder, radius, top) / np.maximum(soft, 0.02), 0.0, 1.0)
     shadow: NDArray[np.float32] = (sharp + share * (soft - sharp)).astype(np.float32)
     return shadow
+
+
+def _blurred(values: NDArray[Any], radius: float, top: float) -> NDArray[np.float32]:
+    """Return values (H, W) from 0 to `top` as blurred shares of it; `radius` in places."""
+    image = Image.fromarray((255.0 / top * values).astype(np.uint8)).filter(ImageFilter.GaussianBlur(radius))
+    return np.asarray(image, np.float32) / np.float32(255.0)
 
 
 @functools.lru_cache(maxsize=4)

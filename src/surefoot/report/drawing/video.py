@@ -18,6 +18,7 @@ from surefoot.errors import SurefootError
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.renderer import Camera, View, draw
 from surefoot.robot.appearance import Appearance
+from surefoot.world.ground import FLAT, Ground
 
 _THREADS, _BATCH = 2, 16
 """Threads that draw, and how many pictures they draw before these are encoded."""
@@ -33,6 +34,7 @@ def render_video(
     follow: str,
     overlay: Sequence[str],
     camera: Camera = Camera(),  # noqa: B008, it is frozen
+    ground: Ground = FLAT,
     fps: int = 50,
     size: tuple[int, int] = (960, 540),
 ) -> Path:
@@ -46,6 +48,7 @@ def render_video(
         follow: link that the camera follows.
         overlay: text at the top left for each of `times`; may have several lines.
         camera: where pictures are taken from.
+        ground: what links move over.
         fps: frames a second; poses between two times are interpolated.
         size: width and height in pixels, even.
     """
@@ -60,7 +63,7 @@ def render_video(
 
     def frame(now: float) -> bytes:
         place = [np.interp(now, track_times, part) for part in track.T]
-        picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, place, size))
+        picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, place, size, ground))
         write_label(picture, overlay[int(np.abs(times - now).argmin())])
         content: bytes = picture.tobytes()
         return content

@@ -31,7 +31,7 @@ function fillPolicies(select, policies, chosen, first) {
 const fill = (select, values, chosen) => select.replaceChildren(...values.map(([value, text]) => new Option(text, value, false, value === chosen)));
 const labelOf = name => (options.policies.find(one => one[0] === name) || ["", name])[1];
 function showOptions(message) {
-  if (!options || ["policy", "world", "ghost"].some(name => message[name] !== options[name])) points = [];
+  if (!options || ["policy", "world", "terrain", "ghost"].some(name => message[name] !== options[name])) points = [];
   options = message; document.body.classList.toggle("real", !!message.deployed); document.body.classList.toggle("two", !!message.ghost);
   if (message.deployed) {
     $("h0").textContent = "command forward [m/s]"; $("h2").textContent = "hottest motor [degC]";
@@ -40,6 +40,7 @@ function showOptions(message) {
   fillPolicies($("policy"), message.policies, message.policy, []);
   fillPolicies($("ghost"), message.policies, message.ghost, [new Option("none", "", false, !message.ghost)]);
   fill($("world"), message.worlds.map(name => [name, name]), message.world);
+  if (message.terrains) fillTerrains(message);
   fill($("speed"), message.speeds.map(s => [s, s === 1 ? "real" : `1/${Math.round(1 / s)}`]));
   if (message.pushes && !$("duration").length) fill($("duration"), message.pushes.map(s => [s, `${s} s`]));
   const steers = usable();
@@ -59,6 +60,18 @@ function showOptions(message) {
     element("div", {}, element("span", {}, element("i", { className: `dot ${kind}` }), labelOf(name)))));
   showKnobs(message.knobs, message.driver); showForce(); showRecording(shownRecording);
 }
+// Terrain: kinds with [unit, meaning, least, greatest, step, first] of their size, which flat ground and maps do not have.
+function fillTerrains({ terrains, terrain }) {
+  const [kind, number] = terrain in terrains ? [terrain] : terrain.split(":"), size = terrains[kind];
+  fill($("terrain"), Object.keys(terrains).map(name => [name, name.split("/").pop().replace("_", " ")]), kind);
+  for (const one of document.querySelectorAll(".sized")) one.hidden = !size;
+  if (!size) return;
+  [$("size").min, $("size").max, $("size").step] = size.slice(2, 5); $("size").value = number; $("size").title = size[1]; showSize();
+}
+const showSize = () => { $("sized").textContent = `${+(+$("size").value).toPrecision(3)} ${options.terrains[$("terrain").value][0]}`; };
+$("size").oninput = showSize;
+$("size").onchange = () => send({ terrain: [$("terrain").value, +$("size").value] });
+$("terrain").onchange = event => { send({ terrain: [event.target.value] }); event.target.blur(); };
 // Sliders, in groups; a row is built once, and shows the value that the simulation has.
 let knobKey = "", rows = {};
 const compact = value => `${+value.toPrecision(4)}`;

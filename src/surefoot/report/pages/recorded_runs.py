@@ -22,12 +22,15 @@ import viser
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.evaluation.foot_forces import foot_forces
+from surefoot.evaluation.recorded import ground_of
 from surefoot.evaluation.tracking import motion
+from surefoot.report.drawing.ground_part import ground_around
 from surefoot.report.drawing.scene import extent, poses
 from surefoot.report.pages.html import document
 from surefoot.report.pages.view import (
     PUSH_COLOR,
     WEIGHT_ARROW,
+    add_ground,
     add_path,
     add_robot,
     add_world,
@@ -38,6 +41,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.urdf import GREY
 from surefoot.rotations import in_heading_frame, matrix_quat, quat_yaw, rpy_quat
 from surefoot.task.trace import EpisodeTrace
+from surefoot.world.ground import Ground
 
 MAX_TRACES = 16
 RATE = 50.0
@@ -58,6 +62,8 @@ _COLORS = (
 )
 _FORCE_COLOR = (230, 150, 30)
 _MISSING = -32768
+_PATH_HEIGHT = 0.004
+"""Height of paths over the ground [m]."""
 
 
 @dataclass(frozen=True)
@@ -98,16 +104,22 @@ def recording_page(traces: Sequence[ShownTrace], layout: str = "side") -> str:
     if not 1 <= len(traces) <= MAX_TRACES:
         raise SurefootError(f"{len(traces)} traces are given; a page shows 1 to {MAX_TRACES}")
     rate = min(RATE, _MAX_ROWS / max(sum(one.duration for one in traces), 1.0))
-    runs, paths = [], []
+    runs, paths, grounds = [], [], list[Ground]()
     for number, one in enumerate(traces):
         with prefix_errors(one.name):
-            run, path = _run(one, rate, f"/world/r{number}")
+            ground = ground_of(one.trace)
+            run, path = _run(one, rate, f"/world/r{number}", ground)
+        if ground not in grounds:
+            grounds.append(ground)
+        run["ground"] = f"/world/ground{grounds.index(ground)}"
         run["color"] = "#{:02x}{:02x}{:02x}".format(*_COLORS[number % len(_COLORS)])
         runs.append(run)
         paths.append(path)
     size = max(run["size"] for run in runs)
+    if layout == "side" and not all(ground.is_flat for ground in grounds):
+        layout = "over"  # robots stay where they were on such a ground
     data = {"layout": layout, "rate": rate, "size": size, "runs": runs, "last": f"/world/r{len(runs) - 1}/last"}
-    viewer = _viewer(traces, runs, paths, size, tinted=len(runs) > 1 and layout != "one")
+    viewer = _viewer(traces, runs, paths, grounds, size, tinted=len(runs) > 1 and layout != "one")
     page = document("show.html").replace("<head>", f"<head>\n<!--\n{_license()}\n-->", 1)
     return page.replace("DATA = null, VIEWER = null", f"DATA = {_script(data)},\n  VIEWER = {_script(viewer)}", 1)
 
@@ -123,8 +135,8 @@ def _license() -> str:
     return "\n".join(["This page holds a copy of viser's client.", *texts]).replace("--", "- -")
 
 
-def _run(shown: ShownTrace, rate: float, node: str) -> tuple[dict[str, Any], Array]:
-    """Return the data of a trace for the page's script, and the path of its base (T, 3) [m]."""
+def _run(shown: ShownTrace, rate: float, node: str, ground: Ground) -> tuple[dict[str, Any], Array]:
+    """Return the data of a trace on a ground for the page's script, and the path of its base over it (T, 3) [m]."""
     trace, robot = shown.trace, shown.robot
     time = np.arange(int(shown.duration * rate + 1e-6) + 1) / rate
     angles, angle_notes = _angles(trace)
@@ -133,7 +145,9 @@ def _run(shown: ShownTrace, rate: float, node: str) -> tuple[dict[str, Any], Arr
     if not np.isfinite([*joints.values()]).all():
         raise SurefootError("a leg can't close its loop at any of the motor angles")
     feet = robot.leg_mounts + robot.leg_geometry.foot_position(angles[:, robot.leg_motor_index])
-    position, quat, base_notes = _base(trace, feet)
+    # Over flat ground runs begin in one place; elsewhere they stay where they were.
+    start = _start(trace) if ground.is_flat else (np.zeros(2), 0.0)
+    position, quat, base_notes = _base(trace, feet, start)
     forces = foot_forces(robot, angles, trace.motor_torque)
     forces[np.isfinite(forces[..., 2]) & ((trace.foot_contact < 0.5) | (forces[..., 2] < 0.0))] = 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -147,7 +161,7 @@ def _run(shown: ShownTrace, rate: float, node: str) -> tuple[dict[str, Any], Arr
         "joint": np.column_stack([*joints.values()]),
         "foot": _interpolate(feet.reshape(rows, -1)),
         "force": forces.reshape(rows, -1),
-        "push": in_heading_frame(trace.push_force_world, np.full(rows, _start(trace)[1])),
+        "push": in_heading_frame(trace.push_force_world, np.full(rows, start[1])),
         "speed": pd.DataFrame(speed).rolling(count, min_periods=1).mean().to_numpy(),
         "command": trace.command,
         "torque": trace.motor_torque,
@@ -156,12 +170,15 @@ def _run(shown: ShownTrace, rate: float, node: str) -> tuple[dict[str, Any], Arr
         "power": pd.DataFrame(power).rolling(count, min_periods=1).mean().to_numpy(),
         "contact": trace.foot_contact,
     }
+    if not ground.is_flat:
+        columns["level"] = ground.level(position[:, :2])[:, None]
     columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
     for name, values in columns.items():
         if (greatest := np.nanmax(np.abs(values))) > _MAX_VALUE:
             raise SurefootError(f"its {name} is up to {greatest:g}; nothing over {_MAX_VALUE:g} is shown")
     ended = {"time": "", "fall": ", fell", "fault": ", ended by a fault", "stopped": ", stopped"}[trace.meta["ended"]]
-    title = f"{robot.name} in {str(trace.meta['world'])[:60]}, {shown.duration:.2f} s{ended}"
+    place = str(trace.meta["world"])[:60] + ("" if ground.is_flat else f" on {trace.meta['terrain']}")
+    title = f"{robot.name} in {place}, {shown.duration:.2f} s{ended}"
     run = {
         "name": shown.name,
         "node": node,
@@ -177,7 +194,7 @@ def _run(shown: ShownTrace, rate: float, node: str) -> tuple[dict[str, Any], Arr
             for joint in map(robot.urdf.joints.__getitem__, joints)
         ],
     }
-    return run, position
+    return run, np.column_stack([position[:, :2], ground.height(position[:, :2]) + _PATH_HEIGHT])
 
 
 def _start(trace: EpisodeTrace) -> tuple[Array, float]:
@@ -189,11 +206,11 @@ def _start(trace: EpisodeTrace) -> tuple[Array, float]:
     return trace.base_position_world[first, :2], float(quat_yaw(trace.base_quat_world[first]))
 
 
-def _base(trace: EpisodeTrace, feet: Array) -> tuple[Array, Array, list[str]]:
-    """Return position (T, 3) [m] and quaternion (T, 4) of the base, and notes.
+def _base(trace: EpisodeTrace, feet: Array, start: tuple[Array, float]) -> tuple[Array, Array, list[str]]:
+    """Return position (T, 3) [m] and quaternion (T, 4) of the base from a place and yaw on, and notes.
 
-    The base starts at the origin and heads along x. If it was never measured, its height is the median of how far its
-    feet (T, L, 3) [m], in the base's frame, reach down.
+    If it was never measured, its height is the median of how far its feet (T, L, 3) [m], in the base's frame, reach
+    down.
     """
     position, quat = trace.base_position_world[1:], trace.base_quat_world[1:]
     measured = np.asarray(np.isfinite(position).all(axis=1) & np.isfinite(quat).all(axis=1))
@@ -205,7 +222,7 @@ def _base(trace: EpisodeTrace, feet: Array) -> tuple[Array, Array, list[str]]:
         note = f"the base was not measured: it is held at standing height, {turned}"
         return place, _continuous(np.array([rpy_quat(*row) for row in attitude])), [note]
     notes = [] if measured.all() else [f"the base was not measured in {100 * (1 - measured.mean()):.1f} % of the rows"]
-    origin, yaw = _start(trace)
+    origin, yaw = start
     quat = _continuous(quat)
     position, quat = (_interpolate(np.where(measured[:, None], values, np.nan)) for values in (position, quat))
     position = in_heading_frame(position - [*origin, 0.0], np.full(len(position), yaw))
@@ -261,13 +278,24 @@ def _link_frames(robot: RobotDescription, base: str) -> dict[str, str]:
 
 
 def _viewer(
-    traces: Sequence[ShownTrace], runs: Sequence[dict[str, Any]], paths: Sequence[Array], size: float, tinted: bool
+    traces: Sequence[ShownTrace],
+    runs: Sequence[dict[str, Any]],
+    paths: Sequence[Array],
+    grounds: Sequence[Ground],
+    size: float,
+    tinted: bool,
 ) -> str:
-    """Return viser's page with the robots in their resting poses; with `tinted`, each in a color of its own."""
+    """Return viser's page with grounds and the robots in their resting poses; `tinted`: each in a color of its own."""
     server = quiet_server()
     try:
         stage = server.scene
-        add_world(stage, size)
+        add_world(stage)
+        for number, ground in enumerate(grounds):
+            node = f"/world/ground{number}"
+            if not ground.is_flat:
+                there = np.concatenate([p[:, :2] for p, run in zip(paths, runs, strict=True) if run["ground"] == node])
+                ground = ground_around(ground, (there.min(axis=0) + there.max(axis=0)) / 2)
+            add_ground(stage, node, size, ground)
         for number, (one, run, path) in enumerate(zip(traces, runs, paths, strict=True)):
             _add_robot(stage, one.robot, run, path, _COLORS[number % len(_COLORS)] if tinted else None)
         # The page sets the distance, so that it fits the robots that are shown.
@@ -301,5 +329,5 @@ def _add_robot(
         stage.add_arrows(f"{node}/{name}", up, color, shaft_radius=0.028, head_radius=0.07, head_length=0.22)
     length = np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0, prepend=path[:1, :2]), axis=1))
     corners = np.unique(np.floor(length / (0.05 * size)), return_index=True)[1]
-    add_path(stage, f"{node}/path", path[corners] * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.004], tint or GREY)
+    add_path(stage, f"{node}/path", path[corners], tint or GREY)
     stage.add_frame(f"{node}/last", show_axes=False)  # the page waits for it

@@ -20,13 +20,15 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
+from surefoot.report.drawing.ground_part import ground_around
 from surefoot.report.drawing.mesh import link_meshes
 from surefoot.report.drawing.scene import extent, poses
+from surefoot.report.pages.ground_model import ground_model
 from surefoot.robot import RobotDescription
 from surefoot.robot.appearance import Appearance
 from surefoot.robot.urdf import GREY, Color
 from surefoot.rotations import in_heading_frame, matrix_quat, quat_yaw
-from surefoot.world.ground import FLAT
+from surefoot.world.ground import Ground
 
 _TRAIL_POINTS = 300
 _FOLLOW = 0.4
@@ -57,14 +59,23 @@ def quiet_server() -> viser.ViserServer:
         return viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
 
 
-def add_world(scene: viser.SceneApi, size: float) -> viser.FrameHandle:
-    """Add the frame of the world, with the ground for robots of a size [m]; return the frame."""
+def add_world(scene: viser.SceneApi) -> viser.FrameHandle:
+    """Add the frame of the world, with light; return the frame."""
     scene.set_up_direction("+z")
     world = scene.add_frame("/world", show_axes=False)
+    # Dark robots on a bright ground: light from all sides shows their shape.
+    scene.add_light_hemisphere("/light", sky_color=(255, 255, 255), ground_color=(190, 195, 200), intensity=1.6)
+    return world
+
+
+def add_ground(scene: viser.SceneApi, name: str, size: float, ground: Ground) -> None:
+    """Add a ground for robots of a size [m]: flat, or a part that `ground_around` gives."""
+    if not ground.is_flat:
+        scene.add_glb(name, ground_model(ground), cast_shadow=False, receive_shadow=0.4)
+        return
     scene.add_grid(
-        "/world/ground",
+        name,
         infinite_grid=True,
-        position=(0.0, 0.0, float(FLAT.height(np.zeros(2)))),
         cell_size=0.25,
         section_size=1.0,
         fade_distance=15.0 * size,
@@ -74,9 +85,6 @@ def add_world(scene: viser.SceneApi, size: float) -> viser.FrameHandle:
         plane_opacity=1.0,
         shadow_opacity=0.4,
     )
-    # Dark robots on a bright ground: light from all sides shows their shape.
-    scene.add_light_hemisphere("/light", sky_color=(255, 255, 255), ground_color=(190, 195, 200), intensity=1.6)
-    return world
 
 
 def add_path(scene: viser.SceneApi, name: str, points: Array, color: tuple[int, int, int]) -> None:
@@ -115,16 +123,19 @@ class RobotView:
         self.frames = 0
         """Number of pictures that were sent."""
 
-    def show(self, robot: RobotDescription, ghost: RobotDescription | None = None) -> None:
-        """Show another robot, at the start of a new trail, and a transparent one beside it, if any."""
+    def show(self, ground: Ground, robot: RobotDescription, ghost: RobotDescription | None = None) -> None:
+        """Show another robot on a ground, at the start of a new trail, and a transparent one beside it, if any."""
         size, server = extent(robot), self._server
         self._trail: deque[Array] = deque(maxlen=_TRAIL_POINTS)
-        self._at, self._size, self._base, self._yaw = np.zeros(2), size, np.zeros(3), 0.0
+        self._at, self._size, self._base, self._yaw = np.zeros(3), size, np.zeros(3), 0.0
+        self._ground = ground
+        self._part = ground if ground.is_flat else ground_around(ground, np.zeros(2))
         self._arrow: viser.ArrowsHandle | None = None
         self._arrow_until, self._push = 0.0, np.zeros(3)
         with server.atomic():
             server.scene.reset()
-            self._world = add_world(server.scene, size)
+            self._world = add_world(server.scene)
+            add_ground(server.scene, "/world/ground", size, self._part)
             self._robots = [self._add_robot("/world", robot)]
             if ghost is not None:
                 self._robots.append(self._add_robot("/world/ghost", ghost, tint=_GHOST_COLOR, opacity=_GHOST_OPACITY))
@@ -145,10 +156,14 @@ class RobotView:
         """
         with contextlib.suppress(SurefootError), self._server.atomic():  # a diverged state is not drawn
             placed = [poses(one.robot, *state) for one, state in zip(self._robots, states, strict=True)]
-            at = np.asarray(states[0][0], float)
-            far = np.linalg.norm(at[:2] - self._at) > 2 * self._size
-            self._at = at[:2].copy() if far else self._at + _FOLLOW * (at[:2] - self._at)
-            self._world.position = np.array([*-self._at, 0.0])
+            at, ground = np.asarray(states[0][0], float), self._ground
+            under = np.array([*at[:2], ground.level(at[:2])])
+            far = np.linalg.norm((under - self._at)[:2]) > 2 * self._size
+            self._at = under if far else self._at + _FOLLOW * (under - self._at)
+            self._world.position = -self._at
+            if not ground.is_flat and (part := ground_around(ground, at[:2])) is not self._part:
+                self._part = part
+                add_ground(self._server.scene, "/world/ground", self._size, part)
             for one, frames in zip(self._robots, placed, strict=True):
                 for name, link in one.links.items():
                     pose = frames[name][0]
@@ -160,7 +175,7 @@ class RobotView:
             if far:
                 self._trail.clear()
             if not self._trail or np.linalg.norm(at[:2] - self._trail[-1][:2]) > 0.05 * self._size:
-                self._trail.append(np.array([*at[:2], FLAT.height(at[:2]) + 0.004]))
+                self._trail.append(np.array([*at[:2], ground.height(at[:2]) + 0.004]))
                 add_path(self._server.scene, "/world/trail", np.array(self._trail), GREY)
         self.frames += 1
 

@@ -1,0 +1,66 @@
+"""A ground that is not flat as a model (GLB) for the pages' 3D views: its surface with squares, and its walls."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import trimesh
+from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
+
+from surefoot.report.drawing.ground_part import faces, step_edges
+from surefoot.world.ground import Ground
+
+_TILE = 0.25
+"""Side of a square [m]."""
+_SQUARES, _EDGE, _WALL = ((150, 156, 160), (122, 128, 132)), (60, 66, 72), (104, 110, 115)
+"""Colors of squares, of lines along the edges of steps, and of walls: darker than they look in the pages' light."""
+_EDGE_WIDTH = 0.03
+"""Width [m] of lines along edges."""
+_DEPTH, _DEPTH_DARK = 0.25, 0.5
+"""Depth below the course [m] over which the ground grows darker, and how much darker it becomes, as a share."""
+_PIXELS = 2048
+"""Pixels of the surface's picture along each side."""
+
+
+@functools.lru_cache(maxsize=4)
+def ground_model(part: Ground) -> bytes:
+    """Return the model of a ground, in the world's frame."""
+    triangles, normals = faces(part)
+    is_wall = np.abs(normals[:, 2]) < 1e-6
+    sides = part.cell * np.array(part.corners.shape[:2])
+    scene = trimesh.Scene()
+    looks: list[tuple[str, Any, dict[str, Any]]] = [
+        ("surface", ~is_wall, {"baseColorTexture": _picture(part)}),
+        ("walls", is_wall, {"baseColorFactor": [*_WALL, 255]}),
+    ]
+    for name, rows, look in looks:
+        if not rows.any():
+            continue
+        corners = triangles[rows].reshape(-1, 3)
+        # Corners of one place are one point: a viewer computes the normals of triangles.
+        _, first, index = np.unique(np.round(corners, 6), axis=0, return_index=True, return_inverse=True)
+        points = corners[first]
+        material = PBRMaterial(metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True, **look)
+        visual = TextureVisuals(uv=(points[:, :2] - part.grid[:2]) / sides, material=material)
+        scene.add_geometry(trimesh.Trimesh(points, index.reshape(-1, 3), visual=visual, process=False), geom_name=name)
+    return bytes(scene.export(file_type="glb"))
+
+
+def _picture(part: Ground) -> Image.Image:
+    """Return the squares of a ground from above, x to the right and y up, and the lines along edges."""
+    at = (np.arange(_PIXELS) + 0.5) * part.cell * len(part.corners) / _PIXELS
+    x, y = (np.floor((at + low) / _TILE).astype(int) for low in part.grid[:2])
+    picture = np.array(_SQUARES, np.uint8)[(x[:, None] + y) % 2]
+    cell, within = np.divmod(at / part.cell, 1.0)
+    index, width, edges = cell.astype(int), _EDGE_WIDTH / part.cell, step_edges(part)
+    for end, near in enumerate((within < width, within > 1.0 - width)):
+        picture[edges[index][:, index, 0, end] & near[:, None]] = _EDGE
+        picture[edges[index][:, index, 1, end] & near] = _EDGE
+    below = np.maximum(part.course - part.corners.mean(axis=(2, 3)), 0.0)
+    bright = 1.0 - _DEPTH_DARK * (1.0 - np.exp(-below / _DEPTH))
+    picture = (picture * bright[index][:, index, None]).astype(np.uint8)
+    return Image.fromarray(picture.transpose(1, 0, 2)[::-1])
