@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from surefoot.studies.comparison import Comparison
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+gc.disable()  # until all is collected
 
 # The same examples on every run and machine; a slow machine is no failure (pytest-timeout watches for hangs).
 settings.register_profile("surefoot", deadline=None, derandomize=True)
@@ -75,6 +76,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_collection_finish() -> None:
     """Hide from the garbage collector what tests import: each deployment searches all the rest before it begins."""
     gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

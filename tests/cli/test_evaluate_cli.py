@@ -29,6 +29,7 @@ KEYS = {
 EXTRAS = {
     *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "push_force", "command", "set", "robot"),
     *("policy_file", "config_hash", "randomize", "actuator", "params", "params_source", "saturation"),
+    "terrain",
 }
 LEGS = {"front_left", "back_left", "front_right", "back_right"}
 
@@ -316,3 +317,26 @@ def test_a_policy_is_measured_under_one_command_throughout_on_a_fitted_robot():
     refused(surefoot(*words, "--command-grid"), "--command and --command-grid are given; give one of them")
     refused(surefoot("evaluate", "go2-steer", "--command", 9, 0, 0), "forward is 9; this policy follows -1.02")
     refused(surefoot("evaluate", "trot", "--command", 0.1, 0, 0), "this policy has no commands to follow")
+
+
+def test_a_robot_is_put_on_terrain_and_what_keeps_up_is_counted():
+    words = (
+        "evaluate",
+        "go2-steer",
+        "--command",
+        0.5,
+        0,
+        0,
+        "--episodes",
+        2,
+        "--duration",
+        3,
+        "--threads",
+        1,
+        "--json",
+    )
+    summary = json.loads(surefoot(*words, "--terrain", "slope_down:10").stdout)
+    assert (summary["terrain"], summary["success"], summary["falls"]) == ("slope_down:10", 1.0, 0)
+    # Feet that are lifted by some centimetres do not get over steps of .2 m.
+    assert json.loads(surefoot(*words, "--terrain", "stairs:0.2").stdout)["success"] == 0.0
+    refused(surefoot(*words, "--terrain", "stairs:9"), "terrain stairs: size is 9 m; it must be 0.01 to 0.4")

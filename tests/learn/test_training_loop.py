@@ -192,6 +192,23 @@ def test_a_run_starts_from_one_with_other_ranges_and_more_exploration(whole: Tra
     assert all(torch.equal(other[name], last[name]) for name in other)
 
 
+def test_a_policy_gives_the_same_feedback_between_other_bounds(whole: TrainingLoop, tmp_path: Path) -> None:
+    task = {"feedback": {"swing": [-0.6, 0.4], "extension": [-0.3, 0.3]}}
+    config = tiny_config(start_from=str(whole.folder.path), steps=256, task=task)
+    loop = TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
+    observation = np.random.default_rng(0).normal(size=(5, *whole.learner.env.single_observation_space.shape))
+    observation = 0.1 * observation.astype(np.float32)
+    feedback = [
+        one.learner.env.gait.low
+        + 0.5
+        * (one.learner.act(observation) + 1)
+        * np.ptp([one.learner.env.gait.low, one.learner.env.gait.high], axis=0)
+        for one in (whole, loop)
+    ]
+    assert not np.allclose(whole.learner.env.gait.high, loop.learner.env.gait.high)
+    np.testing.assert_allclose(feedback[1], feedback[0], atol=1e-5)
+
+
 def test_start_from_refuses_networks_of_other_layers(whole: TrainingLoop, tmp_path: Path) -> None:
     config = tiny_config(start_from=str(whole.folder.path), ppo={"policy_hidden": [16]})
     with pytest.raises(SurefootError, match=r"start_from: the other run's networks do not fit"):

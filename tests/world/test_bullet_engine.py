@@ -13,9 +13,13 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import xyzw_matrix
-from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
+from surefoot.world import bullet_model
+from surefoot.world.bullet_kernels import NEAR, pin_kernel, sole_kernel
 from surefoot.world.bullet_model import BulletModel, BulletSettings
+from surefoot.world.ground import FLAT, Ground, uneven_floor
+from surefoot.world.ground_contact import sphere_contacts
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -225,6 +229,67 @@ def test_a_robot_on_its_back_lies_on_the_plane_under_an_uneven_floor(make_world)
         heights.append(pybullet.getBasePositionAndOrientation(model.body, model.client)[0][2])
     assert 0.02 < heights[0] < 0.1
     assert heights[1] == pytest.approx(heights[0], abs=1e-3)
+
+
+def blocks() -> Ground:
+    """Return blocks of up to 6 cm around the origin."""
+    tops = np.random.default_rng(1).uniform(-0.06, 0.0, (20, 20, 1, 1))
+    return Ground(np.broadcast_to(tops, (20, 20, 2, 2)).copy(), 0.1)
+
+
+def test_planes_touch_the_ground_where_feet_do(make_world):
+    ground = blocks()
+    world = make_world(1, config={"ground": ground}, floor_unevenness=0.004)
+    (model,) = world.engine.models
+    for x, y, z in np.random.default_rng(1).uniform([-0.7, -0.7, 0.12], [0.7, 0.7, 0.26], (20, 3)):
+        pybullet.resetBasePositionAndOrientation(model.body, [x, y, z], [0, 0, 0, 1], model.client)
+        model.place_planes()
+        for k, foot in enumerate(model.foot_positions()):
+            lift, radius = uneven_floor(0.004).height(foot[:2]), model.foot_radius[k]
+            both = sphere_contacts(ground.corners, ground.grid, foot[0], foot[1], foot[2] - lift, radius + NEAR)
+            for (depth, *normal), plane in zip(both, model.planes[k :: len(model.feet)], strict=True):
+                place, quat = pybullet.getBasePositionAndOrientation(plane, model.client)
+                facing = np.array(pybullet.getMatrixFromQuaternion(quat))[2::3]
+                distance = facing @ (foot - place)
+                if depth > 0:
+                    np.testing.assert_allclose(facing, normal, atol=1e-9)
+                    assert distance == pytest.approx(radius + NEAR - depth, abs=1e-9)
+                else:
+                    assert distance > 100.0
+
+
+def test_a_shank_meets_a_ground_with_cells_and_its_foot_the_planes_alone():
+    robot, ground = RobotDescription.load("go2"), blocks()
+    params = PhysicalParams.nominal(robot, 1)
+    worlds = [SimWorld(robot, 1, params, config=WorldConfig(ground=one), engine="bullet") for one in (ground, FLAT)]
+    for world in worlds:
+        world.engine.set_state(np.array([0]), worlds[1].engine.initial_state)
+    (model,), (flat,) = (world.engine.models for world in worlds)
+    for leg, foot in zip(robot.legs, model.feet, strict=True):
+        (sphere,) = pybullet.getCollisionShapeData(model.body, foot, model.client)
+        shank = robot.urdf.places[leg.foot][0]
+        shapes, both = (pybullet.getCollisionShapeData(one.body, one.links[shank], one.client) for one in (model, flat))
+        assert sphere[2] == pybullet.GEOM_SPHERE
+        assert len(shapes) == len(both) - 1 > 0
+    np.testing.assert_allclose(model.foot_positions(), flat.foot_positions(), atol=1e-9)
+    # On its side, the robot's body and shanks touch the mesh; its feet do not.
+    pybullet.resetBasePositionAndOrientation(model.body, [0, 0, 0.15], [0.7071, 0, 0, 0.7071], model.client)
+    touching = set()
+    for _ in range(300):
+        model.place_planes()
+        pybullet.stepSimulation(model.client)
+        touching |= {point[3] for point in pybullet.getContactPoints(model.body, model.ground, -2, -2, model.client)}
+    assert touching
+    assert not touching & set(model.feet)
+
+
+def test_a_ground_that_bullet_has_no_room_for_and_boxes_as_feet_are_refused(robot, monkeypatch):
+    config = WorldConfig(ground=blocks())
+    with pytest.raises(SurefootError, match="feet are boxes in world bullet-published"):
+        SimWorld(robot, 1, config=config, engine="bullet-published")
+    monkeypatch.setattr(bullet_model, "_MAX_INDICES", 300)
+    with pytest.raises(SurefootError, match=r"triangles with .* Bullet takes at most 100 with"):
+        SimWorld(robot, 1, config=config, engine="bullet")
 
 
 def test_robots_stand_on_feet_of_any_stiffness_from_the_start(make_world):

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.robot import RobotDescription
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
+ROUGH = Ground.from_points(np.random.default_rng(2).uniform(-0.02, 0.02, (30, 30)), 0.1)
 START = {"start_linear_speed": 0.05, "start_angular_speed": 0.1}
 
 
@@ -38,9 +40,9 @@ def test_the_same_seed_gives_the_same_world(make_world, trot, assert_same, engin
         assert not np.array_equal(getattr(one[-2], name), getattr(other[-2], name))
 
 
-@pytest.mark.parametrize("actuator", ["dc", "constraint"])
-def test_a_state_continues_exactly_in_another_world(make_world, trot, assert_same, varied, engine, actuator):
-    config = {"actuator": actuator, "thermal_protection": actuator == "dc", **START}
+@pytest.mark.parametrize(("actuator", "ground"), [("dc", FLAT), ("constraint", FLAT), ("dc", ROUGH)])
+def test_a_state_continues_exactly_in_another_world(make_world, trot, assert_same, varied, engine, actuator, ground):
+    config = {"actuator": actuator, "thermal_protection": actuator == "dc", "ground": ground, **START}
     values = varied(2, bullet=engine != "mujoco")
     world = make_world(2, seed=1, config=config, engine=engine, **values)
     other = make_world(2, seed=2, config=config, engine=engine)
@@ -143,3 +145,22 @@ def test_a_joint_actuator_is_at_its_limit_where_its_controller_asks_for_more(eng
     (saturation,) = world.truth().motor_saturation
     assert saturation[1] == at_limit
     assert saturation[2:].max() == 0.0
+
+
+def test_shapes_that_are_left_out_of_the_search_for_contacts_have_none():
+    robot, tops = RobotDescription.load("go2"), np.random.default_rng(0).uniform(0.0, 0.1, (30, 30, 1, 1))
+    ground = Ground(np.broadcast_to(tops, (30, 30, 2, 2)).copy(), 0.1)
+    step = robot.timing.servo_step
+    params = PhysicalParams.nominal(robot, 2).with_values(robot, control_step=step)
+    config = WorldConfig(ground=ground, threads=1, start_linear_speed=1.5, start_angular_speed=4.0)
+    worlds = [SimWorld(robot, 2, params, 1, config) for _ in range(2)]
+    rng, contacts = np.random.default_rng(0), 0
+    for k in range(400):
+        if k % 25 == 0:
+            target = worlds[0].resting_angles + rng.uniform(-1.0, 1.0, (2, robot.num_motors))
+        worlds[1].engine._native.moved[:] = True  # all shapes take part
+        for world in worlds:
+            world.step(target)
+        contacts += sum(data.ncon for data in worlds[0].engine.datas)
+    assert contacts > 100
+    np.testing.assert_array_equal(*(world.engine.base() for world in worlds))

@@ -7,7 +7,7 @@ import pytest
 
 from surefoot.arrays import Array
 from surefoot.world.ground import FLAT, Ground
-from surefoot.world.ground_contact import STEEP, sphere_contacts
+from surefoot.world.ground_contact import STEEP, box_clearance, row_clearance, sphere_contacts
 
 RADIUS, ERROR = 0.02, 1e-6
 CELL, COUNT = 0.05, 4
@@ -154,3 +154,30 @@ def test_beyond_the_field_its_border_goes_on_and_the_plane_has_no_wall():
     carrying, wall = contacts(FLAT, np.array([3.0, -1.0, 0.015]))
     assert carrying.tolist() == pytest.approx([0.005, 0.0, 0.0, 1.0])
     assert wall[0] < 0
+
+
+@pytest.mark.parametrize("kind", ["rough", "slope", "blocks", "fine", "steps"])
+def test_a_clearance_is_never_more_than_the_distance(kind: str):
+    rng, bound, shares = np.random.default_rng(4), 0.03, []
+    for _ in range(100):
+        ground = random_ground(kind, rng)
+        middle = np.array([*rng.uniform(-0.05, 0.05, 2), 0.0])
+        middle[2] = ground.height(middle[:2]) + rng.uniform(0.01, 0.08)
+        offset = rng.uniform(-0.01, 0.01, 3)
+        centres = middle + np.arange(-1.5, 2.0)[:, None] * offset
+        if (ground.height(centres[:, :2]) > centres[:, 2]).any():
+            continue
+        triangles, radius = ground.triangles(), 0.01
+        distance = min(np.linalg.norm(nearest(triangles, one) - one, axis=1).min() for one in centres)
+        clearance = row_clearance(ground.corners, ground.grid, tuple(middle), tuple(offset), 4, radius, bound)
+        assert clearance <= min(distance - radius, bound) + 1e-9, (ground.corners, middle, offset)
+        shares.append(min(distance - radius, bound) - clearance)
+        half = rng.uniform(0.005, 0.02, 3)
+        box = box_clearance(ground.corners, ground.grid, tuple(middle), tuple(half), bound)
+        corners = middle + half * np.array([[a, b, -1] for a in (-1, 0, 1) for b in (-1, 0, 1)])
+        assert box <= min(np.min(corners[:, 2] - ground.height(corners[:, :2])), bound) + 1e-9
+    # What may be lost, at edges, is little.
+    assert np.mean(shares) < 0.006
+    plane, middle = (FLAT.corners, FLAT.grid), (0.0, 0.0, 0.1)
+    assert row_clearance(*plane, middle, (0.0, 0.0, 0.02), 2, 0.01, 0.5) == pytest.approx(0.08)
+    assert box_clearance(*plane, middle, (1.0, 1.0, 0.02), 0.5) == pytest.approx(0.08)

@@ -109,8 +109,8 @@ class TrainConfig:
     machines with more or fewer cores learn the same."""
     start_from: str | None = None
     """Folder of another run, whose networks as it left them are this run's first ones: the same layers,
-    observations and legs; everything else may differ. With other ranges or pushes the value network gets
-    inputs for them, and loses those of former ones."""
+    observations and legs; everything else may differ. Where bounds of the feedback differ, it stays what it was. With
+    other ranges, pushes or terrain the value network gets inputs for them, and loses those of former ones."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learning algorithm."""
 

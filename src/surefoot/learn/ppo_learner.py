@@ -6,7 +6,7 @@ import gc
 import math
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from surefoot.policy.export import export_policy
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv, SimulationFactory
+from surefoot.task.gait import HybridGait
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,8 @@ class UpdateFigures:
     rmse: dict[str, float] | None = None
     """Root mean square error of each command: mean speed [m/s] or rate [rad/s] over a control step less that which the
     gait follows; None without commands."""
+    levels: dict[str, float] | None = None
+    """Mean level of the robots on each kind of terrain; None without tiles."""
 
 
 class PpoLearner:
@@ -198,6 +201,7 @@ class PpoLearner:
             rmse=None
             if env.commands is None
             else dict(zip(COMMANDS, map(float, np.sqrt(squares / config.steps_per_update)), strict=True)),
+            levels=None if env.curriculum is None else dict(env.curriculum.levels()),
         )
 
     def _limit_std(self) -> None:
@@ -222,18 +226,19 @@ class PpoLearner:
         network = nn.Sequential(self.policy.obs_normalizer, self.policy.mlp)
         return export_policy(network, contract, path, robot=self.env.robot.archive)
 
-    def load_networks(self, algorithm: dict[str, Any], privileged_columns: Sequence[str]) -> None:
+    def load_networks(self, algorithm: dict[str, Any], other: LocomotionEnv) -> None:
         """Load only the networks of another run's state.
 
         Args:
             algorithm: its part of the state.
-            privileged_columns: names of what only its value network observed. Inputs that it did not have get weights
-                of 0 here; those that are not observed any more are dropped.
+            other: its environment. What only the value network observes may differ: inputs that are new get weights of
+                0, those that are not observed any more are dropped. Bounds of the feedback may differ too: the output
+                is scaled, so that the feedback stays what it was.
 
         Raises:
             SurefootError: networks of other layers, observations or actions.
         """
-        own, former = self.env.privileged_columns, list(privileged_columns)
+        own, former = self.env.privileged_columns, other.privileged_columns
         if self.config.ppo.privileged_critic and own != former:
             first = self.observation["policy"].shape[1]
             places = [first + former.index(name) if name in former else -1 for name in own]
@@ -243,6 +248,9 @@ class PpoLearner:
                 if name == "mlp.0.weight" or (name.startswith("obs_normalizer") and new.dim() == 2):
                     critic[name] = _take_inputs(critic[name], new, inputs, first + len(former))
             algorithm = {**algorithm, "critic_state_dict": critic}
+        if other.gait.action_names == self.env.gait.action_names:
+            actor = _scale_output(algorithm["actor_state_dict"], other.gait, self.env.gait)
+            algorithm = {**algorithm, "actor_state_dict": actor}
         try:
             self.algorithm.load(algorithm, {"actor": True, "critic": True}, strict=True)
         except RuntimeError as error:
@@ -285,6 +293,21 @@ class PpoLearner:
         )
         self.update_count = state["update_count"]
         torch.set_rng_state(state["torch"])
+
+
+def _scale_output(actor: Mapping[str, torch.Tensor], old: HybridGait, new: HybridGait) -> dict[str, torch.Tensor]:
+    """Return a policy network whose normalized actions mean the same feedback between other bounds."""
+    half, wide = 0.5 * (old.high - old.low), 0.5 * (new.high - new.low)
+    scale = np.divide(half, wide, out=np.ones_like(half), where=wide > 0)
+    shift = np.divide(old.low + half - new.low - wide, wide, out=np.zeros_like(half), where=wide > 0)
+    last = max(int(name.split(".")[1]) for name in actor if name.startswith("mlp."))
+    weight, bias = f"mlp.{last}.weight", f"mlp.{last}.bias"
+    factor = torch.from_numpy(scale).float()
+    return {
+        **actor,
+        weight: actor[weight] * factor[:, None],
+        bias: actor[bias] * factor + torch.from_numpy(shift).float(),
+    }
 
 
 def _take_inputs(old: torch.Tensor, new: torch.Tensor, inputs: torch.Tensor, width: int) -> torch.Tensor:

@@ -94,12 +94,18 @@ class TrainingLoop:
         self.learner = PpoLearner(config, make_world)
         if config.start_from is not None and not resume:
             other, before = RunFolder.open(Path(config.start_from))
-            # Only ranges, pushes and terrain may change what the value network observes.
+            # Ranges, pushes and terrain change what the value network observes, bounds what actions mean.
             former = before.task
-            task = replace(config.task, randomize=former.randomize, pushes=former.pushes, terrain=former.terrain)
+            task = replace(
+                config.task,
+                randomize=former.randomize,
+                pushes=former.pushes,
+                terrain=former.terrain,
+                feedback=former.feedback,
+            )
             env = LocomotionEnv(task, 1, make_world, threads=1)
             env.reset()
-            self.learner.load_networks(other.load()["learner"]["algorithm"], env.privileged_columns)
+            self.learner.load_networks(other.load()["learner"]["algorithm"], env)
         self.best: Evaluation | None = None
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0

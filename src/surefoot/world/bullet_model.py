@@ -558,10 +558,11 @@ class BulletModel:
 @functools.lru_cache(maxsize=1)
 def _mesh(ground: Ground) -> tuple[list[list[float]], list[int]]:
     """Return the corners of a ground's triangles and their indices; refuse more than PyBullet takes."""
-    vertices, indices = np.unique(ground.triangles().reshape(-1, 3), axis=0, return_inverse=True)
-    if len(vertices) > _MAX_VERTICES or indices.size > _MAX_INDICES:
+    corners = ground.triangles().reshape(-1, 3)
+    vertices, indices = np.unique(corners, axis=0, return_inverse=True)
+    if len(vertices) > _MAX_VERTICES or len(corners) > _MAX_INDICES:
         raise SurefootError(
-            f"the ground has {indices.size // 3} triangles with {len(vertices)} corners; Bullet takes at most "
+            f"the ground has {len(corners) // 3} triangles with {len(vertices)} corners; Bullet takes at most "
             f"{_MAX_INDICES // 3} with {_MAX_VERTICES}: make the terrain smaller or coarser, or take world mujoco"
         )
     return vertices.tolist(), indices.ravel().tolist()

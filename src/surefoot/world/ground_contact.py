@@ -33,6 +33,8 @@ _WALL_SLOPE = 10.0
 Contact = tuple[float, float, float, float]
 """How deep a sphere is in the ground [m], negative above it, and the unit normal where it is deepest."""
 
+Vector = tuple[float, float, float]
+
 NO_CONTACT = (-1.0, 0.0, 0.0, 1.0)
 
 
@@ -62,7 +64,7 @@ def _height(corners: Array, u: float, v: float, step_u: float, step_v: float, go
 
 
 @_function
-def _is_nearest(corners: Array, u: float, v: float, z: float, normal: tuple[float, float, float], side: float) -> bool:
+def _is_nearest(corners: Array, u: float, v: float, z: float, normal: Vector, side: float) -> bool:
     """Return whether the surface around a place (u, v) of an edge at height z is behind the plane with a normal there.
 
     Around any place it is flat between rays along the sides and diagonals of cells, but for walls. A ray along a wall
@@ -225,18 +227,81 @@ def sphere_contacts(
 
 
 @_function
-def highest(corners: Array, grid: Array, x: float, y: float, reach_x: float, reach_y: float) -> float:
-    """Return the greatest height [m] of the cells that a rectangle around (x, y) touches."""
+def row_clearance(
+    corners: Array, grid: Array, middle: Vector, offset: Vector, count: int, radius: float, bound: float
+) -> float:
+    """Return how far [m] spheres in a row are from the ground at least, 0 or less if they may touch it.
+
+    It is as far as the bound at most. Planes of triangles are taken to go on beyond these.
+
+    Args:
+        corners: as in `sphere_contacts`.
+        grid: as corners.
+        middle: of the row [m].
+        offset: from each sphere to the next [m].
+        count: of the spheres.
+        radius: of the spheres [m].
+        bound: see above [m].
+    """
+    least, side = radius + bound, grid[2]
+    for k in range(count):
+        share = k - 0.5 * (count - 1)
+        x, y, z = middle[0] + share * offset[0], middle[1] + share * offset[1], middle[2] + share * offset[2]
+        if corners.shape[0] == 0:
+            least = min(least, z)
+            continue
+        u, v, reach = (x - grid[0]) / side, (y - grid[1]) / side, least / side
+        last_i, last_j = corners.shape[0] - 1, corners.shape[1] - 1
+        # Beyond the field its border goes on.
+        u, v = min(max(u, 0.0), last_i + 1.0), min(max(v, 0.0), last_j + 1.0)
+        for i in range(max(math.floor(u - reach), 0), min(math.floor(u + reach), last_i) + 1):
+            for j in range(max(math.floor(v - reach), 0), min(math.floor(v + reach), last_j) + 1):
+                cell = corners[i, j]
+                at_u, at_v = min(max(u - i, 0.0), 1.0), min(max(v - j, 0.0), 1.0)
+                level = side * math.hypot(u - i - at_u, v - j - at_v)
+                over = z - _cell_height(cell, at_u, at_v)
+                if over <= 0.0 or level >= least:
+                    least = min(least, level if over <= 0.0 and level > 0.0 else max(over, level))
+                    continue
+                low = _plane_distance(cell[0, 0], cell[1, 0], cell[0, 1], (u - i) * side, (v - j) * side, z, side)
+                high = _plane_distance(
+                    cell[1, 1], cell[0, 1], cell[1, 0], (i + 1.0 - u) * side, (j + 1.0 - v) * side, z, side
+                )
+                # The surface is the lower one of the planes where the cell has a ridge, the upper one in a valley.
+                ridge = cell[0, 1] + cell[1, 0] > cell[0, 0] + cell[1, 1]
+                least = min(least, max(max(low, high) if ridge else min(low, high), level))
+    return least - radius
+
+
+@_function
+def _plane_distance(first: float, second: float, third: float, x: float, y: float, z: float, side: float) -> float:
+    """Return how far above a plane a point is; heights are those over (0, 0), (side, 0) and (0, side)."""
+    slope_x, slope_y = (second - first) / side, (third - first) / side
+    return (z - first - slope_x * x - slope_y * y) / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+
+
+@_function
+def box_clearance(corners: Array, grid: Array, middle: Vector, reach: Vector, bound: float) -> float:
+    """Return how far [m] a box along the world's axes is from the ground at least, below 0 if it may touch it.
+
+    It is as far as the bound at most.
+
+    Args:
+        corners: as in `sphere_contacts`.
+        grid: as corners.
+        middle: of the box [m].
+        reach: half of its sides [m].
+        bound: see above [m].
+    """
+    bottom = middle[2] - reach[2]
     if corners.shape[0] == 0:
-        return 0.0
-    cell, columns, rows = grid[2], corners.shape[0], corners.shape[1]
-    top = -np.inf
-    first_i = min(max(math.floor((x - reach_x - grid[0]) / cell), 0), columns - 1)
-    last_i = min(max(math.floor((x + reach_x - grid[0]) / cell), 0), columns - 1)
-    first_j = min(max(math.floor((y - reach_y - grid[1]) / cell), 0), rows - 1)
-    last_j = min(max(math.floor((y + reach_y - grid[1]) / cell), 0), rows - 1)
-    for i in range(first_i, last_i + 1):
-        for j in range(first_j, last_j + 1):
+        return min(bottom, bound)
+    side, last_i, last_j = grid[2], corners.shape[0] - 1, corners.shape[1] - 1
+    top, wide, deep = -np.inf, reach[0] + bound, reach[1] + bound
+    first_i = min(max(math.floor((middle[0] - wide - grid[0]) / side), 0), last_i)
+    first_j = min(max(math.floor((middle[1] - deep - grid[1]) / side), 0), last_j)
+    for i in range(first_i, min(max(math.floor((middle[0] + wide - grid[0]) / side), 0), last_i) + 1):
+        for j in range(first_j, min(max(math.floor((middle[1] + deep - grid[1]) / side), 0), last_j) + 1):
             for k in range(4):
                 top = max(top, corners[i, j, k // 2, k % 2])
-    return top
+    return min(bottom - top, bound)

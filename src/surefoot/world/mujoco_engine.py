@@ -123,21 +123,32 @@ class MujocoEngine:
         shapes = np.flatnonzero(model.geom_conaffinity & 1).astype(np.int64)
         bodies = model.geom_bodyid[shapes].astype(np.int64)
         order = np.argsort(bodies, kind="stable")
-        shapes, bodies, extents = shapes[order], bodies[order], []
-        for shape in shapes:
-            radius, half, _ = size = model.geom_size[shape]
-            extents.append(
-                {
-                    int(kinds.mjGEOM_BOX): [*size, 0.0],
-                    int(kinds.mjGEOM_CAPSULE): [0.0, 0.0, half, radius],
-                    int(kinds.mjGEOM_CYLINDER): [radius, radius, half, 0.0],
-                }.get(int(model.geom_type[shape]), [0.0, 0.0, 0.0, model.geom_rbound[shape]])
-            )
+        shapes, bodies = shapes[order], bodies[order]
+        axes, counts, covers, halves = [], [], [], np.zeros((len(shapes), 3))
+        for k, shape in enumerate(shapes):
+            kind, size, axis = kinds(int(model.geom_type[shape])), model.geom_size[shape], 2
+            length, radius, end = 0.0, model.geom_rbound[shape], 0.0
+            if kind == kinds.mjGEOM_BOX:
+                axis = int(np.argmax(size))
+                length, radius, halves[k] = size[axis], np.linalg.norm(np.delete(size, axis)), size
+            elif kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER):
+                radius, length, _ = size
+                end = radius if kind == kinds.mjGEOM_CAPSULE else 0.0
+            # Spheres that overhang little where the shape is slender; a capsule's round ends are longer.
+            count = int(np.clip(np.ceil((length + end) / (1.5 * radius)), 1, 8))
+            axes.append(axis)
+            counts.append(count)
+            part = (length + end) / count
+            covers.append([2 * part, np.hypot(part, radius), np.hypot(length + end, radius)])
         others = [model.geom_conaffinity[model.geom_bodyid == body] & ~1 for body in bodies]
         return {
             "shape_geom": shapes,
             "shape_body": bodies,
-            "shape_extent": np.array(extents).reshape(-1, 4),
+            "shape_axis": np.array(axes, np.int64),
+            "shape_count": np.array(counts, np.int64),
+            "shape_cover": np.array(covers).reshape(-1, 3),
+            "shape_half": halves,
+            "clearance": np.zeros((len(self.datas), len(shapes))),
             "geom_conaffinity": np.array([one.geom_conaffinity.ctypes.data for one in self.models], np.int64),
             "body_conaffinity": np.array([one.body_conaffinity.ctypes.data for one in self.models], np.int64),
             "body_bits": np.array([np.bitwise_or.reduce(bits) for bits in others], np.int64),

@@ -5,6 +5,7 @@ It calls MuJoCo's C functions and reads its arrays by address, so that no Python
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,13 +23,15 @@ from surefoot.world.actuation import (
     roll_pitch_yaw,
 )
 from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
-from surefoot.world.ground_contact import highest, sphere_contacts
+from surefoot.world.ground_contact import box_clearance, row_clearance, sphere_contacts
 from surefoot.world.native import call_step, doubles, ints, pointers, take_number
 
 Index = NDArray[np.int64]
 
-NEAR = 0.005
-"""Distance [m] from the ground at which shapes take part in MuJoCo's search for contacts, beside two steps' motion."""
+NEAR = 0.002
+"""Distance [m] from the ground at which shapes take part in MuJoCo's search for contacts, beside a step's motion."""
+LOOK = 0.05
+"""Distance [m] to which a shape's way to the ground is looked for."""
 
 DATA_FIELDS = (
     *("qpos", "qvel", "qfrc_applied", "xfrc_applied", "geom_xpos", "geom_xmat", "xipos", "cvel", "subtree_com"),
@@ -72,7 +75,11 @@ class Native(NamedTuple):
     ground_grid: Array
     shape_geom: Index  # shapes that meet the ground by MuJoCo's contacts, in the order of their bodies
     shape_body: Index
-    shape_extent: Array  # half lengths along the axes, and what is added in every direction [m]
+    shape_axis: Index  # along which each is longest
+    shape_count: Index  # of spheres in a row along it that cover the shape
+    shape_cover: Array  # distance and radius of these, and the radius of a single one [m]
+    shape_half: Array  # half lengths of boxes (S, 3) [m]
+    clearance: Array  # how far each of a robot's shapes can move before it touches the ground (N, S) [m]
     geom_conaffinity: Index
     body_conaffinity: Index
     body_bits: Index  # of a body's other shapes, a row for each shape
@@ -104,36 +111,53 @@ def _select_shapes(native: Native, worker: int, i: int) -> None:
     """Let those shapes of robot `i` meet the ground that can touch it in this step.
 
     MuJoCo's search among the others would find nothing, and takes a third of a step over a plane, more than the rest of
-    the step over a field of heights. Positions and velocities are those of the step before.
+    the step over a field of heights. Positions and velocities are those of the step before. How far a shape is from the
+    ground is looked up anew when it may have moved as far.
     """
     xpos, xmat = doubles(native.geom_xpos[i]), doubles(native.geom_xmat[i])
     cvel, com = doubles(native.cvel[i]), doubles(native.subtree_com[i])
     geoms, bodies = ints(native.geom_conaffinity[worker]), ints(native.body_conaffinity[worker])
-    steps, root, before = 2.0 * native.step, 3 * native.base_body, -1
+    root, before = 3 * native.base_body, -1
     for k in range(len(native.shape_geom)):
         g, b = native.shape_geom[k], native.shape_body[k]
         if b != before:
             bodies[b] = native.body_bits[k]
             before = b
         near = native.moved[i]
-        if not near:
+        if near:
+            native.clearance[i, k] = 0.0
+        else:
             x, y, z = xpos[3 * g], xpos[3 * g + 1], xpos[3 * g + 2]
-            turning = abs(cvel[6 * b]) + abs(cvel[6 * b + 1]) + abs(cvel[6 * b + 2])
-            moving = abs(cvel[6 * b + 3]) + abs(cvel[6 * b + 4]) + abs(cvel[6 * b + 5])
-            arm = abs(x - com[root]) + abs(y - com[root + 1]) + abs(z - com[root + 2])
-            size_x, size_y, size_z, size = (
-                native.shape_extent[k, 0],
-                native.shape_extent[k, 1],
-                native.shape_extent[k, 2],
-                native.shape_extent[k, 3] + NEAR,
-            )
-            size += steps * (moving + turning * (arm + size_x + size_y + size_z + size))
-            row = 9 * g
-            reach_x = abs(xmat[row]) * size_x + abs(xmat[row + 1]) * size_y + abs(xmat[row + 2]) * size_z + size
-            reach_y = abs(xmat[row + 3]) * size_x + abs(xmat[row + 4]) * size_y + abs(xmat[row + 5]) * size_z + size
-            reach_z = abs(xmat[row + 6]) * size_x + abs(xmat[row + 7]) * size_y + abs(xmat[row + 8]) * size_z + size
+            arm_x, arm_y, arm_z = x - com[root], y - com[root + 1], z - com[root + 2]
+            wx, wy, wz = cvel[6 * b], cvel[6 * b + 1], cvel[6 * b + 2]
+            vx = cvel[6 * b + 3] + wy * arm_z - wz * arm_y
+            vy = cvel[6 * b + 4] + wz * arm_x - wx * arm_z
+            vz = cvel[6 * b + 5] + wx * arm_y - wy * arm_x
+            turning = math.sqrt(wx * wx + wy * wy + wz * wz) * native.shape_cover[k, 2]
+            motion = native.step * (math.sqrt(vx * vx + vy * vy + vz * vz) + turning)
+            native.clearance[i, k] -= motion
             # Not written with `<`: what is not finite is near.
-            near = not z - reach_z > highest(native.ground, native.ground_grid, x, y, reach_x, reach_y)
+            if not native.clearance[i, k] > NEAR + motion:
+                row, offset, middle = 9 * g, native.shape_cover[k, 0], (x, y, z)
+                axis = row + native.shape_axis[k]
+                clearance = row_clearance(
+                    native.ground,
+                    native.ground_grid,
+                    middle,
+                    (offset * xmat[axis], offset * xmat[axis + 3], offset * xmat[axis + 6]),
+                    native.shape_count[k],
+                    native.shape_cover[k, 1],
+                    LOOK,
+                )
+                half = native.shape_half[k]
+                if half[0] > 0.0 and not clearance >= LOOK:
+                    reach_x = abs(xmat[row]) * half[0] + abs(xmat[row + 1]) * half[1] + abs(xmat[row + 2]) * half[2]
+                    reach_y = abs(xmat[row + 3]) * half[0] + abs(xmat[row + 4]) * half[1] + abs(xmat[row + 5]) * half[2]
+                    reach_z = abs(xmat[row + 6]) * half[0] + abs(xmat[row + 7]) * half[1] + abs(xmat[row + 8]) * half[2]
+                    reach = (reach_x, reach_y, reach_z)
+                    clearance = max(clearance, box_clearance(native.ground, native.ground_grid, middle, reach, LOOK))
+                native.clearance[i, k] = clearance
+                near = not native.clearance[i, k] > NEAR + motion
         geoms[g] = 1 if near else 0
         if near:
             bodies[b] |= 1

@@ -103,28 +103,14 @@ def _slope(size: float, half: float, cell: float, _: np.random.Generator) -> Hei
 
 
 def _rough(size: float, half: float, cell: float, rng: np.random.Generator) -> Heights:
-    every = round(ROUGH_CELL / cell)
     count = round(2 * half / ROUGH_CELL) + 1
     points = np.arange(count) * ROUGH_CELL - half
     far = np.maximum(np.abs(points)[:, None], np.abs(points)[None, :]) > START
-    corners = Ground.from_points(size * (rng.random((count, count)) - 0.5) * far, ROUGH_CELL).corners
-    return _divided(corners, every), np.zeros((every * (count - 1),) * 2)
-
-
-def _divided(corners: Array, parts: int) -> Array:
-    """Return the same surface of cells that are divided into `parts` along each side."""
-    count = len(corners) * parts
-    ground, low = Ground(corners, 1.0), np.arange(count) / parts - len(corners) / 2
-    fine = np.empty((count, count, 2, 2))
-    # A place just inside a cell belongs to the right one of the triangles that meet at a corner.
-    inset = 1e-7 / parts
-    for a in (0, 1):
-        for b in (0, 1):
-            x, y = (low + (end / parts + (inset, -inset)[end]) for end in (a, b))
-            points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-            plane = ground.plane_at(points)
-            fine[:, :, a, b] = plane[..., 0] - inset * ((1, -1)[a] * plane[..., 1] + (1, -1)[b] * plane[..., 2])
-    return np.round(fine, 12)
+    coarse = Ground.from_points(size * (rng.random((count, count)) - 0.5) * far, ROUGH_CELL)
+    # Smaller cells have parts of the same triangles.
+    fine = np.arange(round(2 * half / cell) + 1) * cell - half
+    heights = coarse.height(np.stack(np.meshgrid(fine, fine, indexing="ij"), axis=-1))
+    return Ground.from_points(heights, cell).corners, np.zeros((len(fine) - 1,) * 2)
 
 
 def _blocks(size: float, half: float, cell: float, rng: np.random.Generator) -> Heights:
