@@ -272,7 +272,7 @@ def test_the_firmware_of_the_stm32f405_answers_on_its_serial_line_and_does_not_a
 @pytest.mark.realtime
 def test_the_firmware_of_the_stm32f405_moves_a_body_and_damps_it_when_its_operator_is_silent(robot, stm32):
     plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(robot), rack=True)
-    board = stm32("DRIVERS=emulation/body_qemu.c emulation/semihosting.c", plant=plant)
+    board = stm32("DRIVERS=emulation/body_qemu.c emulation/readings.c emulation/semihosting.c", plant=plant)
     board.begin()
     board.send(Arm(ME, int(Mode.POSITION), 0.010, 0.005))
     start = board.wait_for(State)[0].message.motor_angle

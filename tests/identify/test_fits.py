@@ -61,12 +61,12 @@ def rack(robot: RobotDescription, record: Record) -> tuple[Recording, Recording]
     """Parts of the motor and of the latency experiment."""
     motor = shortened(
         EXPERIMENTS["motor"].plan(robot),
-        {"unfold": 1.5, "hold": 0.4, "steps": 1.5, "centre": 0.5, "PWM pulses": 0.24, "chirp back": 1.0},
+        {"unfold": 1.5, "hold": 0.2, "steps": 1.25, "centre": 0.5, "PWM pulses": 0.24, "chirp back": 0.5},
         {"centre": 3, "PWM pulses": 2},
     )
     latency = shortened(
         EXPERIMENTS["latency"].plan(robot),
-        {"unfold": 1.5, "hold": 0.3, "spikes": 0.24, "centre": 0.5, "chirp": 0.6, "steps": 0.5},
+        {"unfold": 1.5, "hold": 0.3, "spikes": 0.24, "centre": 0.5, "chirp": 0.6, "steps": 0.25},
         {"spikes": 2, "centre": 2},
     )
     one, other = record(RACK, motor, latency)
@@ -79,8 +79,8 @@ def grounded(robot: RobotDescription, record: Record) -> Recording:
     mass, contact = (EXPERIMENTS[name].plan(robot) for name in ("mass", "contact"))
     first = next(k for k, phase in enumerate(mass.phases) if phase.use != "transition")
     ways = {phase.name: phase.duration for phase in mass.phases[:first]}
-    drags = shortened(contact, {"drop": 1.4, "drag": 4.0}, {"drop": 2, "drag": 2})
-    rest = shortened(mass, {"stand still": 1.0, "squat slowly": 2.0, "nod": 4.5, "nod back": 1.0}, {})
+    drags = shortened(contact, {"drop": 1.2, "drag": 3.0}, {"drop": 2, "drag": 2})
+    rest = shortened(mass, {"stand still": 0.6, "squat slowly": 1.0, "nod": 3.0, "nod back": 0.6}, {})
     rise = shortened(mass, ways, {})
     return record(GROUND, replace(mass, phases=(*rise.phases, *drags.phases, *rest.phases)))[0]
 

@@ -15,8 +15,7 @@
 
 #include "board.h"
 #include "hal.h"
-
-#define TEXT 80u
+#include "readings.h"
 
 #pragma pack(push, 1)
 typedef struct {
@@ -24,13 +23,6 @@ typedef struct {
     uint64_t time;
     uint16_t size;
 } event;
-
-typedef struct {
-    float angle[SUREFOOT_MOTORS], speed[SUREFOOT_MOTORS], torque[SUREFOOT_MOTORS], temperature[SUREFOOT_MOTORS];
-    float roll_pitch_yaw[3], angular_velocity[3], voltage;
-    uint8_t hazard, sit;
-    char hazard_text[TEXT + 1u], sit_text[TEXT + 1u];
-} readings;
 
 typedef struct {
     uint8_t mode, reason;
@@ -46,7 +38,6 @@ typedef struct {
 #pragma pack(pop)
 
 static uint64_t now;
-static readings seen;
 static float driven[SUREFOOT_MOTORS];
 static uint8_t enabled;
 static uint32_t watchdog;
@@ -83,13 +74,6 @@ bool hal_write_line(const uint8_t *bytes, size_t size)
     return true;
 }
 
-void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS], float torque[SUREFOOT_MOTORS])
-{
-    memcpy(angle, seen.angle, sizeof(seen.angle));
-    memcpy(speed, seen.speed, sizeof(seen.speed));
-    memcpy(torque, seen.torque, sizeof(seen.torque));
-}
-
 void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
 {
     size_t m;
@@ -102,34 +86,6 @@ void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
 void hal_enable_motors(void)
 {
     enabled = 1;
-}
-
-void hal_read_temperatures(float temperature[SUREFOOT_MOTORS])
-{
-    memcpy(temperature, seen.temperature, sizeof(seen.temperature));
-}
-
-void hal_read_imu(float roll_pitch_yaw[3], float angular_velocity[3])
-{
-    memcpy(roll_pitch_yaw, seen.roll_pitch_yaw, sizeof(seen.roll_pitch_yaw));
-    memcpy(angular_velocity, seen.angular_velocity, sizeof(seen.angular_velocity));
-}
-
-float hal_read_voltage(void)
-{
-    return seen.voltage;
-}
-
-uint8_t hal_hazard(const char **text)
-{
-    *text = seen.hazard_text;
-    return seen.hazard;
-}
-
-uint8_t hal_sit(const char **text)
-{
-    *text = seen.sit_text;
-    return seen.sit;
 }
 
 void hal_start_watchdog(uint32_t microseconds)
