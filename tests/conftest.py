@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from surefoot.studies.comparison import Comparison
 
 os.environ.setdefault("MPLBACKEND", "Agg")
-gc.disable()  # until all is collected
 
 # The same examples on every run and machine; a slow machine is no failure (pytest-timeout watches for hangs).
 settings.register_profile("surefoot", deadline=None, derandomize=True)
@@ -73,10 +72,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         cache.set(REALTIME, [item.nodeid for item in items if item.get_closest_marker("realtime")])
 
 
-def pytest_collection_finish() -> None:
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection() -> Generator[None, object, object]:
     """Hide from the garbage collector what tests import: each deployment searches all the rest before it begins."""
-    gc.freeze()
-    gc.enable()
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
