@@ -18,12 +18,13 @@ from typing import Annotated, Any
 import tyro
 
 from surefoot.api.policies import find_policy, load_gait
-from surefoot.api.simulator import on_terrain, with_duration
-from surefoot.evaluation.policy_table import conditions, measure
+from surefoot.api.simulator import on_terrain
+from surefoot.evaluation.policy_table import conditions, measure, prepare_task
 from surefoot.report.figures.terrain import success_figure
+from surefoot.robot.commands import COMMANDS
 from surefoot.robot.randomization import load_ranges
+from surefoot.tables import write_csv
 from surefoot.task.commands import CommandConfig
-from surefoot.task.pushes import PushConfig
 
 RESULTS = Path(__file__).parents[1] / "results" / "terrain"
 SIZES: dict[str, tuple[float, ...]] = {
@@ -67,12 +68,8 @@ def main(command: Command) -> None:
         ranges = load_ranges("table1", robot=robot.folder)
         condition = next(one for one in conditions(ranges) if one.name == ("table1" if command.table1 else "nominal"))
         condition = replace(condition, world=command.world)
-        fixed = CommandConfig(**{key: getattr(task.commands, key) for key in ("acceleration", "heading_gain")})
-        limits = {key: getattr(task.commands, key) for key in ("forward", "sideways", "yaw_rate")}
-        task = replace(
-            task, commands=replace(fixed, **limits, each=(command.command,)), randomize={}, pushes=PushConfig()
-        )
-        task = with_duration(task, robot, 10.0)
+        limits = {key: getattr(task.commands, key) for key in COMMANDS}
+        task = prepare_task(task, CommandConfig(**limits, each=(command.command,)), 10.0, robot)
         robots = "table1" if command.table1 else "nominal"
         for kind in ("flat", *command.kinds):
             for size in SIZES.get(kind, (0.0,)):
@@ -88,16 +85,8 @@ def main(command: Command) -> None:
                     item: f"{value:.3g}" if isinstance(value := figures[item], float) else value for item in wanted
                 }
                 print(*table[key].values(), flush=True)
-                _write(path, table)
+                write_csv(path, [table[key] for key in sorted(table, key=lambda key: (*key[:4], float(key[4])))])
     success_figure(list(table.values()), command.out / "success.png")
-
-
-def _write(path: Path, table: dict[tuple[str, ...], dict[str, Any]]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(next(iter(table.values()))), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(table[key] for key in sorted(table, key=lambda key: (*key[:4], float(key[4]))))
 
 
 if __name__ == "__main__":

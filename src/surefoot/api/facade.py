@@ -218,8 +218,8 @@ def play(
     path = folder / f"{loaded.name}.mp4" if out is None else Path(out)
     if path.suffix.lower() != ".mp4":
         raise SurefootError(f"video {path}: the name must end in .mp4")
-    given = None if commands is None else Path(commands)
-    task = _task(loaded, params, duration, pushes=pushes, commands=given, terrain=str(terrain))
+    schedule = None if commands is None else Path(commands)
+    task = _task(loaded, params, duration, pushes=pushes, commands=schedule, terrain=str(terrain))
     (trace,) = run_policy(loaded.controller, task, 1, world, seed, name=loaded.name)
     return Video(film(loaded.robot, trace, path, task.terrain.make_ground(seed)))
 

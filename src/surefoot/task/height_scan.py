@@ -19,7 +19,7 @@ AHEAD = tuple(0.25 * k for k in range(-5, 8))
 ASIDE = tuple(0.25 * k for k in range(-3, 4))
 """Places of the points to its left, in the same."""
 RANGE = 1.0
-"""Greatest height or depth [m], from the base's origin, that a scan tells."""
+"""Limit of the heights of a scan [m], up and down from the base's origin."""
 
 
 def scan_points(robot: RobotDescription) -> Array:
@@ -62,7 +62,7 @@ class ScanConfig:
     shift: Annotated[float, Within(0, 1)] = 0.02
     """Standard deviation [m] of an error of where the map is, along x and y, in an episode."""
     holes: Annotated[float, Within(0, 1)] = 0.02
-    """Share of heights that are missing at a control step: the points tell the height under the middle of the base."""
+    """Share of points without a height at a control step; they have that under the middle of the base."""
     delay: Annotated[int, Within(0, 50)] = 2
     """Age of the map [control steps]."""
 

@@ -152,12 +152,12 @@ uint8_t hal_hazard(const char **text)
     int m;
 
     for (m = 0; m < SUREFOOT_MOTORS; m++) {
-        char *const said = is_silent(m) ? silent : wrong;
+        char *const fault = is_silent(m) ? silent : wrong;
 
-        if (said == silent || seen[m].error != 0u) {
-            said[19] = (char)('0' + m / 10);
-            said[20] = (char)('0' + m % 10);
-            *text = said;
+        if (fault == silent || seen[m].error != 0u) {
+            fault[19] = (char)('0' + m / 10);
+            fault[20] = (char)('0' + m % 10);
+            *text = fault;
             return SUREFOOT_REASON_MOTOR_OFF;
         }
     }
