@@ -197,6 +197,23 @@ def sole_kernel(
 
 
 @njit(cache=True)
+def sphere_centres(links: Array, centres: Array, places: Array) -> None:
+    """Compute where points of links are in the world.
+
+    Args:
+        links: position [m] and orientation x y z w of each in the world (F, 7).
+        centres: the point in each link (F, 3) [m].
+        places: output (F, 3) [m].
+    """
+    for k in range(len(links)):
+        x, y, z, w = links[k, 3], links[k, 4], links[k, 5], links[k, 6]
+        a, b, c = centres[k, 0], centres[k, 1], centres[k, 2]
+        places[k, 0] = links[k, 0] + ((1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c)
+        places[k, 1] = links[k, 1] + (2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c)
+        places[k, 2] = links[k, 2] + (2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c)
+
+
+@njit(cache=True)
 def contact_planes(corners: Array, grid: Array, feet: Array, lift: Array, radii: Array, planes: Array) -> None:
     """Compute the planes that touch the ground where it is deepest in the feet, see `sphere_contacts`.
 

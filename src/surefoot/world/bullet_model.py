@@ -23,9 +23,9 @@ from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.self_collision import collision_pairs
 from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
-from surefoot.rotations import matrix_quat, xyzw_matrix
+from surefoot.rotations import matrix_quat
 from surefoot.world.actuation import CONTACT, RACK_HEIGHT, RATIOS
-from surefoot.world.bullet_kernels import contact_planes, pin_kernel, sole_kernel
+from surefoot.world.bullet_kernels import contact_planes, pin_kernel, sole_kernel, sphere_centres
 from surefoot.world.ground import FLAT, Ground, uneven_floor
 from surefoot.world.interface import WorldConfig
 
@@ -501,9 +501,8 @@ class BulletModel:
     def foot_positions(self) -> Array:
         """Return the centres of the feet in the world frame [m], (F, 3)."""
         states = self._p.getLinkStates(self.body, self.feet, computeForwardKinematics=1, physicsClientId=self.client)
-        turns = xyzw_matrix(np.array([state[1] for state in states]))
-        places = np.array([state[0] for state in states])
-        feet: Array = places + np.einsum("lij,lj->li", turns, self.foot_centre)
+        feet = np.empty((len(self.feet), 3))
+        sphere_centres(np.array([[*state[0], *state[1]] for state in states]), self.foot_centre, feet)
         return feet
 
     def update_pins(self) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.world.ground_contact import triangle_planes
 
 FLOOR_CELL = 0.1
 """Distance [m] of the points at which an uneven floor has its heights."""
@@ -115,22 +116,11 @@ class Ground:
 
     def plane_at(self, points: Array) -> Array:
         """Return height and slope along x and y (..., 3) of the triangles at points (..., 2)."""
-        planes = np.zeros((*points.shape[:-1], 3))
-        if self.is_flat:
-            return planes
-        count = np.array(self.corners.shape[:2])
-        place = (points - np.array(self.center)) / self.cell + count / 2
-        inside = (place >= 0) & (place <= count)
-        corner = np.clip(np.floor(place), 0, count - 1).astype(np.int64)
-        u, v = np.moveaxis(np.clip(place - corner, 0.0, 1.0), -1, 0)
-        cells = self.corners[corner[..., 0], corner[..., 1]]
-        h00, h01, h10, h11 = (cells[..., a, b] for a in (0, 1) for b in (0, 1))
-        near = u + v <= 1
-        along_x, along_y = np.where(near, h10 - h00, h11 - h01), np.where(near, h01 - h00, h11 - h10)
-        planes[..., 0] = np.where(near, h00 + u * along_x + v * along_y, h11 - (1 - u) * along_x - (1 - v) * along_y)
-        planes[..., 1] = along_x / self.cell * inside[..., 0]
-        planes[..., 2] = along_y / self.cell * inside[..., 1]
-        return planes
+        flat = np.ascontiguousarray(points, np.float64).reshape(-1, 2)
+        planes = np.zeros((len(flat), 3))
+        if not self.is_flat:
+            triangle_planes(self.corners, self.cell, np.array(self.center), flat, planes)
+        return planes.reshape(*points.shape[:-1], 3)
 
     def triangles(self) -> Array:
         """Return the surface as triangles (T, 3, 3): tops of cells, and walls between cells that do not join.

@@ -53,6 +53,28 @@ def _cell_height(cell: Array, u: float, v: float) -> float:
 
 
 @_function
+def triangle_planes(corners: Array, cell: float, middle: Array, points: Array, planes: Array) -> None:
+    """Compute height and slope along x and y of the triangles at points.
+
+    Args:
+        corners: those of the `Ground`, (X, Y, 2, 2), with cells.
+        cell: side of a cell [m].
+        middle: of the field (2,) [m].
+        points: where (P, 2) [m].
+        planes: output (P, 3): [m], then slopes, 0 beyond the field.
+    """
+    count_x, count_y = corners.shape[:2]
+    for k in range(len(points)):
+        u, v = (points[k, 0] - middle[0]) / cell + count_x / 2, (points[k, 1] - middle[1]) / cell + count_y / 2
+        i, j = min(max(math.floor(u), 0), count_x - 1), min(max(math.floor(v), 0), count_y - 1)
+        own, along, across = corners[i, j], _clip(u - i), _clip(v - j)
+        near = along + across <= 1.0
+        planes[k, 0] = _cell_height(own, along, across)
+        planes[k, 1] = (own[1, 0] - own[0, 0] if near else own[1, 1] - own[0, 1]) / cell * (0.0 <= u <= count_x)
+        planes[k, 2] = (own[0, 1] - own[0, 0] if near else own[1, 1] - own[1, 0]) / cell * (0.0 <= v <= count_y)
+
+
+@_function
 def _height(corners: Array, u: float, v: float, step_u: float, step_v: float, go: float) -> float:
     """Return the height of the cell that a step from a place (u, v) leads to, after a share `go` of that step.
 
