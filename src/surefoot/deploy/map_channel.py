@@ -9,7 +9,7 @@ in the heading frame. Other datagrams are counted and ignored.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,6 +86,6 @@ def _parse_map(values: Any, grid: HeightMap) -> _Map | None:
     return _Map(np.clip(heights, -RANGE, RANGE), float(age))
 
 
-def send_map(port: int, heights: list[list[float | None]], age: float = 0.0) -> None:
+def send_map(port: int, heights: Sequence[Sequence[float | None]], age: float = 0.0) -> None:
     """Send a map of heights [m], `age` [s] old, to the channel on this computer; see the module for its order."""
     send(port, {"heights": heights, "age": age})
