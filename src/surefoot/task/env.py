@@ -222,8 +222,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self.source is not None and self.commands is not None:
             self.command_error, self.stride_error = motion.command_error, motion.stride_error
             if self.curriculum is not None:
-                command = motion.command[:, :2]
-                self.curriculum.record(command, motion.command_error[:, :2] + command, motion.duration * ~self.over)
+                velocity = motion.command_error[:, :2] + motion.command[:, :2]
+                duration = motion.duration * ~(self.over | diverged)
+                self.curriculum.record(self.source.command[:, :2], velocity, before.roll_pitch_yaw[:, 2], duration)
             self.source.update(self.readings.time)
             self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
         for part in (reward, self.command_error, self.stride_error, *self.reward_terms.values()):
