@@ -111,7 +111,7 @@ def test_commands_that_were_drawn_slow_get_more_speed_forward_or_backward() -> N
     for sampler in (fast, any_speed):
         sampler.reset(np.arange(4000))
     speed, drawn = (np.linalg.norm(sampler.command[:, :2], axis=1) for sampler in (fast, any_speed))
-    slow = ~limits.stands(any_speed.command) & (drawn < 0.8)
+    slow = any_speed.command.any(axis=1) & (drawn < 0.8)
     assert np.array_equal(fast.command[~slow], any_speed.command[~slow])
     assert np.array_equal(fast.command[:, 1:], any_speed.command[:, 1:])
     ahead = slow & (any_speed.command[:, 0] > 0)
