@@ -147,7 +147,7 @@ def distance_along(trace: EpisodeTrace) -> float:
 def kept_up(trace: EpisodeTrace) -> bool:
     """Return whether a run ended without a fall and went .7 to 1.25 of the way that its commands lead."""
     commanded, covered = _step_ways(trace)
-    return bool(has_kept_up(commanded.sum(), covered.sum(), trace.meta["ended"] == "time"))
+    return bool(has_kept_up(commanded.sum(), covered.sum(), np.asarray(trace.meta["ended"] == "time")))
 
 
 def _step_ways(trace: EpisodeTrace) -> tuple[Array, Array]:

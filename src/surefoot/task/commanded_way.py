@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 
@@ -26,7 +26,7 @@ def step_ways(command: Array, velocity: Array, duration: Array) -> tuple[Array, 
     return speed * duration, along * duration
 
 
-def has_kept_up(commanded: ArrayLike, covered: ArrayLike, whole: ArrayLike) -> NDArray[np.bool_]:
+def has_kept_up(commanded: Array, covered: Array, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether episodes came `whole` to their ends, without a fall, and covered .7 to 1.25 of their ways [m]."""
-    low, high = (share * np.asarray(commanded) for share in KEPT_UP)
-    return np.asarray(whole) & (low <= covered) & (covered <= high)
+    low, high = (share * commanded for share in KEPT_UP)
+    return np.asarray(whole & (low <= covered) & (covered <= high))
