@@ -48,7 +48,7 @@ def test_robots_rest_on_the_middles_of_their_tiles(env):
 
 
 def test_levels_rise_with_what_a_robot_covers_and_fall_with_it():
-    curriculum = TerrainCurriculum(FIELD, FIELD.field(0), 4, 0)  # type: ignore[arg-type]
+    curriculum = TerrainCurriculum(FIELD, FIELD.build(0), 4, 0)
     rows, none = np.arange(4), np.zeros(4, bool)
     curriculum.begin(rows, none)
     assert curriculum.level.tolist() == [0, 0, 0, 0]

@@ -16,7 +16,6 @@ from surefoot.errors import SurefootError, suggest
 from surefoot.seeding import generators
 from surefoot.task.commanded_way import has_kept_up, step_ways
 from surefoot.task.height_scan import ScanConfig
-from surefoot.world.ground import FLAT, Ground
 from surefoot.world.terrain import TerrainField, check_size, make_field, make_terrain
 
 MAX_TILES = 400
@@ -85,15 +84,11 @@ class TerrainConfig:
         """Whether robots stand on the plane z = 0."""
         return not self.sizes and self.ground == "flat"
 
-    def field(self, seed: int) -> TerrainField | None:
-        """Return the field of tiles, if there is one."""
-        if not self.sizes:
-            return None
-        return make_field(self.sizes, self.shares, self.levels, self.columns, self.tile, seed)
-
-    def make_ground(self, seed: int) -> Ground:
-        """Return the one ground for all robots where there is no field."""
-        return FLAT if self.ground == "flat" else make_terrain(self.ground, seed)
+    def build(self, seed: int) -> TerrainField:
+        """Return what robots stand on: the field of tiles, or one ground without any."""
+        if self.sizes:
+            return make_field(self.sizes, self.shares, self.levels, self.columns, self.tile, seed)
+        return TerrainField(make_terrain(self.ground, seed))
 
 
 class TerrainCurriculum:
