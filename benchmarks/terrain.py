@@ -3,6 +3,9 @@
     python benchmarks/terrain.py go2-terrain go2-steer
     python benchmarks/terrain.py go2-terrain --world bullet
     python benchmarks/terrain.py go2-terrain --table1
+    python benchmarks/terrain.py go2-terrain --world boxes --kinds stairs --episodes 32
+
+In the world `boxes` stairs are of box geoms, and feet meet them by MuJoCo's own contacts (benchmarks/box_stairs.py).
 
 64 robots, 10 s; kept up: no fall, and .7 to 1.25 of the commanded way. Rows go to results/terrain/success.csv; rows of
 the same case are replaced, and `--missing` measures only those that are not there.
@@ -25,6 +28,7 @@ from surefoot.robot.commands import COMMANDS
 from surefoot.robot.randomization import load_ranges
 from surefoot.tables import write_csv
 from surefoot.task.commands import CommandConfig
+from surefoot.world.registry import WORLDS
 
 RESULTS = Path(__file__).parents[1] / "results" / "terrain"
 SIZES: dict[str, tuple[float, ...]] = {
@@ -37,6 +41,7 @@ SIZES: dict[str, tuple[float, ...]] = {
     "gaps": (0.15, 0.25),
     "stones": (0.25,),
 }
+WORLDS["boxes"] = replace(WORLDS["mujoco"], engine="box_stairs:BoxEngine")
 KEYS = ("policy", "world", "robots", "kind", "size")
 
 
@@ -48,7 +53,7 @@ class Command:
     world: str = "mujoco"
     table1: bool = False
     """Robots of the paper's table I."""
-    kinds: tuple[str, ...] = tuple(SIZES)
+    kinds: tuple[str, ...] = ("flat", *SIZES)
     episodes: int = 64
     threads: int = 0
     missing: bool = False
@@ -71,7 +76,7 @@ def main(command: Command) -> None:
         limits = {key: getattr(task.commands, key) for key in COMMANDS}
         task = prepare_task(task, CommandConfig(**limits, each=(command.command,)), 10.0, robot)
         robots = "table1" if command.table1 else "nominal"
-        for kind in ("flat", *command.kinds):
+        for kind in command.kinds:
             for size in SIZES.get(kind, (0.0,)):
                 key = (Path(name).stem, command.world, robots, kind, f"{size:g}")
                 if command.missing and key in table:

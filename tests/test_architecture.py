@@ -23,9 +23,9 @@ ALLOWED: dict[str, set[str]] = {
     "deploy": {
         *("robot", "policy", "world.interface"),
         *("task.contract_mapping", "task.commands", "task.observation", "task.gait"),
-        *("task.trace", "task.partial_trace"),
+        *("task.height_scan", "task.trace", "task.partial_trace"),
     },
-    "emulator": {"deploy", "world", "actuator", "robot"},
+    "emulator": {"deploy", "world", "actuator", "robot", "task.height_scan"},
     "firmware": {"deploy", "robot"},
     "report": {
         "evaluation",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -20,15 +21,21 @@ from edited import edited_policy
 from fault_bench import QUICK
 from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
 
+from surefoot.deploy.motion_capture import read_capture
 from surefoot.evaluation.recorded import find_traces
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
 from surefoot.rotations import quat_yaw
+from surefoot.task.config import load_task
+from surefoot.task.contract_mapping import contract_from_task
+from surefoot.task.height_scan import scan_heights, scan_points
 from surefoot.task.partial_trace import recover
 from surefoot.task.trace import EpisodeTrace
 
 pytest.importorskip("mujoco")
 
 from surefoot.emulator.capture_writer import CaptureWriter
+from surefoot.world.terrain import read_map
 
 ABSENT = ("mujoco", "numba", "gymnasium", "torch", "scipy", "matplotlib", "pybullet", "onnx")
 PATIENCE = 120.0
@@ -127,8 +134,61 @@ def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
     assert quat_yaw(trace.base_quat_world)[[at[1], -1]] == pytest.approx([0.0, 1.2], abs=0.15)
 
 
+def test_a_policy_that_is_blind_needs_no_map(emulate):
+    refused(deploy(emulate().port, "--height-map", "5556"), "--height-map is given; policy 'trot' sees no map")
+
+
 def test_a_policy_without_commands_is_not_steered(emulate):
     refused(deploy(emulate().port, "--commands", "5555"), "--commands is given; policy 'trot' has no commands")
+
+
+@pytest.fixture
+def seeing(tmp_path: Path) -> Path:
+    """A policy of Go2 that sees the ground and adds nothing to its reference."""
+    torch = pytest.importorskip("torch")
+    from surefoot.policy.export import export_policy
+
+    robot = RobotDescription.load("go2")
+    task = load_task("steer", "go2")[0]
+    contract = contract_from_task(replace(task, observations=(*task.observations, "height_scan")), robot, name="seeing")
+    network = torch.nn.Linear(contract.width, len(contract.action_names))
+    torch.nn.init.zeros_(network.weight)
+    torch.nn.init.zeros_(network.bias)
+    return export_policy(network, contract, tmp_path / "seeing.onnx", "feedback")
+
+
+def test_a_policy_sees_the_step_that_an_emulated_robot_stands_before(seeing: Path, tmp_path: Path) -> None:
+    heights = np.where(np.arange(81)[:, None] * 0.05 - 2.0 > 0.62, 0.1, np.zeros((81, 81)))
+    np.savez(tmp_path / "step.npz", heights=heights, cell=0.05)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    exact = [word for name in ("noise", "drift", "shift", "holes", "delay") for word in (f"--scan.{name}", "0")]
+    robot = ("--robot", "go2", "--ideal-sensors", "--set", "servo_kp=40", "servo_kd=1", "--lockstep")
+    capture = tmp_path / "capture.csv"
+    ground = ("--terrain", tmp_path / "step.npz", "--height-map", port, *exact, "--out", capture)
+    with emulators() as start:
+        words = ("deploy", seeing, "--port", start(*robot, *ground).port, "--lockstep", "--out", tmp_path / "out")
+        refused(surefoot(*words), "policy 'seeing' sees the ground; give --height-map PORT")
+        done = surefoot(*words, "--height-map", port, "--duration", "0.5", "--json")
+    assert done.returncode == 0, done.stderr
+    (run,) = json.loads(done.stdout)["runs"]
+    trace = EpisodeTrace.load(run["trace"])
+    columns = [name.startswith("ground") for name in PolicyRuntime.load(seeing).contract.columns]
+    seen = trace.observation[-1][columns]
+    rows = read_capture(capture)
+    at = np.searchsorted(rows["time"], trace.meta["robot_time_start"] + trace.time[-1])
+    position, quat = (np.array([rows[name][at] for name in names]) for names in ("xyz", ("qw", "qx", "qy", "qz")))
+    expected = scan_heights(
+        read_map(tmp_path / "step.npz"),
+        scan_points(RobotDescription.load("go2")),
+        position[None],
+        np.atleast_1d(quat_yaw(quat)),
+    )[0]
+    # Points on the slope of the step would tell a millimetre.
+    on_step = np.abs(expected + position[2] - 0.05) < 0.0499
+    assert seen[~on_step] == pytest.approx(expected[~on_step], abs=0.005)
+    assert np.ptp(seen) == pytest.approx(0.1, abs=0.005)
 
 
 def assert_readings_are_20_ms_old(trace: EpisodeTrace, capture: Path) -> None:

@@ -240,6 +240,24 @@ def test_show_refuses_invalid_traces_and_unknown_robots(
         assert not (tmp_path / "x.html").exists()
 
 
+def test_show_draws_the_map_that_it_is_given(make_run: MakeRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    trace = swinging(make_run, terrain="hill.npz").trace.save(tmp_path / "run.npz")
+    heights = np.zeros((41, 41))
+    heights[30:] = 0.2
+    for name in ("hill.npz", "other.npz"):
+        np.savez(tmp_path / name, heights=heights, cell=0.1)
+    show = ["show", str(trace), "--out", str(tmp_path / "x.html")]
+    assert main(show) == 0
+    assert "stood on the map 'hill.npz', which is not drawn: give its file with --terrain" in capsys.readouterr().out
+    level = len((tmp_path / "x.html").read_text())
+    assert main([*show, "--terrain", str(tmp_path / "hill.npz")]) == 0
+    assert "stood" not in capsys.readouterr().out
+    assert len((tmp_path / "x.html").read_text()) != level
+    for terrain, message in (("other.npz", "the traces' terrain is 'hill.npz'"), ("rough:0.1", "it must be a map")):
+        assert main([*show, "--terrain", str(tmp_path / terrain)]) == 2
+        assert message in capsys.readouterr().err
+
+
 def test_show_draws_a_log_with_the_robot_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     time = 0.01 * np.arange(50)
     np.savez(tmp_path / "log.npz", time=time, command=np.tile(np.sin(time)[:, None], (1, 12)), imu=np.zeros((50, 4)))

@@ -12,12 +12,14 @@ import pytest
 
 from surefoot.api.policies import find_policy
 from surefoot.check_result import CheckResult, first_failure
-from surefoot.deploy.checks import check_contract, check_policy, format_gains
+from surefoot.deploy.checks import check_contract, check_map, check_policy, format_gains
 from surefoot.deploy.messages import Handshake
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
+from surefoot.task.config import load_task
+from surefoot.task.contract_mapping import contract_from_task
 
 ROBOT = RobotDescription.load("minitaur")
 CHECKS = [
@@ -238,6 +240,29 @@ def test_a_policy_that_does_not_fit_the_data_sheet_is_refused(policy: str, chang
     assert message in str(error.value)
     assert str(error.value).startswith(f"policy '{contract.name}' must not run on {robot.name}: ")
     assert "\n" not in str(error.value)
+
+
+def test_the_grid_of_a_policys_map_is_that_of_the_robot():
+    task = load_task("steer")[0]
+    seeing = contract_from_task(replace(task, observations=(*task.observations, "height_scan")), ROBOT)
+    check_policy(seeing, ROBOT)
+    grid = seeing.height_map
+    assert grid is not None
+    for change, message in (
+        (None, "height_map is the grid of the observation height_scan; it must have both or neither"),
+        (replace(grid, ahead=grid.ahead[1:]), "the 12 places ahead of its map are not the 13 of minitaur here"),
+        (
+            replace(grid, left=tuple(1.1 * place for place in grid.left)),
+            "the 7 places left of its map are not the 7 of minitaur here",
+        ),
+    ):
+        with pytest.raises(SurefootError, match=message):
+            check_policy(replace(seeing, height_map=change), ROBOT)
+    with pytest.raises(SurefootError, match=r"sees the ground; give --height-map PORT, to which a program sends"):
+        check_map(seeing, None)
+    with pytest.raises(SurefootError, match="follows no commands; it could not stand while a map is late"):
+        check_map(replace(seeing, commands=None), 5556)
+    check_map(seeing, 5556)
 
 
 def test_the_rate_of_a_policy_may_differ_from_the_data_sheet():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
@@ -32,6 +33,16 @@ def test_ground_of_a_trace_is_made_again_and_never_read_from_a_file(tmp_path: Pa
         assert ground_of(make_run(terrain=name)).is_flat
     with pytest.raises(SurefootError, match="terrain stairs: size is 99 m"):
         ground_of(make_run(terrain="stairs:99"))
+
+
+def test_a_map_that_is_given_is_the_ground_of_traces_with_its_name(tmp_path: Path, make_run: MakeRun):
+    heights = np.zeros((41, 41))
+    heights[30:] = 0.2
+    np.savez(tmp_path / "hill.npz", heights=heights, cell=0.1)
+    trace = make_run(terrain="hill.npz")
+    assert ground_of(trace, tmp_path / "hill.npz").height(np.array([1.5, 0.0])) == pytest.approx(0.2)
+    assert ground_of(trace).is_flat
+    assert ground_of(make_run(terrain="other.npz"), tmp_path / "hill.npz").is_flat
 
 
 def test_find_traces_refuses_a_folder_without_traces(tmp_path: Path):

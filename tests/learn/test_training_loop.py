@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from edited import maxitaur
+from tensordict import TensorDict
 
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
@@ -22,6 +23,7 @@ from surefoot.learn.training_loop import TrainingLoop
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import load_ranges
+from surefoot.task.height_scan import scan_columns
 from surefoot.task.reference import make_reference
 from surefoot.world.sim_world import SimWorld
 
@@ -190,6 +192,58 @@ def test_a_run_starts_from_one_with_other_ranges_and_more_exploration(whole: Tra
     assert other.keys() == last.keys() - {"push_x", "push_y"}
     assert last["motor_friction"].any()
     assert all(torch.equal(other[name], last[name]) for name in other)
+
+
+def test_observations_and_history_are_added_to_networks_without_a_change_of_their_outputs(
+    whole: TrainingLoop, tmp_path: Path
+) -> None:
+    names = whole.config.task.observations
+    task = {"observations": ["height_scan", *reversed(names), "gravity"], "history": 3}
+    config = tiny_config(start_from=str(whole.folder.path), task=task)
+    loop = TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
+    rng, inputs = np.random.default_rng(0), []
+    numbers: dict[object, np.ndarray] = {}
+    for learner in (whole.learner, loop.learner):
+        columns = [(age, name) for age in range(learner.env.task.history) for name in learner.env.observer.columns]
+        true = [(None, name) for name in learner.env.privileged_columns]
+        for one in columns + true:
+            numbers.setdefault(one, rng.normal(size=6).astype(np.float32))
+        groups = {"policy": columns, "privileged": true}
+        stacked = {key: torch.from_numpy(np.stack([numbers[one] for one in ones], 1)) for key, ones in groups.items()}
+        inputs.append(TensorDict(stacked, batch_size=[6]))
+    actions, values = [], []
+    for learner, one in zip((whole.learner, loop.learner), inputs, strict=True):
+        actions.append(learner.act(one["policy"].numpy()))
+        with torch.inference_mode():
+            values.append(learner.algorithm.critic(one).numpy())
+    assert inputs[1]["policy"].shape[1] > 3 * inputs[0]["policy"].shape[1]
+    np.testing.assert_allclose(actions[1], actions[0], atol=1e-5)
+    np.testing.assert_allclose(values[1], values[0], atol=1e-4)
+    loop.learner.update()
+    assert np.abs(loop.learner.act(inputs[1]["policy"].numpy()) - actions[1]).max() > 1e-4
+
+
+def test_a_new_observation_is_normalized_as_the_value_network_normalized_it(tmp_path: Path) -> None:
+    terrain = {"ground": "rough:0.02"}
+    before = train(tmp_path / "blind", tiny_config(task={"terrain": terrain}), stop_after=1)
+    names = before.config.task.observations
+    task = {"terrain": terrain, "observations": [*names, "height_scan"]}
+    config = tiny_config(start_from=str(before.folder.path), task=task)
+    seeing = TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
+    learned, actor = before.learner.algorithm.critic.obs_normalizer, seeing.learner.policy.obs_normalizer
+    columns = [*before.learner.env.observer.columns, *before.learner.env.privileged_columns]
+    places = [columns.index(name) for name in scan_columns()]
+    assert (learned.mean[places] < -0.1).all()
+    for name in ("mean", "std"):
+        assert torch.equal(getattr(actor, name)[-len(places) :], getattr(learned, name)[places])
+
+
+def test_start_from_refuses_a_task_without_an_observation_that_the_policy_needs(
+    whole: TrainingLoop, tmp_path: Path
+) -> None:
+    config = tiny_config(start_from=str(whole.folder.path), task={"observations": ["roll", "pitch", "roll_rate"]})
+    with pytest.raises(SurefootError, match=r"policy observes pitch_rate, 0 control steps old, which this run's does"):
+        TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
 
 
 def test_a_policy_gives_the_same_feedback_between_other_bounds(whole: TrainingLoop, tmp_path: Path) -> None:

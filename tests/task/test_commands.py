@@ -10,6 +10,7 @@ from scripted import COMMAND_LIMITS as LIMITS
 
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import CommandConfig, CommandFilter, CommandSampler, CommandSchedule, read_schedule
 from surefoot.task.config import load_task
 
@@ -97,6 +98,25 @@ def test_drawn_commands_fill_their_ranges_and_some_mean_stand() -> None:
     forward = sampler.command[~stands, 0]
     assert (forward.min(), forward.max()) == pytest.approx((-1.0, 2.0), abs=0.01)
     assert abs(np.mean(forward) - 0.5) < 0.05
+
+
+def test_commands_that_were_drawn_slow_get_more_speed_forward_or_backward() -> None:
+    limits = CommandLimits(
+        forward=(-0.3, 2.0), sideways=(-0.5, 0.5), yaw_rate=(-1, 1), acceleration=(1, 1, 1), deadband=(0.01,) * 3
+    )
+    fast, any_speed = (
+        CommandSampler(CommandConfig(forward=(-1, 1), stand=0.2, slowest=slowest), limits, 4000, seed=1)
+        for slowest in (0.4, 0.0)
+    )
+    for sampler in (fast, any_speed):
+        sampler.reset(np.arange(4000))
+    speed, drawn = (np.linalg.norm(sampler.command[:, :2], axis=1) for sampler in (fast, any_speed))
+    slow = any_speed.command.any(axis=1) & (drawn < 0.8)
+    assert np.array_equal(fast.command[~slow], any_speed.command[~slow])
+    assert np.array_equal(fast.command[:, 1:], any_speed.command[:, 1:])
+    ahead = slow & (any_speed.command[:, 0] > 0)
+    assert speed[ahead] == pytest.approx(0.8)  # .4 of 2 m/s
+    assert fast.command[slow & ~ahead, 0] == pytest.approx(-0.3)
 
 
 def test_a_ramp_lets_first_commands_grow() -> None:

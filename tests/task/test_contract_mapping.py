@@ -19,7 +19,9 @@ from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.contract_mapping import make_contract, task_from_contract
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.height_scan import ScanConfig, scan_grid
 from surefoot.task.reference import ReferenceConfig, make_reference
+from surefoot.task.terrain import TerrainConfig
 from surefoot.world.sim_world import SimWorld
 
 ROBOT = RobotDescription.load("minitaur")
@@ -36,6 +38,19 @@ def test_an_environment_of_the_task_of_a_contract_has_the_same_contract(task: st
     again = task_from_contract(contract)
     assert (again.robot, again.max_steps) == (robot, 77)
     assert contract_of(again) == replace(contract, config_hash=contract_of(again).config_hash)
+
+
+def test_the_contract_of_a_policy_that_sees_the_ground_has_grid_and_age_of_its_map():
+    task = load_task("trot")[0]
+    scan = ScanConfig(noise=0.03, delay=5)
+    task = replace(task, observations=(*task.observations, "height_scan"), terrain=TerrainConfig(scan=scan))
+    contract = contract_of(task)
+    assert contract.height_map is not None
+    assert (contract.height_map.ahead, contract.height_map.left) == scan_grid(ROBOT)
+    assert contract.height_map.age == pytest.approx(5 * 0.006)
+    assert contract.task["terrain"]["scan"] == {"noise": 0.03, "drift": 0.02, "shift": 0.02, "holes": 0.02}
+    assert task_from_contract(contract, ROBOT).terrain.scan == scan
+    assert "height_map" not in make_contract(LocomotionEnv(load_task("trot")[0], 1, SimWorld)).to_json()
 
 
 def test_the_task_of_a_contract_has_the_parameters_of_training():

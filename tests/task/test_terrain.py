@@ -9,6 +9,8 @@ import pytest
 
 from surefoot.api.simulator import on_terrain
 from surefoot.errors import SurefootError
+from surefoot.evaluation.rollout import EpisodeRecorder
+from surefoot.evaluation.tracking import distance_along, kept_up
 from surefoot.robot import RobotDescription
 from surefoot.task.config import load_task
 from surefoot.task.env import LocomotionEnv
@@ -46,27 +48,53 @@ def test_robots_rest_on_the_middles_of_their_tiles(env):
 
 
 def test_levels_rise_with_what_a_robot_covers_and_fall_with_it():
-    curriculum = TerrainCurriculum(FIELD, FIELD.field(0), 4, 0)  # type: ignore[arg-type]
+    curriculum = TerrainCurriculum(FIELD, FIELD.build(0), 4, 0)
     rows, none = np.arange(4), np.zeros(4, bool)
     curriculum.begin(rows, none)
     assert curriculum.level.tolist() == [0, 0, 0, 0]
     command = np.tile([0.6, 0.8], (4, 1))
-    gone = command * np.array([1.0, 0.69, 0.4, 1.0])[:, None]
-    for _ in range(4):
-        curriculum.record(command, gone, np.full(4, 0.5))
-    np.testing.assert_allclose(curriculum.commanded, 2.0)
-    curriculum.begin(rows, np.array([False, False, False, True]))
-    assert curriculum.level.tolist() == [1, 0, 0, 0]
-    # An episode that hardly commanded anything says nothing.
-    curriculum.record(command, command, np.full(4, 0.5))
-    curriculum.begin(rows, none)
-    assert curriculum.level.tolist() == [1, 0, 0, 0]
+
+    def go(shares, turn=0.0, steps=6, fell=none):
+        for k in range(steps):
+            gone = command * np.array(shares)[:, None]
+            curriculum.record(command, gone, np.full(4, turn * k), np.full(4, 0.5))
+        ways = curriculum.commanded.copy(), curriculum.led.copy()
+        curriculum.begin(rows, fell)
+        return ways
+
+    commanded, led = go([1.0, 0.69, 0.71, 1.26])
+    np.testing.assert_allclose(commanded, 3.0)
+    np.testing.assert_allclose(led, 3 * command)
+    assert curriculum.level.tolist() == [1, 0, 1, 0]
+    go([0.51, 0.49, 1.0, 1.0], fell=np.array([False, False, True, False]))
+    assert curriculum.level.tolist() == [1, 0, 0, 1]
+    # An episode that led too short a way says nothing of the terrain; nor does one that led around in a circle.
+    go([1.0] * 4, steps=4)
+    commanded, led = go([1.0] * 4, turn=np.pi / 3)
+    np.testing.assert_allclose(commanded, 3.0)
+    np.testing.assert_allclose(led, 0.0, atol=1e-12)
+    assert curriculum.level.tolist() == [1, 0, 0, 1]
     # Beyond the last level any one follows.
     curriculum.level[:] = 2
-    for _ in range(4):
-        curriculum.record(command, command, np.full(4, 0.5))
-    curriculum.begin(rows, none)
+    go([1.0] * 4)
     assert set(curriculum.level.tolist()) <= {0, 1, 2}
+
+
+def test_a_curriculum_counts_the_ways_that_success_is_judged_by(env):
+    env.reset(seed=5)
+    recorder = EpisodeRecorder(env, pushed=False)
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        start, seen = env.readings.time, env._observation()
+        env.step(0.2 * rng.uniform(-1, 1, (4, env.single_action_space.shape[0])))
+        recorder.record(start, seen)
+    for i in range(4):
+        trace = recorder.trace(i, 60, {"world": "mujoco", "policy": "", "seed": 5, "episode": i, "ended": "time"})
+        covered = env.curriculum.covered[i]
+        assert distance_along(trace) == pytest.approx(covered, abs=1e-9)
+        share = covered / env.curriculum.commanded[i] if env.curriculum.commanded[i] else 0.0
+        assert kept_up(trace) == bool(0.7 <= share <= 1.25 or not env.curriculum.commanded[i])
+    assert np.abs(env.curriculum.covered).max() > 0.01
 
 
 def test_an_environment_on_terrain_resumes_exactly(env):

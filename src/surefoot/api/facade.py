@@ -221,7 +221,7 @@ def play(
     schedule = None if commands is None else Path(commands)
     task = _task(loaded, params, duration, pushes=pushes, commands=schedule, terrain=str(terrain))
     (trace,) = run_policy(loaded.controller, task, 1, world, seed, name=loaded.name)
-    return Video(film(loaded.robot, trace, path, task.terrain.make_ground(seed)))
+    return Video(film(loaded.robot, trace, path, task.terrain.build(seed).ground))
 
 
 @report_missing_extras

@@ -110,7 +110,7 @@ def on_terrain(task: TaskConfig, terrain: str) -> TaskConfig:
     """
     ground = str(Path(terrain).resolve()) if is_map(terrain) else terrain
     changed = TerrainConfig(ground=ground, scan=task.terrain.scan)
-    changed.make_ground(0)  # refuses one that does not exist
+    changed.build(0)  # refuses one that does not exist
     return replace(task, terrain=changed)
 
 

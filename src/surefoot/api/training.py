@@ -132,7 +132,6 @@ def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], No
     median = episodes[len(episodes) // 2]
     draw_episode(figures, median, robot)
     # That of the median's environment, whose seed it has.
-    field = task.terrain.field(0)
-    film(robot, median, figures / "video.mp4", field.ground if field else None)
+    film(robot, median, figures / "video.mp4", task.terrain.build(0).ground)
     median.save(figures / EPISODE)
     return summaries

@@ -15,7 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surefoot.cli.helpers.link_options import LinkOptions
-from surefoot.cli.helpers.options import PAGE_PORT, Count, Json, PagePort, PluginNames, PolicyName, check_folder
+from surefoot.cli.helpers.options import (
+    PAGE_PORT,
+    Count,
+    Json,
+    MapPort,
+    PagePort,
+    PluginNames,
+    PolicyName,
+    check_folder,
+)
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
@@ -55,6 +64,8 @@ class DeployCommand(LinkOptions):
     commands: str | None = None
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate), keyboard, gamepad, or the
     number of a UDP port on this computer; without it such a robot stands."""
+    height_map: MapPort = None
+    """UDP port of this computer at which a program sends the heights of the ground, for a policy that sees them."""
     browser: bool = False
     """Show the robot on a page in the browser, and take commands from there. The run lasts ten minutes, if no
     --duration is given."""
@@ -78,18 +89,20 @@ def main(argv: list[str]) -> int:
         import_module("viser")  # what is not installed is reported before the robot is connected
     from surefoot.api.policies import find_policy, open_policy
     from surefoot.check_result import first_failure
-    from surefoot.deploy.checks import check_contract
+    from surefoot.deploy.checks import check_contract, check_map
     from surefoot.deploy.command_sources import ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
     from surefoot.deploy.display import open_display
     from surefoot.deploy.loop import RunMonitor
+    from surefoot.deploy.map_channel import MapChannel
     from surefoot.deploy.pacer import undisturbed
     from surefoot.stop_signals import StopSignals
 
     policy, robot = open_policy(find_policy(command.policy))
     contract = policy.contract
     controller = Controller(policy, robot)
+    check_map(contract, command.height_map)
 
     def check(handshake: Handshake) -> None:
         if (error := first_failure(link.preliminary_checks)) is not None:
@@ -121,7 +134,11 @@ def main(argv: list[str]) -> int:
         else:
             monitor = open_display(title)
         stack.callback(monitor.close)
-        deployment = Deployment(link, controller, stop, monitor, dry_run=command.dry_run, commands=commands)
+        maps = None
+        if command.height_map is not None and contract.height_map is not None:
+            maps = MapChannel(command.height_map, contract.height_map, link.clock.now)
+            stack.callback(maps.close)
+        deployment = Deployment(link, controller, stop, monitor, command.dry_run, commands, maps)
         stack.callback(deployment.close)
         if not command.lockstep:
             stack.enter_context(undisturbed())

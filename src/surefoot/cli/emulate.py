@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.cli.helpers.options import Repeated, Settings, Terrain, World, files_by_suffix
+from surefoot.cli.helpers.options import MapPort, Repeated, Settings, Terrain, World, files_by_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription, parse_settings
 from surefoot.robot.params_file import load_params, write_params
+from surefoot.task.height_scan import ScanConfig
 
 if TYPE_CHECKING:
     from surefoot.cli.helpers.viewer import EmulateViewer
@@ -62,6 +63,10 @@ class EmulateCommand:
     ideal_sensors: bool = False
     """Encoders and IMU without quantization, noise and drift, a battery that does not sag."""
     terrain: Terrain = "flat"
+    height_map: MapPort = None
+    """UDP port of this computer to which to send the heights of the ground around the robot, 50 times a second."""
+    scan: ScanConfig = field(default_factory=ScanConfig)
+    """Errors of these heights; the delay is a number of maps."""
     seed: Seed = 0
     """Seed of noise, of faults at random, and of terrain that is drawn."""
     baud: Annotated[float, Within(0, 1e8)] = 921600.0
@@ -264,6 +269,7 @@ def _load(faults: dict[str, InjectedFault]) -> float:
 def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault]) -> int:
     from surefoot.deploy.pacer import undisturbed
     from surefoot.emulator.capture_writer import CaptureWriter
+    from surefoot.emulator.map_sender import MapSender
     from surefoot.emulator.real_time import Summary
     from surefoot.emulator.serial.pty_port import PtyPort
     from surefoot.emulator.serial.socket_server_port import SocketServerPort
@@ -275,7 +281,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
         summary.stop = True
 
     loop: RealTime | Lockstep
-    observers: list[CaptureWriter | EmulateViewer] = []
+    observers: list[CaptureWriter | EmulateViewer | MapSender] = []
     with StopSignals(on_signal=end, respect_nohup=True), contextlib.ExitStack() as stack:
         if command.link == "dds":
             from surefoot.deploy.dds.bus import Bus
@@ -294,6 +300,8 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
         try:
             if (path := command.files.get(".csv")) is not None:
                 observers.append(CaptureWriter(path, board.plant, later=not command.lockstep))
+            if command.height_map is not None:
+                observers.append(MapSender(command.height_map, board.plant, command.scan, command.seed))
             if command.viewer:
                 from surefoot.cli.helpers.viewer import EmulateViewer
 

@@ -56,7 +56,7 @@ def main(argv: list[str]) -> int:
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):
         import_module(module)
     (trace,) = run_policy(policy, task, 1, command.world, command.seed, name=origin["name"])
-    ground = task.terrain.make_ground(command.seed)
+    ground = task.terrain.build(command.seed).ground
     if window:
         replay(robot, trace, ground)
     else:

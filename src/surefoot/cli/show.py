@@ -11,9 +11,10 @@ import tyro
 
 from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, check_suffix
 from surefoot.cli.helpers.parsing import parse
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, choices, quote
 from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
+from surefoot.world.terrain import is_map
 
 if TYPE_CHECKING:
     from surefoot.report.pages.recorded_runs import ShownTrace
@@ -32,6 +33,8 @@ class ShowCommand:
     imu, which name no robot."""
     robot: str | None = None
     """Name or folder of the robot of such files, or of traces in place of the robot that they carry."""
+    terrain: Path | None = None
+    """Map (.npz, .png) on which robots stood: a trace has its name alone."""
     layout: Literal["side", "over", "one"] = "side"
     """Robots side by side, laid over each other, or one at a time; the page can change it."""
     out: Path | None = None
@@ -44,6 +47,8 @@ def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(ShowCommand, argv, "surefoot show")
     check_suffix("page", command.out, ".html")
+    if command.terrain is not None and not is_map(str(command.terrain)):
+        raise SurefootError(f"--terrain is {command.terrain}; it must be a map (.npz, .png): traces hold other terrain")
     if not command.trace:
         raise SurefootError("no TRACE is given; give one or more files (.npz), or folders of them")
     from surefoot.report.pages.recorded_runs import recording_page
@@ -94,5 +99,11 @@ def _load_traces(command: ShowCommand) -> list[ShownTrace]:
     if len(set(titles)) < len(titles):
         titles = [f"{title}, {str(trace.meta['world'])[:80]}" for title, (_, trace) in zip(titles, traces, strict=True)]
     titles = distinct_names(titles, [f"{path.parent.name}/{path.stem}" for path, _ in traces])
+    given = "" if command.terrain is None else command.terrain.name
+    if given and given not in (names := [str(trace.meta["terrain"]) for _, trace in traces]):
+        raise SurefootError(f"--terrain is {given}; the traces' terrain is {choices(map(quote, sorted(set(names))))}")
+    for title, (_, trace) in zip(titles, traces, strict=True):
+        if is_map(name := str(trace.meta["terrain"])) and name != given:
+            print(f"{title} stood on the map {quote(name)}, which is not drawn: give its file with --terrain")
     pairs = zip(titles, traces, strict=True)
-    return [ShownTrace(title, robot_of(path, trace), trace) for title, (path, trace) in pairs]
+    return [ShownTrace(title, robot_of(path, trace), trace, command.terrain) for title, (path, trace) in pairs]

@@ -13,6 +13,7 @@ from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.task.contract_mapping import check_plugins, task_from_contract
+from surefoot.task.height_scan import scan_grid
 from surefoot.task.observation import PARTS, Observer
 
 Gains = float | Sequence[float] | Array
@@ -39,10 +40,6 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
             raise SurefootError(f"it is for robot '{contract.robot}'")
         if (error := _signs_error(robot, contract.motor_signs, "policy")) is not None:
             raise SurefootError(error)
-        if any(part.name == "height_scan" for part in contract.observation):
-            raise SurefootError(
-                "it observes a map of the ground's heights (height_scan), which nothing sends to a robot"
-            )
         observer = Observer(robot, tuple(part.name for part in contract.observation), contract.action_names)
         for what, names, nominal in (
             ("motor", contract.motor_names, robot.motor_names),
@@ -57,6 +54,8 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
                 raise SurefootError(
                     f"'{part.name}' is in {units[0]} for the policy and in {units[1]} here; they must be the same"
                 )
+        if (error := _grid_error(contract, robot)) is not None:
+            raise SurefootError(error)
         task_from_contract(contract, robot).gait(robot)
         if len(contract.rest) != len(robot.coordinates):
             raise SurefootError(f"rest has {len(contract.rest)} numbers; {robot.name} has {choices(robot.coordinates)}")
@@ -68,6 +67,25 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
                     raise SurefootError(
                         f"{name} at rest is {number:g} {unit}; a leg of {robot.name} allows {low:g} to {high:g}"
                     )
+
+
+def check_map(contract: Contract, port: int | None) -> None:
+    """Refuse a policy that sees the ground without the port of its map, or that could not stand without one.
+
+    Raises:
+        SurefootError: no port, or one that is not needed; a policy without commands.
+    """
+    if contract.height_map is None:
+        if port is not None:
+            raise SurefootError(f"--height-map is given; policy '{contract.name}' sees no map of heights")
+    elif port is None:
+        raise SurefootError(
+            f"policy '{contract.name}' sees the ground; give --height-map PORT, to which a program sends its heights"
+        )
+    elif contract.commands is None:
+        raise SurefootError(
+            f"policy '{contract.name}' sees the ground and follows no commands; it could not stand while a map is late"
+        )
 
 
 def check_handshake(handshake: Handshake, robot: RobotDescription) -> list[CheckResult]:
@@ -144,6 +162,19 @@ def _names_error(what: str, names: Sequence[str], nominal: Sequence[str], source
     for index, (name, expected) in enumerate(zip(names, nominal, strict=True)):
         if name != expected:
             return f"{what} {index} is '{name}' ({source}), '{expected}' (data sheet); names and order must be the same"
+    return None
+
+
+def _grid_error(contract: Contract, robot: RobotDescription) -> str | None:
+    """Return how the grid of a policy's map differs from the one of the robot's observation."""
+    grid = contract.height_map
+    if (grid is not None) != any(part.name == "height_scan" for part in contract.observation):
+        return "height_map is the grid of the observation height_scan; it must have both or neither"
+    if grid is None:
+        return None
+    for what, places, expected in zip(("ahead", "left"), (grid.ahead, grid.left), scan_grid(robot), strict=True):
+        if len(places) != len(expected) or not np.allclose(places, expected, atol=1e-4):
+            return f"the {len(places)} places {what} of its map are not the {len(expected)} of {robot.name} here"
     return None
 
 

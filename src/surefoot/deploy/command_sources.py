@@ -8,31 +8,29 @@ Other datagrams are counted and ignored. The robot also stands when its gamepad 
 from __future__ import annotations
 
 import contextlib
-import json
-import math
 import os
 import re
 import select
-import socket
 import struct
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.configuration import is_number
+from surefoot.deploy.channel import Channel, send
 from surefoot.errors import SurefootError
 from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
 from surefoot.task.commands import CommandSchedule, read_schedule, schedule_duration
 
 FRESH = 0.3
 """Age [s] up to which a command of the channel holds."""
-_MAX_BYTES, _MAX_DATAGRAMS = 1024, 64
-"""Length of a datagram, and datagrams in one control step, that are read."""
+_MAX_BYTES = 1024
+"""Length of the longest datagram."""
 _STEP = 0.1
 """Change of a command by one key, as a share of the greatest command."""
 _KEYS = {"w": (0, 1), "s": (0, -1), "a": (1, 1), "d": (1, -1), "q": (2, 1), "e": (2, -1)}
@@ -72,7 +70,7 @@ class FileCommands:
         """Do nothing."""
 
 
-class ChannelCommands:
+class ChannelCommands(Channel[Array]):
     """Commands of another program, by UDP on the loopback address.
 
     Args:
@@ -84,45 +82,16 @@ class ChannelCommands:
     """
 
     def __init__(self, port: int, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock, self._command, self._received = clock, np.array(STAND), -math.inf
-        self.refused = 0
-        """Datagrams that were no commands."""
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind(("127.0.0.1", port))
-        except OSError as error:
-            self._socket.close()
-            raise SurefootError(f"commands: port {port} can't be listened on: {error.strerror}") from error
-        self._socket.setblocking(False)
-        self.port = int(self._socket.getsockname()[1])
+        super().__init__("commands", port, parse_command, _MAX_BYTES, clock)
 
     def read(self, moment: float) -> Array:
         """Return the newest command (3,), or stand if none is fresh."""
-        for _ in range(_MAX_DATAGRAMS):
-            try:
-                data = self._socket.recv(_MAX_BYTES + 1)
-            except OSError:
-                break
-            command = parse_command(data)
-            if command is None:
-                self.refused += 1
-            else:
-                self._command, self._received = command, self._clock()
-        return self._command if self._clock() - self._received < FRESH else np.array(STAND)
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._socket.close()
+        age = self.receive()
+        return self.newest if self.newest is not None and age < FRESH else np.array(STAND)
 
 
-def parse_command(data: bytes) -> Array | None:
-    """Return the command (3,) of a datagram; None if it is none."""
-    if len(data) > _MAX_BYTES:
-        return None
-    try:
-        values = json.loads(data)
-    except (ValueError, RecursionError):
-        return None
+def parse_command(values: Any) -> Array | None:
+    """Return the command (3,) of a datagram's JSON; None if it is none."""
     if not isinstance(values, dict) or not set(values) <= set(COMMANDS) or not all(map(is_number, values.values())):
         return None
     return np.array([float(values.get(name, 0.0)) for name in COMMANDS])
@@ -130,9 +99,7 @@ def parse_command(data: bytes) -> Array | None:
 
 def send_command(port: int, forward: float = 0.0, sideways: float = 0.0, yaw_rate: float = 0.0) -> None:
     """Send a command to the channel on this computer; within `FRESH` seconds another one must follow."""
-    data = json.dumps({"forward": forward, "sideways": sideways, "yaw_rate": yaw_rate}).encode()
-    with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender:
-        sender.sendto(data, ("127.0.0.1", port))
+    send(port, {"forward": forward, "sideways": sideways, "yaw_rate": yaw_rate})
 
 
 class KeyboardCommands:

@@ -38,6 +38,8 @@ class Controller:
         """The newest observation (O,), feedback (A,), motor angles (M,) [rad], and time of inference [s]."""
         self.command = np.array(STAND)
         """The command (3,), within the contract's limits: speeds [m/s], yaw rate [rad/s]."""
+        self.heights: Array | None = None
+        """Heights of the ground (K,) [m] on the grid of the contract's map, for a policy that sees them."""
         self._history: NDArray[np.float32] | None = None
         self._filter = None if limits is None else CommandFilter.from_reference(self.gait.reference, limits, robot, 1)
 
@@ -86,7 +88,10 @@ class Controller:
             else:
                 step = np.array([self.contract.control_step * (missed + 1)])
                 self._filter.advance(self.command[None], step, yaw)
-        inputs = ObservationInputs(readings, self.gait.reference, self.feedback[None], self._state(), self.gait.memory)
+        heights = None if self.heights is None else self.heights[None]
+        inputs = ObservationInputs(
+            readings, self.gait.reference, self.feedback[None], self._state(), self.gait.memory, heights
+        )
         self.observation = self.observer.observe(inputs)[0]
         check_finite("observation", self.contract.columns, self.observation)
         if self._history is None:

@@ -11,6 +11,7 @@ from surefoot.arrays import Array
 from surefoot.deploy.command_sources import CommandSource
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.loop import ControlLoop, RunMonitor
+from surefoot.deploy.map_channel import MapChannel
 from surefoot.deploy.messages import Handshake, State
 from surefoot.deploy.motion_runner import MotionRunner
 from surefoot.deploy.pacer import LoopTiming
@@ -18,9 +19,12 @@ from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import GO, Act, Verdict
 from surefoot.errors import SurefootError
+from surefoot.robot.commands import STAND
 from surefoot.stop_signals import StopSignals
 
 _WARM_UP = 20
+_MAP_PATIENCE = 1.0
+"""Time [s] to wait for the first map of heights."""
 PUNCTUAL, TRIES = 200, 10
 """Control steps that must pass without a fault before a robot is armed, and how often that is tried."""
 
@@ -38,11 +42,22 @@ class RunOutcome:
     safe: bool
 
 
+class _Runner(MotionRunner):
+    """Motions during which maps are read too: the system would keep the oldest ones, and drop new ones."""
+
+    maps: MapChannel | None = None
+
+    def check_state(self, state: State) -> None:
+        """Take the maps that have arrived."""
+        if self.maps is not None:
+            self.maps.read()
+
+
 class Deployment:
     """One operator's use of a robot.
 
     A dry run computes everything, and neither arms nor sends. Without a source of commands, a policy that has them
-    stands.
+    stands. A policy that sees the ground needs `maps`; it stands while these are late.
     """
 
     def __init__(
@@ -53,9 +68,11 @@ class Deployment:
         monitor: RunMonitor,
         dry_run: bool = False,
         commands: CommandSource | None = None,
+        maps: MapChannel | None = None,
     ) -> None:
         self.link, self.controller, self.operator, self.monitor = link, controller, operator, monitor
         self.contract, self.robot, self.commands = controller.contract, controller.robot, commands
+        self.maps = maps
         self.dry_run, self._moved = dry_run, False
 
     def connect(self, check: Callable[[Handshake], None]) -> None:
@@ -70,6 +87,7 @@ class Deployment:
             check(self.link.connect(state_period=self.contract.control_step))
             if not self.link.wait_for(lambda: self.link.state is not None, 1.0):
                 raise SurefootError("the robot sends no state within 1 s; switch it off and on again")
+            self._await_map()
             self._warm_up()
             if not self.link.lockstep:
                 self._check_timing()
@@ -77,8 +95,18 @@ class Deployment:
             raise SurefootError(f"the robot was lost before it was armed: {error}") from error
         self.controller.reset()
 
+    def _await_map(self) -> None:
+        maps = self.maps
+        if maps is None or self.link.wait_for(lambda: maps.read() is not None, _MAP_PATIENCE):
+            return
+        refused = f"; {maps.refused} datagrams were none of the policy's grid" if maps.refused else ""
+        raise SurefootError(
+            f"no map of heights arrives at port {maps.port} within {_MAP_PATIENCE:g} s{refused}; start the program "
+            "that sends it"
+        )
+
     def _runner(self, timing: LoopTiming, tilt: float, dry_run: bool) -> MotionRunner:
-        return MotionRunner(
+        runner = _Runner(
             self.link,
             self.robot,
             self.contract.control_step,
@@ -88,9 +116,15 @@ class Deployment:
             timing=timing,
             dry_run=dry_run,
         )
+        runner.maps = self.maps
+        return runner
 
     def _target(self, k: int, state: State, missed: int = 0) -> Array:
         moment = k * self.contract.control_step
+        if self.maps is not None:
+            self.controller.heights = self.maps.read()
+            if not self.maps.is_fresh:
+                self.controller.set_command(STAND)
         return self.controller.compute_target(moment, self.controller.observe(moment, state, missed))
 
     def _warm_up(self) -> None:
@@ -157,6 +191,10 @@ class Deployment:
                     self.monitor.warn(f"command out of range: {clamped}")
             target = self._target(k, state, missed)
             loop.inference = controller.inference
+            if self.maps is not None:
+                loop.guard.map_age = self.maps.age
+                if not self.maps.is_fresh:
+                    loop.guard.warn("the map of heights was late; the robot stands until the next one")
             return target
 
         def after(k: int, state: State, computed: bool) -> None:

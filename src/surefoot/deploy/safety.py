@@ -41,6 +41,9 @@ class SafetyLimits:
     of the paper end there; no trained gait recovers from it."""
     battery_time: float = 1.0
     """How long [s] the battery may be low: two strides, since the voltage sags briefly whenever all motors push."""
+    map_age: float = 2.0
+    """Age [s] of the newest map of heights at which a robot that needs one sits and is disarmed. It has stood since the
+    map was late, so that the last one is still right around it."""
     temperature_warn: float = Heat.warn
     """Temperature [degC] of the hottest motor that warns once."""
     temperature_high: float = Heat.high
@@ -125,6 +128,8 @@ class Guard:
         self.tilt = limits.tilt if tilt is None else tilt
         self.warnings: list[str] = []
         """Warnings for the operator, each once, oldest first."""
+        self.map_age = 0.0
+        """Age of the newest map of heights [s]; set by whoever reads it, where the policy sees one."""
         self._low_since: dict[float, float] = {}
 
     def check(
@@ -156,6 +161,7 @@ class Guard:
             self._tilt(state) if upright else GO,
             self._battery(time, state.voltage),
             self._temperature(state),
+            self._map(),
             Verdict(Act.SIT, "operator", "stopped by the operator") if stops else GO,
         ):
             if verdict.act is not Act.GO:
@@ -219,6 +225,12 @@ class Guard:
             return GO
         text = f"a motor has {hottest:.0f} degC; at most {self.limits.temperature_high:g}"
         return Verdict(Act.SIT, "temperature", text)
+
+    def _map(self) -> Verdict:
+        if self.map_age <= self.limits.map_age:
+            return GO
+        text = f"the newest map of heights is {self.map_age:.1f} s old; at most {self.limits.map_age:g}"
+        return Verdict(Act.SIT, "map", text)
 
     def warn(self, text: str) -> None:
         """Add a warning for the operator, once."""

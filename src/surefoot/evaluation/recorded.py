@@ -11,7 +11,7 @@ from surefoot.robot import RobotDescription
 from surefoot.task.partial_trace import SUFFIX, recover
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.ground import FLAT, Ground
-from surefoot.world.terrain import is_map, make_terrain
+from surefoot.world.terrain import is_map, make_terrain, read_map
 
 RecordedTraces = list[tuple[Path, EpisodeTrace]]
 
@@ -37,13 +37,22 @@ def load_robot(path: Path, trace: EpisodeTrace) -> RobotDescription:
         return trace.load_robot()
 
 
-def ground_of(trace: EpisodeTrace) -> Ground:
+def ground_of(trace: EpisodeTrace, map_file: Path | None = None) -> Ground:
     """Return what a recorded robot stood on; the plane, where a trace does not hold it.
+
+    Args:
+        trace: the trace; of a map it has the name alone.
+        map_file: a map, taken if it has this name.
 
     Raises:
         SurefootError: a terrain that does not exist.
     """
+    if map_file is not None and map_file.name == trace.meta["terrain"]:
+        return _read(map_file)
     return _made(trace.meta["terrain"], trace.meta["seed"] or 0)
+
+
+_read = functools.lru_cache(maxsize=1)(read_map)
 
 
 @functools.lru_cache(maxsize=16)

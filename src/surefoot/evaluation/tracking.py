@@ -14,6 +14,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.rotations import in_heading_frame, quat_yaw
 from surefoot.tables import plain_value
+from surefoot.task.commanded_way import has_kept_up, step_ways
 from surefoot.task.trace import EpisodeTrace
 
 if TYPE_CHECKING:
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 
 STRIDE = 0.5
 """Time [s] to average over where the gait has no period of its own."""
-KEPT_UP = (0.7, 1.25)
-"""Shares of the commanded way between which a run has kept up."""
 GRID = 7
 """Commands along each side of a grid."""
 SETTLING = 1.0
@@ -142,21 +141,17 @@ def check_command(command: tuple[float, float, float], limits: CommandLimits | N
 
 def distance_along(trace: EpisodeTrace) -> float:
     """Return how far a run went along its commands [m]: steps whose command has no linear speed cover nothing."""
-    linear = np.nan_to_num(trace.command[:, :2])
-    speed = np.linalg.norm(linear, axis=1)
-    along = np.sum(motion(trace)[:, :2] * linear, axis=1) / np.where(speed > 0, speed, 1.0)
-    return float(np.sum(along * np.diff(trace.time, prepend=0.0)))
-
-
-def commanded_distance(trace: EpisodeTrace) -> float:
-    """Return how far the commands of a run lead [m]."""
-    return float(np.sum(np.linalg.norm(np.nan_to_num(trace.command[:, :2]), axis=1) * np.diff(trace.time, prepend=0.0)))
+    return float(_step_ways(trace)[1].sum())
 
 
 def kept_up(trace: EpisodeTrace) -> bool:
     """Return whether a run ended without a fall and went .7 to 1.25 of the way that its commands lead."""
-    low, high = (share * commanded_distance(trace) for share in KEPT_UP)
-    return trace.meta["ended"] == "time" and low <= distance_along(trace) <= high
+    commanded, covered = _step_ways(trace)
+    return bool(has_kept_up(commanded.sum(), covered.sum(), np.asarray(trace.meta["ended"] == "time")))
+
+
+def _step_ways(trace: EpisodeTrace) -> tuple[Array, Array]:
+    return step_ways(np.nan_to_num(trace.command[:, :2]), motion(trace)[:, :2], np.diff(trace.time, prepend=0.0))
 
 
 def _commanded_run(trace: EpisodeTrace) -> CommandedRun:

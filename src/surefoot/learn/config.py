@@ -108,9 +108,10 @@ class TrainConfig:
     """Threads of the learning; 0 means one a core. Sums are rounded in an order that depends on it: with a number,
     machines with more or fewer cores learn the same."""
     start_from: str | None = None
-    """Folder of another run, whose networks as it left them are this run's first ones: the same layers,
-    observations and legs; everything else may differ. Where bounds of the feedback differ, it stays what it was. With
-    other ranges, pushes or terrain the value network gets inputs for them, and loses those of former ones."""
+    """Folder of another run, whose networks as it left them are this run's first ones: the same layers and legs;
+    everything else may differ. Observations, matched by name, and history may be added to, which changes no action.
+    Where bounds of the feedback differ, it stays what it was. With other ranges, pushes or terrain the value network
+    gets inputs for them, and loses those of former ones."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learning algorithm."""
 

@@ -6,7 +6,7 @@ import gc
 import math
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -227,27 +227,33 @@ class PpoLearner:
         return export_policy(network, contract, path, robot=self.env.robot.archive)
 
     def load_networks(self, algorithm: dict[str, Any], other: LocomotionEnv) -> None:
-        """Load only the networks of another run's state.
+        """Load only the networks of another run's state, so that actions stay what they were.
 
         Args:
             algorithm: its part of the state.
-            other: its environment. What only the value network observes may differ: inputs that are new get weights of
-                0, those that are not observed any more are dropped. Bounds of the feedback may differ too: the output
-                is scaled, so that the feedback stays what it was.
+            other: its environment. Inputs are matched by the names of observations and their age in control steps. New
+                ones get weights of 0, and the normalization of an input of that name, where one is known. What only
+                the value network observes may be missing. Bounds of the feedback may differ: the output is scaled.
 
         Raises:
-            SurefootError: networks of other layers, observations or actions.
+            SurefootError: networks of other layers or actions, or an observation that is not made any more.
         """
-        own, former = self.env.privileged_columns, other.privileged_columns
-        if self.config.ppo.privileged_critic and own != former:
-            first = self.observation["policy"].shape[1]
-            places = [first + former.index(name) if name in former else -1 for name in own]
-            inputs = torch.tensor([*range(first), *places])
-            critic = dict(algorithm["critic_state_dict"])
-            for name, new in self.algorithm.save()["critic_state_dict"].items():
-                if name == "mlp.0.weight" or (name.startswith("obs_normalizer") and new.dim() == 2):
-                    critic[name] = _take_inputs(critic[name], new, inputs, first + len(former))
-            algorithm = {**algorithm, "critic_state_dict": critic}
+        own, former = _policy_inputs(self.env), _policy_inputs(other)
+        for age, name in former:
+            if (age, name) not in own:
+                raise SurefootError(
+                    f"start_from: the other run's policy observes {name}, {age} control steps old, which this run's "
+                    "does not; keep its observations and history, and add to them"
+                )
+        inputs = {"actor": (own, former), "critic": (own, former)}
+        if self.config.ppo.privileged_critic:
+            true = [[(_TRUE, name) for name in env.privileged_columns] for env in (self.env, other)]
+            inputs["critic"] = (own + true[0], former + true[1])
+        networks, critic = self.algorithm.save(), algorithm["critic_state_dict"]
+        for network, (new, old) in inputs.items():
+            key = f"{network}_state_dict"
+            moved = _move_inputs(algorithm[key], networks[key], new, old, critic, inputs["critic"][1])
+            algorithm = {**algorithm, key: moved}
         if other.gait.action_names == self.env.gait.action_names:
             actor = _scale_output(algorithm["actor_state_dict"], other.gait, self.env.gait)
             algorithm = {**algorithm, "actor_state_dict": actor}
@@ -310,16 +316,50 @@ def _scale_output(actor: Mapping[str, torch.Tensor], old: HybridGait, new: Hybri
     }
 
 
-def _take_inputs(old: torch.Tensor, new: torch.Tensor, inputs: torch.Tensor, width: int) -> torch.Tensor:
-    """Return weights or normalization of other inputs: for each, its place among the `width` old ones, or -1.
+_Input = tuple[int, str]
+"""Age [control steps] and name of a number that a network sees."""
+_TRUE = -1
+"""Age of what only the value network sees."""
 
-    A new input has weights of 0, or the normalization of a new network.
+
+def _policy_inputs(env: LocomotionEnv) -> list[_Input]:
+    return [(age, name) for age in range(env.task.history) for name in env.observer.columns]
+
+
+def _move_inputs(
+    network: Mapping[str, torch.Tensor],
+    fresh: Mapping[str, torch.Tensor],
+    new: Sequence[_Input],
+    old: Sequence[_Input],
+    critic: Mapping[str, torch.Tensor],
+    seen: Sequence[_Input],
+) -> dict[str, torch.Tensor]:
+    """Return a network's parameters for other inputs; unchanged, where its layers are others anyway.
+
+    Args:
+        network: its parameters.
+        fresh: those of a network with the new inputs.
+        new: the inputs.
+        old: its inputs until now.
+        critic: parameters of the old value network, which normalizes more inputs.
+        seen: the inputs of that.
     """
-    if old.shape != (len(new), width):
-        return old
-    taken = new.clone() if len(new) == 1 else torch.zeros_like(new)
-    taken[:, inputs >= 0] = old[:, inputs[inputs >= 0]]
-    return taken
+    places = {one: k for k, one in enumerate(old)}
+    named = {name: k for k, (_, name) in enumerate(seen)} if critic["mlp.0.weight"].shape[1] == len(seen) else {}
+    kept = [k for k, one in enumerate(new) if one in places]
+    taken = [places[new[k]] for k in kept]
+    known = [k for k, (_, name) in enumerate(new) if name in named]
+    shared = [named[new[k][1]] for k in known]
+    moved = dict(network)
+    for key, start in fresh.items():
+        normalizes = key.startswith("obs_normalizer") and start.dim() == 2
+        if not (normalizes or key == "mlp.0.weight") or network[key].shape != (len(start), len(old)):
+            continue
+        moved[key] = start.clone() if normalizes else torch.zeros_like(start)
+        if normalizes:
+            moved[key][:, known] = critic[key][:, shared]
+        moved[key][:, kept] = network[key][:, taken]
+    return moved
 
 
 def _first_mismatch(error: Exception) -> str:

@@ -94,10 +94,12 @@ class TrainingLoop:
         self.learner = PpoLearner(config, make_world)
         if config.start_from is not None and not resume:
             other, before = RunFolder.open(Path(config.start_from))
-            # Ranges, pushes and terrain change what the value network observes, bounds what actions mean.
+            # These change what the networks observe, and bounds what actions mean.
             former = before.task
             task = replace(
                 config.task,
+                observations=former.observations,
+                history=former.history,
                 randomize=former.randomize,
                 pushes=former.pushes,
                 terrain=former.terrain,

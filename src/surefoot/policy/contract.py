@@ -41,6 +41,21 @@ class ObservationPart:
     frame: str
 
 
+Place = Annotated[float, Within(-10, 10)]
+
+
+@dataclass(frozen=True)
+class HeightMap:
+    """The grid of the observation `height_scan`, in the heading frame at the base's origin: x forward, y left, z up."""
+
+    ahead: tuple[Place, ...]
+    """Places of its points ahead [m], rising."""
+    left: tuple[Place, ...]
+    """Places of its points to the left [m], rising. Heights have an order: by `ahead`, then by `left`."""
+    age: Latency
+    """Nominal age of the heights in training [s]."""
+
+
 @dataclass(frozen=True)
 class PluginRecord:
     """A plug-in whose terms a policy uses."""
@@ -112,6 +127,8 @@ class Contract:
     """Figures of the run that made the policy."""
     commands: CommandLimits | None = None
     """Limits of the commands that the policy follows; None: it follows none."""
+    height_map: HeightMap | None = None
+    """The map of heights that the policy sees; None: it sees none."""
     plugins: tuple[PluginRecord, ...] = ()
     """Plug-ins whose terms it uses. The observations must be there to run it, the reward terms need not."""
     version: str = ""
@@ -155,8 +172,9 @@ class Contract:
     def to_json(self) -> str:
         """Return the contract as JSON; `from_json` returns an equal contract."""
         data = {"kind": KIND, "schema": SCHEMA, **to_mapping(self)}
-        if not self.plugins:
-            del data["plugins"]  # so that earlier versions read it
+        for key in ("plugins", "height_map"):
+            if not data[key]:
+                del data[key]  # so that earlier versions read it
         return json.dumps(data, ensure_ascii=False, allow_nan=False)
 
     @classmethod

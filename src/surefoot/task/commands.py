@@ -56,6 +56,9 @@ class CommandConfig:
     """Chance that a command means stand."""
     straight: Annotated[float, Within(0, 1)] = 0.15
     """Chance that a command asks for a speed forward only."""
+    slowest: Annotated[float, Within(0, 1)] = 0.0
+    """Least linear speed of a command that does not mean stand, as a share of the greatest speed forward: slower ones
+    get more speed forward or backward, within its range."""
     ramp: Annotated[int, Within(0, 1_000_000)] = 0
     """Curriculum: a robot's first `ramp` commands grow from nothing to what is drawn; 0: none do."""
     schedule: tuple[tuple[float, float, float, float], ...] = ()
@@ -239,6 +242,7 @@ class CommandSampler(CommandGenerator):
 
     def _draw(self, rows: NDArray[np.int64]) -> None:
         config, low, high = self.config, self.limits.low, self.limits.high
+        slowest = config.slowest * high[0]
         for i in rows:
             # Five numbers each time, whatever the configuration: a robot draws the same in every experiment.
             chance, hold, *shares = self.streams[i].uniform(size=5)
@@ -247,6 +251,9 @@ class CommandSampler(CommandGenerator):
                 command[:] = 0.0
             elif chance < config.stand + config.straight:
                 command[1:] = 0.0
+            if chance >= config.stand and np.hypot(*command[:2]) < slowest:
+                ahead = np.copysign(np.sqrt(max(slowest**2 - command[1] ** 2, 0.0)), command[0])
+                command[0] = np.clip(ahead, low[0], high[0])
             if config.ramp:
                 command *= min(1.0, (self.drawn[i] + 1) / config.ramp)
             self.command[i] = command

@@ -15,13 +15,14 @@ import numpy as np
 from surefoot import __version__
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError, choices, quote
-from surefoot.policy.contract import ASSUMED_PARAMS, MEMORY, Contract, ObservationPart, config_hash
+from surefoot.policy.contract import ASSUMED_PARAMS, MEMORY, Contract, HeightMap, ObservationPart, config_hash
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.robot.params_file import ParamValue, param_values
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.gait import ActionKind, action_names
+from surefoot.task.height_scan import scan_grid
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.plugins import changed_plugins, used_plugins
 from surefoot.task.reference import ReferenceConfig
@@ -77,7 +78,7 @@ def contract_from_task(
         figures: figures of the run.
         created: when the policy was made, ISO 8601.
     """
-    gait = task.gait(robot)
+    gait, scan = task.gait(robot), task.terrain.scan
     observer = Observer(robot, task.observations, gait.action_names)
     assumed: dict[str, Any] = param_values(task.nominal(robot), ASSUMED_PARAMS)
     assumed |= {name: None for name in assumed if name not in PhysicalParams.names(robot)}
@@ -101,6 +102,9 @@ def contract_from_task(
         config_hash=whole_hash or config_hash(_without_path(to_mapping(task), robot)),
         figures=dict(figures or {}),
         commands=task.commands.limits(robot),
+        height_map=HeightMap(*scan_grid(robot), age=scan.delay * float(task.nominal(robot).control_step[0]))
+        if "height_scan" in task.observations
+        else None,
         plugins=used_plugins(task.reward, task.observations),
         version=__version__,
         created=created,
@@ -119,6 +123,8 @@ def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, 
 def _task_mapping(task: TaskConfig) -> dict[str, Any]:
     """Return the part of a task that the contract does not state itself."""
     data = {name: value for name, value in to_mapping(task).items() if name not in _STATED}
+    if "height_scan" in task.observations:
+        del data["terrain"]["scan"]["delay"]
     data["params"] = {name: value for name, value in data["params"].items() if name not in ASSUMED_PARAMS}
     data["commands"] = {name: value for name, value in data["commands"].items() if name not in _LIMITS}
     return data
@@ -186,6 +192,9 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         raise SurefootError(f"{min(stated)} is not a key; the contract states it outside the task")
     task = from_mapping(TaskConfig, _task_without_skipped(contract), "task")
     kind, memory, feedback = _feedback(contract, robot)
+    scan = task.terrain.scan
+    if contract.height_map is not None:
+        scan = replace(scan, delay=round(contract.height_map.age / contract.control_step))
     return replace(
         task,
         robot=robot.location,
@@ -199,7 +208,7 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         commands=_commands(contract, task.commands),
         params=task.params | _assumed_params(contract, robot),
         # The terrain of its training is not what a robot stands on that runs it.
-        terrain=TerrainConfig(scan=task.terrain.scan),
+        terrain=TerrainConfig(scan=scan),
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -104,19 +103,18 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
 
     def _make(self, seed: int) -> None:
-        task = self.task
+        task, tiles = self.task, self.task.terrain.build(seed)
         config = WorldConfig(
             rest=task.rest or self.gait.rest,
             actuator=task.actuator,
             thermal_protection=task.thermal_protection,
             start_linear_speed=task.start_linear_speed,
             start_angular_speed=task.start_angular_speed,
-            ground=task.terrain.make_ground(seed),
+            ground=tiles.ground,
             threads=self._threads,
         )
         self.curriculum: TerrainCurriculum | None = None
-        if tiles := task.terrain.field(seed):
-            config = replace(config, ground=tiles.ground)
+        if tiles.kinds:
             self.curriculum = TerrainCurriculum(task.terrain, tiles, self.num_envs, seed)
         self.ground = config.ground
         self.scanner: HeightScanner | None = None
@@ -222,8 +220,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self.source is not None and self.commands is not None:
             self.command_error, self.stride_error = motion.command_error, motion.stride_error
             if self.curriculum is not None:
-                command = motion.command[:, :2]
-                self.curriculum.record(command, motion.command_error[:, :2] + command, motion.duration * ~self.over)
+                velocity = motion.command_error[:, :2] + motion.command[:, :2]
+                duration = motion.duration * ~(self.over | diverged)
+                self.curriculum.record(self.source.command[:, :2], velocity, before.roll_pitch_yaw[:, 2], duration)
             self.source.update(self.readings.time)
             self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
         for part in (reward, self.command_error, self.stride_error, *self.reward_terms.values()):

@@ -22,10 +22,16 @@ RANGE = 1.0
 """Limit of the heights of a scan [m], up and down from the base's origin."""
 
 
+def scan_grid(robot: RobotDescription) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the places of a robot's grid ahead and to the left of the base's origin, upright [m], rising."""
+    length = robot.leg_geometry.length
+    return tuple(length * place for place in AHEAD), tuple(length * place for place in ASIDE)
+
+
 def scan_points(robot: RobotDescription) -> Array:
     """Return the points (K, 2) [m] of a robot's grid: x ahead and y to the left of the base's origin, upright."""
-    x, y = np.meshgrid(AHEAD, ASIDE, indexing="ij")
-    points: Array = robot.leg_geometry.length * np.stack([x.ravel(), y.ravel()], axis=-1)
+    x, y = np.meshgrid(*scan_grid(robot), indexing="ij")
+    points: Array = np.stack([x.ravel(), y.ravel()], axis=-1)
     return points
 
 

@@ -14,18 +14,17 @@ from surefoot.arrays import Array
 from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError, suggest
 from surefoot.seeding import generators
+from surefoot.task.commanded_way import has_kept_up, step_ways
 from surefoot.task.height_scan import ScanConfig
-from surefoot.world.ground import FLAT, Ground
 from surefoot.world.terrain import TerrainField, check_size, make_field, make_terrain
 
 MAX_TILES = 400
 """Tiles of the largest field."""
-COVERED = 0.7
-"""Share of the commanded way from which a robot goes on to the next level."""
 MISSED = 0.5
-"""Share of the commanded way below which it goes back by one."""
-MIN_WAY = 1.0
-"""Commanded way [m] below which an episode says nothing of the terrain."""
+"""Share of the commanded way below which a robot goes back by a level."""
+MIN_WAY = 2.5
+"""Distance [m] from the start to which the commands of an episode must lead: `START` of it is level, and commands that
+turn can be followed for any length without leaving that place."""
 
 Sizes = dict[str, tuple[float, float]]
 
@@ -51,8 +50,8 @@ class TerrainConfig:
     scan: ScanConfig = field(default_factory=ScanConfig)
     """Errors of the map of heights that the observation `height_scan` has."""
     curriculum: bool = True
-    """Robots rise a level when they have covered .7 of the commanded way, and go back one after a fall or less than
-    half of it; beyond the last level any one follows. Without it their levels stay."""
+    """Robots that have kept up rise a level, and go back one after a fall or less than half of the commanded way;
+    beyond the last level any one follows. Without it their levels stay."""
 
     def __post_init__(self) -> None:
         """Refuse kinds that do not exist, sizes out of bounds, and a field that is too large."""
@@ -85,15 +84,11 @@ class TerrainConfig:
         """Whether robots stand on the plane z = 0."""
         return not self.sizes and self.ground == "flat"
 
-    def field(self, seed: int) -> TerrainField | None:
-        """Return the field of tiles, if there is one."""
-        if not self.sizes:
-            return None
-        return make_field(self.sizes, self.shares, self.levels, self.columns, self.tile, seed)
-
-    def make_ground(self, seed: int) -> Ground:
-        """Return the one ground for all robots where there is no field."""
-        return FLAT if self.ground == "flat" else make_terrain(self.ground, seed)
+    def build(self, seed: int) -> TerrainField:
+        """Return what robots stand on: the field of tiles, or one ground without any."""
+        if self.sizes:
+            return make_field(self.sizes, self.shares, self.levels, self.columns, self.tile, seed)
+        return TerrainField(make_terrain(self.ground, seed))
 
 
 class TerrainCurriculum:
@@ -106,7 +101,7 @@ class TerrainCurriculum:
         seed: seeds the levels and columns, one stream a robot.
     """
 
-    arrays = ("level", "column", "commanded", "covered", "begun")
+    arrays = ("level", "column", "commanded", "covered", "led", "begun")
     """Names of the arrays that change over time."""
 
     def __init__(self, config: TerrainConfig, tiles: TerrainField, num_envs: int, seed: int) -> None:
@@ -116,30 +111,35 @@ class TerrainCurriculum:
         # Kinds are spread evenly over robots, whatever their number.
         self.column = np.arange(num_envs) % len(tiles.kinds)
         self.commanded, self.covered = np.zeros((2, num_envs))
+        self.led = np.zeros((num_envs, 2))
+        """Where the commands have led since the start (N, 2) [m], in the world."""
         self.begun = np.zeros(num_envs, np.bool_)
 
     def begin(self, rows: NDArray[np.int64], fell: NDArray[np.bool_]) -> Array:
         """Return the places (n, 2) [m] where robots start next; `fell` (n,) is how their last episodes ended."""
         if self.config.curriculum:
             way, covered = self.commanded[rows], self.covered[rows]
-            judged = self.begun[rows] & (way >= MIN_WAY)
-            rise = judged & ~fell & (covered >= COVERED * way)
+            judged = self.begun[rows] & (np.linalg.norm(self.led[rows], axis=1) >= MIN_WAY)
+            rise = judged & has_kept_up(way, covered, ~fell)
             back = self.begun[rows] & fell | judged & (covered < MISSED * way)
             self.level[rows] += rise.astype(np.int64) - back
             for i in rows[self.level[rows] >= self.config.levels]:
                 self.level[i] = self.streams[i].integers(self.config.levels)
             self.level[rows] = np.maximum(self.level[rows], 0)
         self.commanded[rows] = self.covered[rows] = 0.0
+        self.led[rows] = 0.0
         self.begun[rows] = True
         starts: Array = self.tiles.starts[self.level[rows], self.column[rows]]
         return starts
 
-    def record(self, command: Array, velocity: Array, duration: Array) -> None:
-        """Add a control step (N,) [s] to the ways: speeds forward and to the left (N, 2), commanded and gone [m/s]."""
-        speed = np.linalg.norm(command, axis=1)
-        along = (command * velocity).sum(axis=1) / np.where(speed > 0, speed, 1.0)
-        self.commanded += speed * duration
-        self.covered += along * duration
+    def record(self, command: Array, velocity: Array, yaw: Array, duration: Array) -> None:
+        """Add a control step of `duration` (N,) [s], which began with `yaw` (N,) [rad]; else as `step_ways`."""
+        commanded, covered = step_ways(command, velocity, duration)
+        self.commanded += commanded
+        self.covered += covered
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        forward, left = command.T * duration
+        self.led += np.stack([cos * forward - sin * left, sin * forward + cos * left], axis=-1)
 
     def levels(self) -> Mapping[str, float]:
         """Return the mean level of the robots on each kind of terrain."""

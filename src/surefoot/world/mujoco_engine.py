@@ -55,7 +55,7 @@ class MujocoEngine:
         # The engine reports robots that diverge; MuJoCo would write a file too, and gets a C function without effect.
         mujoco.set_mju_user_warning(ctypes.CDLL(None).strlen)
         num_envs, self._ground = len(actuation.ticks), config.ground
-        self._nominal = build_model(robot, config)
+        self._nominal = self._build(robot, config)
         self._scratch_model = copy.copy(self._nominal)
         self._scratch = mujoco.MjData(self._scratch_model)
         self.threads = min(config.threads or os.cpu_count() or 1, -(-num_envs // MIN_ROBOTS_PER_THREAD))
@@ -72,6 +72,9 @@ class MujocoEngine:
         nominal = [np.ones(len(RATIOS)), self._nominal.dof_armature[self._native.motor_dof], np.zeros(3)]
         self._mass_params = np.tile(np.concatenate(nominal), (num_envs, 1))
         self.initial_state = self._resting_state()
+
+    def _build(self, robot: RobotDescription, config: WorldConfig) -> mujoco.MjModel:
+        return build_model(robot, config)
 
     def _layout(self) -> Native:
         model, robot, num_envs = self._nominal, self.robot, len(self.datas)

@@ -27,6 +27,13 @@ MOTOR_ITERATIONS = 50
 
 
 def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjModel:
+    """Return the model of `build_spec`."""
+    spec = build_spec(robot, config)
+    with mujoco_errors(robot.urdf.path):
+        return spec.compile()
+
+
+def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjSpec:
     """Return the robot over the ground, its base free or on a rack.
 
     Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the
@@ -86,8 +93,7 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     for pair in collision_pairs(robot):
         for one, other in product(*(spec.body(link).geoms for link in pair)):
             spec.add_pair(geomname1=one.name, geomname2=other.name)
-    with mujoco_errors(robot.urdf.path):
-        return spec.compile()
+    return spec
 
 
 def _add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:

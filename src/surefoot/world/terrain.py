@@ -7,7 +7,7 @@ so that they are met whichever way the robot goes.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -285,9 +285,9 @@ class TerrainField:
     """Tiles of terrain side by side, more difficult along x: one place for all robots of a training."""
 
     ground: Ground
-    starts: Array
-    """Middles of the tiles, where robots start, (levels, columns, 2) [m]."""
-    kinds: tuple[str, ...]
+    starts: Array = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    """Middles of the tiles, where robots start, (levels, columns, 2) [m]; without tiles at (0, 0)."""
+    kinds: tuple[str, ...] = ()
     """Kind of each column."""
 
 

@@ -77,6 +77,8 @@ Terrain = Annotated[
 PAGE_PORT = 8400
 """TCP port of a page in the browser, if none is given."""
 PagePort = Annotated[int, Within(0, 65535), tyro.conf.arg(help="TCP port of the page; 0 for a free one.")]
+MapPort = Annotated[int | None, Within(1024, 65535), tyro.conf.arg(metavar="PORT")]
+"""UDP port of the channel of maps of heights."""
 Host = Annotated[
     str | None,
     tyro.conf.arg(

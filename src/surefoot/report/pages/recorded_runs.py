@@ -13,6 +13,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,8 @@ class ShownTrace:
     name: str
     robot: RobotDescription
     trace: EpisodeTrace
+    map_file: Path | None = None
+    """See `ground_of`."""
 
     def __post_init__(self) -> None:
         """Refuse a trace of another robot, and one that is too long."""
@@ -107,7 +110,7 @@ def recording_page(traces: Sequence[ShownTrace], layout: str = "side") -> str:
     runs, paths, grounds = [], [], list[Ground]()
     for number, one in enumerate(traces):
         with prefix_errors(one.name):
-            ground = ground_of(one.trace)
+            ground = ground_of(one.trace, one.map_file)
             run, path = _run(one, rate, f"/world/r{number}", ground)
         if ground not in grounds:
             grounds.append(ground)
