@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.world.ground_contact import triangle_planes
 
 FLOOR_CELL = 0.1
 """Distance [m] of the points at which an uneven floor has its heights."""
@@ -119,6 +118,9 @@ class Ground:
         flat = np.ascontiguousarray(points, np.float64).reshape(-1, 2)
         planes = np.zeros((len(flat), 3))
         if not self.is_flat:
+            # The robot's computer, which has no numba, only ever names its ground.
+            from surefoot.world.ground_contact import triangle_planes
+
             triangle_planes(self.corners, self.cell, np.array(self.center), flat, planes)
         return planes.reshape(*points.shape[:-1], 3)
 
