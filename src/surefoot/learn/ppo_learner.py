@@ -135,6 +135,9 @@ class PpoLearner:
             desired_kl=ppo.desired_kl,
             symmetry_cfg=symmetry,
         )
+        if algorithm.symmetry is not None:
+            # rsl_rl would run the policy once more on each minibatch, for a figure that nobody reads.
+            algorithm.symmetry.compute_loss = lambda *_: torch.zeros(())
         algorithm.train_mode()
         return algorithm
 
