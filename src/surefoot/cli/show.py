@@ -99,11 +99,13 @@ def _load_traces(command: ShowCommand) -> list[ShownTrace]:
     if len(set(titles)) < len(titles):
         titles = [f"{title}, {str(trace.meta['world'])[:80]}" for title, (_, trace) in zip(titles, traces, strict=True)]
     titles = distinct_names(titles, [f"{path.parent.name}/{path.stem}" for path, _ in traces])
-    given = "" if command.terrain is None else command.terrain.name
-    if given and given not in (names := [str(trace.meta["terrain"]) for _, trace in traces]):
-        raise SurefootError(f"--terrain is {given}; the traces' terrain is {choices(map(quote, sorted(set(names))))}")
+    map_name = "" if command.terrain is None else command.terrain.name
+    if map_name and map_name not in (names := [str(trace.meta["terrain"]) for _, trace in traces]):
+        raise SurefootError(
+            f"--terrain is {map_name}; the traces' terrain is {choices(map(quote, sorted(set(names))))}"
+        )
     for title, (_, trace) in zip(titles, traces, strict=True):
-        if is_map(name := str(trace.meta["terrain"])) and name != given:
+        if is_map(name := str(trace.meta["terrain"])) and name != map_name:
             print(f"{title} stood on the map {quote(name)}, which is not drawn: give its file with --terrain")
     pairs = zip(titles, traces, strict=True)
     return [ShownTrace(title, robot_of(path, trace), trace, command.terrain) for title, (path, trace) in pairs]

@@ -77,12 +77,12 @@ def _parse_map(values: Any, grid: HeightMap) -> _Map | None:
     if not all(height is None or is_number(height) for row in rows for height in row):
         return None
     heights = np.array(rows, float).ravel()
-    known = np.isfinite(heights)
-    if not known.any():
+    finite = np.isfinite(heights)
+    if not finite.any():
         return None
     # As in training, what isn't known is as high as what is under the base.
     distance = np.hypot(*np.meshgrid(grid.ahead, grid.left, indexing="ij")).ravel()
-    heights[~known] = heights[np.argmin(np.where(known, distance, np.inf))]
+    heights[~finite] = heights[np.argmin(np.where(finite, distance, np.inf))]
     return _Map(np.clip(heights, -RANGE, RANGE), float(age))
 
 

@@ -351,8 +351,8 @@ def _move_inputs(
     named = {name: k for k, (_, name) in enumerate(seen)} if critic["mlp.0.weight"].shape[1] == len(seen) else {}
     kept = [k for k, one in enumerate(new) if one in places]
     taken = [places[new[k]] for k in kept]
-    known = [k for k, (_, name) in enumerate(new) if name in named]
-    shared = [named[new[k][1]] for k in known]
+    normalized = [k for k, (_, name) in enumerate(new) if name in named]
+    shared = [named[new[k][1]] for k in normalized]
     moved = dict(network)
     for key, start in fresh.items():
         normalizes = key.startswith("obs_normalizer") and start.dim() == 2
@@ -360,7 +360,7 @@ def _move_inputs(
             continue
         moved[key] = start.clone() if normalizes else torch.zeros_like(start)
         if normalizes:
-            moved[key][:, known] = critic[key][:, shared]
+            moved[key][:, normalized] = critic[key][:, shared]
         moved[key][:, kept] = network[key][:, taken]
     return moved
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError, suggest
+from surefoot.rotations import in_heading_frame
 from surefoot.seeding import generators
 from surefoot.task.commanded_way import has_kept_up, step_ways
 from surefoot.task.height_scan import ScanConfig
@@ -137,9 +138,8 @@ class TerrainCurriculum:
         commanded, covered = step_ways(command, velocity, duration)
         self.commanded += commanded
         self.covered += covered
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        forward, left = command.T * duration
-        self.led += np.stack([cos * forward - sin * left, sin * forward + cos * left], axis=-1)
+        way = np.column_stack([command * duration[:, None], np.zeros(len(command))])
+        self.led += in_heading_frame(way, -yaw)[:, :2]
 
     def levels(self) -> Mapping[str, float]:
         """Return the mean level of the robots on each kind of terrain."""

@@ -206,6 +206,7 @@ def sphere_centres(links: Array, centres: Array, places: Array) -> None:
         places: output (F, 3) [m].
     """
     for k in range(len(links)):
+        # The matrix of `quat_matrix`: `rotate_inverse` would round otherwise, and so change results in Bullet.
         x, y, z, w = links[k, 3], links[k, 4], links[k, 5], links[k, 6]
         a, b, c = centres[k, 0], centres[k, 1], centres[k, 2]
         places[k, 0] = links[k, 0] + ((1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c)
