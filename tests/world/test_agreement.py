@@ -294,7 +294,7 @@ TILTS = {
 """How a robot is turned to stand on a slope."""
 
 
-def cells(kind: str, wall: float = 0.0) -> Ground:
+def cells(kind: str, wall: float = 0.0, height: float = 0.04) -> Ground:
     """A ground around the origin of 2 m: slopes through it, a step up at x = `wall`, or rough ground."""
     at = CELL * (np.arange(CELLS + 1) - CELLS / 2)
     x, y = np.meshgrid(at, at, indexing="ij")
@@ -302,7 +302,7 @@ def cells(kind: str, wall: float = 0.0) -> Ground:
         return Ground.from_points(np.tan(LEAN) * (x if kind.endswith("x") else y), CELL)
     if kind == "rough":
         return Ground.from_points(np.random.default_rng(0).uniform(0.0, 0.04, x.shape), CELL)
-    corners = np.broadcast_to(np.where(x > CELL / 10, 0.04, 0.0)[1:, 1:, None, None], (CELLS, CELLS, 2, 2)).copy()
+    corners = np.broadcast_to(np.where(x > CELL / 10, height, 0.0)[1:, 1:, None, None], (CELLS, CELLS, 2, 2)).copy()
     return Ground(corners, CELL, (wall, 0.0))
 
 
@@ -360,6 +360,25 @@ def test_a_wall_stops_feet_alike(robot: RobotDescription):
         depth = places[-1][front, 0] + robot.five_bar.foot_radius - wall
         np.testing.assert_allclose(depth, 0.002, atol=7e-4)
     np.testing.assert_allclose(*places, atol=1e-3)
+
+
+def test_a_wall_holds_back_feet_that_slide_down_it_alike(robot: RobotDescription):
+    # A push presses two feet of a falling robot into a wall: with more friction they fall less.
+    fallen, front = [], robot.leg_mounts[:, 0] > 0
+    (flat,) = both(robot)[:1]
+    wall = flat.foot_positions()[0, front, 0].max() + robot.five_bar.foot_radius
+    config = WorldConfig(ground=cells("step", wall, 0.26), threads=1)
+    for friction in (0.05, 1.0):
+        for world, start in zip(both(robot, config=config, contact_friction=friction), both(robot), strict=True):
+            stand(world, start, np.eye(3), 0.2)
+            world.push([[40.0, 0.0, 0.0]])
+            before = world.foot_positions()[0, front, 2]
+            for _ in range(20):
+                world.step(world.resting_angles)
+            fallen.append(before - world.foot_positions()[0, front, 2])
+    np.testing.assert_allclose(fallen[0], fallen[1], atol=1e-3)
+    np.testing.assert_allclose(fallen[2], fallen[3], atol=1e-3)
+    assert np.all(fallen[0] > fallen[2] + 0.01)
 
 
 def test_a_robot_on_its_back_lies_on_a_slope_alike():

@@ -153,8 +153,8 @@ def test_a_pin_lies_against_its_bore_on_the_side_of_its_load():
     np.testing.assert_allclose(turned, 0.001 / 6 * np.array([[4.0, -3.0, 0.0]]), atol=1e-9)
 
 
-def soles(load, velocity, omega=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0), stretch=(0.0, 0.0)):
-    """Force (3,) on a sphere of .02 m, .1 m below its link's centre, where it acts (3,), and the new stretch (2,)."""
+def soles(load, velocity, omega=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0), stretch=(0.0, 0.0, 0.0)):
+    """Force (3,) on a sphere of .02 m, .1 m below its link's centre, where it acts (3,), and the new stretch (3,)."""
     links = np.array([[1.0, 2.0, 3.0, *turn, *velocity, *omega]])
     after, force, place = np.array([stretch], float), np.zeros((1, 3)), np.zeros((1, 3))
     centres, radii, law = np.array([[0.0, 0.0, -0.1]]), np.array([0.02]), (0.5, 300.0, 100.0, 0.001)
@@ -167,7 +167,7 @@ def test_a_sole_stretches_with_the_foot_that_turns():
     force, place, stretch = soles((0, 0, 10), (0.02, 0, -1.0), (0, -0.25, 0))
     np.testing.assert_allclose(force, [-2.515, 0, 0], atol=1e-12)
     np.testing.assert_allclose(place, [1, 2, 2.88], atol=1e-12)
-    np.testing.assert_allclose(stretch, [0.00005, 0], atol=1e-15)
+    np.testing.assert_allclose(stretch, [0.00005, 0, 0], atol=1e-15)
 
 
 def test_a_sole_is_where_its_link_turns_it():
@@ -177,10 +177,10 @@ def test_a_sole_is_where_its_link_turns_it():
 
 
 def test_a_sole_slides_at_the_limit_and_lets_go_in_the_air():
-    force, _, stretch = soles((0, 0, 10), (0, 0, 0), stretch=(0.03, 0.04))
+    force, _, stretch = soles((0, 0, 10), (0, 0, 0), stretch=(0.03, 0.04, 0.0))
     np.testing.assert_allclose(force, [-3, -4, 0], atol=1e-12)  # 15 N of 50 mm, bounded by .5 x 10 N
-    np.testing.assert_allclose(stretch, [0.01, 0.04 / 3], atol=1e-12)
-    force, _, stretch = soles((0, 0, 0), (1, 0, 0), stretch=(0.03, 0.04))
+    np.testing.assert_allclose(stretch, [0.01, 0.04 / 3, 0], atol=1e-12)
+    force, _, stretch = soles((0, 0, 0), (1, 0, 0), stretch=(0.03, 0.04, 0.0))
     assert not force.any()
     assert not stretch.any()
 

@@ -13,8 +13,8 @@ STIFFNESS, DAMPING, STEP = 3000.0, 100.0, 0.001
 SPEED = st.floats(-5, 5)
 
 
-def on_ground(depth: float, velocity=(0.0, 0.0, 0.0), stretch=(0.0, 0.0), friction=1.0, normal=(0.0, 0.0, 1.0)):
-    """The ground's force (3,) on a foot and the sole's new stretch (2,)."""
+def on_ground(depth: float, velocity=(0.0, 0.0, 0.0), stretch=(0.0, 0.0, 0.0), friction=1.0, normal=(0.0, 0.0, 1.0)):
+    """The ground's force (3,) on a foot and the sole's new stretch (3,)."""
     force, after = np.zeros(3), np.array(stretch, float)
     law = (friction, STIFFNESS, STIFFNESS, DAMPING, STEP)
     load = foot_force_kernel(depth, normal, np.array(velocity, float), after, *law, force)
@@ -41,7 +41,7 @@ def test_normal_force(depth: float, sinking: float, normal: float):
 def test_the_sole_stretches_with_the_foot():
     # In 1 ms at .02 m/s the sole stretches by .02 mm: 3000 x .00002 + 50 x .02 = 1.06 N against it.
     force, stretch = on_ground(0.01, (0.02, 0, 0))
-    np.testing.assert_allclose(stretch, (2e-5, 0))
+    np.testing.assert_allclose(stretch, (2e-5, 0, 0))
     np.testing.assert_allclose(force, (-(0.06 + TANGENTIAL_DAMPING * 2.0), 0, 30.0))
 
 
@@ -52,31 +52,43 @@ def test_on_a_slope_the_ground_pushes_along_its_normal_and_brakes_along_itself()
     sliding, stretch = on_ground(0.01, 0.1 * down, normal=normal)
     assert sliding @ normal == pytest.approx(30.0)
     assert sliding @ down < -1.0
-    np.testing.assert_allclose(stretch, [0.1 * 0.8 * STEP, 0.0], atol=1e-15)
+    np.testing.assert_allclose(stretch, [0.1 * 0.8 * STEP, 0.0, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("normal", [(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+def test_a_wall_holds_back_a_foot_that_slides_along_it(normal: tuple[float, float, float]):
+    # Upward at .02 m/s as in the test above: 1.06 N downward, and 30 N away from the wall.
+    force, stretch = on_ground(0.01, (0.0, 0.0, 0.02), normal=normal)
+    np.testing.assert_allclose(force, 30.0 * np.array(normal) - [0, 0, 1.06], atol=1e-12)
+    np.testing.assert_allclose(stretch, [0, 0, 2e-5], atol=1e-15)
+    # 3000 x .05 in the direction (.6, .8) of the wall, bounded by mu 30 = 15 N.
+    side = np.cross(normal, (0.0, 0.0, 1.0))
+    force, _ = on_ground(0.01, stretch=0.03 * side + [0, 0, 0.04], friction=0.5, normal=normal)
+    np.testing.assert_allclose(force, 30.0 * np.array(normal) - 9.0 * side - [0, 0, 12.0], atol=1e-12)
 
 
 def test_friction_has_a_bound():
     # 30 N on the foot, mu .5: 15 N at most, whatever the direction.
-    force, _ = on_ground(0.01, (0, 0, 0), stretch=(0.03, 0.04), friction=0.5)
+    force, _ = on_ground(0.01, (0, 0, 0), stretch=(0.03, 0.04, 0.0), friction=0.5)
     np.testing.assert_allclose(force, (-9.0, -12.0, 30.0))
 
 
 def test_a_foot_in_the_air_forgets_its_stretch():
-    _, stretch = on_ground(-0.001, stretch=(0.01, 0.01))
-    assert stretch.tolist() == [0, 0]
+    _, stretch = on_ground(-0.001, stretch=(0.01, 0.01, 0.01))
+    assert stretch.tolist() == [0, 0, 0]
 
 
 @given(
     depth=st.floats(-0.05, 0.05),
     velocity=st.tuples(SPEED, SPEED, SPEED),
-    stretch=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
+    stretch=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
     friction=st.floats(0.05, 3),
 )
 def test_ground_never_pulls_and_friction_stays_in_its_cone(depth, velocity, stretch, friction):
     force, after = on_ground(depth, velocity, stretch, friction)
     assert force[2] >= 0
     assert np.hypot(force[0], force[1]) <= friction * force[2] * (1 + 1e-9)
-    assert STIFFNESS * np.hypot(*after) <= friction * force[2] * (1 + 1e-9)
+    assert STIFFNESS * np.linalg.norm(after) <= friction * force[2] * (1 + 1e-9)
 
 
 @given(velocity=st.tuples(SPEED, SPEED), friction=st.floats(0.05, 3))
@@ -91,7 +103,7 @@ def drag(pull: float, seconds: float, speed: float = 0.0):
 
     The pull grows for half a second, so that the spring does not overshoot.
     """
-    position, stretch, path = 0.0, np.zeros(2), []
+    position, stretch, path = 0.0, np.zeros(3), []
     for k in range(round(seconds / STEP)):
         force, stretch = on_ground(20.0 / STIFFNESS, (speed, 0, 0), stretch, friction=0.5)
         speed += STEP * (pull * min(1.0, 2 * k * STEP) + force[0]) / 2.0

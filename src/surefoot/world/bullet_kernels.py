@@ -172,7 +172,7 @@ def sole_kernel(
         centres: centres of the feet in their links' frames (F, 3) [m].
         radii: of the feet (F,) [m].
         law: coefficient of friction, stiffness along the ground [N/m], damping against it [N s/m], step [s].
-        stretch: of the soles along x and y (F, 2) [m]; updated.
+        stretch: of the soles along the world's axes (F, 3) [m]; updated.
         force: output, world frame (F, 3) [N].
         place: output, where the forces act, world frame (F, 3) [m].
     """

@@ -462,8 +462,6 @@ class BulletModel:
         for foot, plane in zip([*standing, *self._spheres], self.planes, strict=True):
             for link in {*self.links.values(), *self._spheres} - {foot}:
                 p.setCollisionFilterPair(self.body, plane, link, -1, 0, physicsClientId=client)
-        for plane in self.planes[len(standing) :]:
-            p.changeDynamics(plane, -1, lateralFriction=0.0, physicsClientId=client)
 
     def place_planes(self) -> None:
         """Put the planes that feet stand on, and those at walls, where the ground is deepest in them."""
@@ -516,7 +514,7 @@ class BulletModel:
         self._place_pins()
 
     def _reset_soles(self) -> None:
-        self._sole_stretch = np.zeros((len(self.feet), 2))
+        self._sole_stretch = np.zeros((len(self.feet), 3))
         self._sole_force, self._sole_place = np.zeros((2, len(self.feet), 3))
 
     def apply_sole_forces(self) -> None:

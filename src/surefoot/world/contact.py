@@ -27,6 +27,8 @@ Vector = tuple[float, float, float]
 
 TANGENTIAL_DAMPING = 0.5
 """B_t / B. The sole's stiffness along the ground is nominally that into the ground; neither was measured."""
+STEEP = 0.5
+"""Vertical part of a unit normal below which a contact is one at a wall, steeper than 60 degrees."""
 SPIN_SPEED = 0.1
 """Angular velocity w_0 [rad/s] at which a foot that turns on the spot meets its full resistance."""
 
@@ -50,7 +52,7 @@ def foot_force_kernel(
         depth: how deep the foot is in the ground, d [m]; below 0 above it.
         normal: unit normal of the ground where the foot is deepest, world frame.
         velocity: velocity (3,) of the foot there, world frame [m/s].
-        stretch: stretch (2,) of the sole along x and y, s [m]; updated.
+        stretch: stretch (3,) of the sole along the world's axes, s [m]; updated.
         friction: coefficient mu.
         stiffness: K [N/m].
         shear_stiffness: K_t [N/m].
@@ -85,28 +87,31 @@ def friction_force_kernel(
 ) -> None:
     """Compute the force along the ground (3,) [N] on a foot that is pressed against it with a load [N].
 
-    Stretch and force are those of the motion along x and y; where the ground slopes, z follows. All else is as in
-    `foot_force_kernel`.
+    Stretch and force are those of the motion along two axes of the world, x and y on the ground and z and another one at
+    a wall; the third component of the force follows from the normal. All else is as in `foot_force_kernel`.
     """
-    nx, ny, nz = normal
-    along = velocity[0] * nx + velocity[1] * ny + velocity[2] * nz
-    slip_x, slip_y = velocity[0] - along * nx, velocity[1] - along * ny
+    # The axis that is nearest to the normal, and the two along the surface.
+    n = 2 if abs(normal[2]) >= STEEP else 0 if abs(normal[0]) > abs(normal[1]) else 1
+    a, b = (n + 1) % 3, (n + 2) % 3
+    along = velocity[0] * normal[0] + velocity[1] * normal[1] + velocity[2] * normal[2]
+    slip_a, slip_b = velocity[a] - along * normal[a], velocity[b] - along * normal[b]
     slide_damping = TANGENTIAL_DAMPING * damping
-    stretch[0] += slip_x * dt
-    stretch[1] += slip_y * dt
-    force[0] = -(shear_stiffness * stretch[0] + slide_damping * slip_x)
-    force[1] = -(shear_stiffness * stretch[1] + slide_damping * slip_y)
+    stretch[n] = 0.0
+    stretch[a] += slip_a * dt
+    stretch[b] += slip_b * dt
+    force[a] = -(shear_stiffness * stretch[a] + slide_damping * slip_a)
+    force[b] = -(shear_stiffness * stretch[b] + slide_damping * slip_b)
     bound = friction * load
-    tangential = math.hypot(force[0], force[1])
+    tangential = math.hypot(force[a], force[b])
     if tangential > bound:
-        force[0] *= bound / tangential
-        force[1] *= bound / tangential
+        force[a] *= bound / tangential
+        force[b] *= bound / tangential
     # Sliding may only take from what the sole has stored: a stretch set from the force would create energy.
-    held = shear_stiffness * math.hypot(stretch[0], stretch[1])
+    held = shear_stiffness * math.hypot(stretch[a], stretch[b])
     if held > bound:
-        stretch[0] *= bound / held
-        stretch[1] *= bound / held
-    force[2] = -(nx * force[0] + ny * force[1]) / nz
+        stretch[a] *= bound / held
+        stretch[b] *= bound / held
+    force[n] = -(normal[a] * force[a] + normal[b] * force[b]) / normal[n]
 
 
 @kernel

@@ -17,12 +17,11 @@ import numpy as np
 from numba import njit
 
 from surefoot.arrays import Array
+from surefoot.world.contact import STEEP
 
 _function = njit(cache=True, error_model="numpy", _nrt=False)
 """As `kernel`, but not inlined: this code is long, and most of it is not run at most steps."""
 
-STEEP = 0.5
-"""Vertical part of a unit normal below which a contact is one at a wall, steeper than 60 degrees."""
 _EDGE = 1e-9
 """Height [m] by which an edge must stand out to be one."""
 _STEP = 1e-6

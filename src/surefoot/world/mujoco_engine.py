@@ -114,7 +114,7 @@ class MujocoEngine:
             shear=np.full(num_envs, robot.contact.stiffness),
             spinning=np.full(num_envs, robot.contact.spinning_friction),
             damping=robot.contact.damping,
-            stretch=np.zeros((num_envs, len(self._feet), 2)),
+            stretch=np.zeros((num_envs, len(self._feet), 2, 3)),
             num_qpos=model.nq,
             num_qvel=model.nv,
             step=model.opt.timestep,

@@ -199,56 +199,48 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
     for leg in range(len(native.foot_geom)):
         g, b = 3 * native.foot_geom[leg], native.foot_body[leg]
         radius = native.foot_radius[leg]
-        (depth, nx, ny, nz), wall = sphere_contacts(
-            native.ground, native.ground_grid, xpos[g], xpos[g + 1], xpos[g + 2], radius
-        )
-        # The point of the foot that is deepest in the ground.
-        px, py, pz = xpos[g] - radius * nx, xpos[g + 1] - radius * ny, xpos[g + 2] - radius * nz
+        both = sphere_contacts(native.ground, native.ground_grid, xpos[g], xpos[g + 1], xpos[g + 2], radius)
         wx, wy, wz = cvel[6 * b], cvel[6 * b + 1], cvel[6 * b + 2]
-        if depth > 0.0:
+        for k in range(6):
+            applied[6 * b + k] = 0.0
+        for at_wall in range(2):
+            depth, nx, ny, nz = both[at_wall]
+            stretch = native.stretch[i, leg, at_wall]
+            if depth <= 0.0:
+                stretch[:] = 0.0
+                continue
+            # The point of the foot that is deepest in the ground.
+            px, py, pz = xpos[g] - radius * nx, xpos[g + 1] - radius * ny, xpos[g + 2] - radius * nz
             # MuJoCo's cvel is the velocity of the body where the whole robot's centre of mass is.
             x, y, z = px - com[root], py - com[root + 1], pz - com[root + 2]
             velocity[0] = cvel[6 * b + 3] + wy * z - wz * y
             velocity[1] = cvel[6 * b + 4] + wz * x - wx * z
             velocity[2] = cvel[6 * b + 5] + wx * y - wy * x
-        load = foot_force_kernel(
-            depth,
-            (nx, ny, nz),
-            velocity,
-            native.stretch[i, leg],
-            native.friction[i],
-            native.stiffness[i],
-            native.shear[i],
-            native.damping,
-            state.constants[3],
-            force,
-        )
-        # MuJoCo takes a force at the body's centre of mass and a torque.
-        x, y, z = px - xipos[3 * b], py - xipos[3 * b + 1], pz - xipos[3 * b + 2]
-        for k in range(3):
-            applied[6 * b + k] = force[k]
-        applied[6 * b + 3] = y * force[2] - z * force[1]
-        applied[6 * b + 4] = z * force[0] - x * force[2]
-        applied[6 * b + 5] = x * force[1] - y * force[0]
-        if load > 0.0:
-            state.contact_ticks[i, leg] += 1.0
-            torque = spinning_torque_kernel(load, wx * nx + wy * ny + wz * nz, native.spinning[i])
-            applied[6 * b + 3] += torque * nx
-            applied[6 * b + 4] += torque * ny
-            applied[6 * b + 5] += torque * nz
-        if wall[0] > 0.0:
-            # A wall pushes through the foot's centre; its friction is left out.
-            x, y, z = xpos[g] - com[root], xpos[g + 1] - com[root + 1], xpos[g + 2] - com[root + 2]
-            away = wall[1] * (cvel[6 * b + 3] + wy * z - wz * y)
-            away += wall[2] * (cvel[6 * b + 4] + wz * x - wx * z)
-            away += wall[3] * (cvel[6 * b + 5] + wx * y - wy * x)
-            load = max(native.stiffness[i] * wall[0] - native.damping * away, 0.0)
-            x, y, z = xpos[g] - xipos[3 * b], xpos[g + 1] - xipos[3 * b + 1], xpos[g + 2] - xipos[3 * b + 2]
+            load = foot_force_kernel(
+                depth,
+                (nx, ny, nz),
+                velocity,
+                stretch,
+                native.friction[i],
+                native.stiffness[i],
+                native.shear[i],
+                native.damping,
+                state.constants[3],
+                force,
+            )
+            # MuJoCo takes a force at the body's centre of mass and a torque.
+            x, y, z = px - xipos[3 * b], py - xipos[3 * b + 1], pz - xipos[3 * b + 2]
             for k in range(3):
-                applied[6 * b + k] += load * wall[1 + k]
-            applied[6 * b + 3] += load * (y * wall[3] - z * wall[2])
-            applied[6 * b + 4] += load * (z * wall[1] - x * wall[3])
-            applied[6 * b + 5] += load * (x * wall[2] - y * wall[1])
+                applied[6 * b + k] += force[k]
+            applied[6 * b + 3] += y * force[2] - z * force[1]
+            applied[6 * b + 4] += z * force[0] - x * force[2]
+            applied[6 * b + 5] += x * force[1] - y * force[0]
+            if load > 0.0 and not at_wall:
+                state.contact_ticks[i, leg] += 1.0
+                torque = spinning_torque_kernel(load, wx * nx + wy * ny + wz * nz, native.spinning[i])
+                applied[6 * b + 3] += torque * nx
+                applied[6 * b + 4] += torque * ny
+                applied[6 * b + 5] += torque * nz
 
 
 @kernel
