@@ -12,6 +12,7 @@ from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import EpisodeRecorder
 from surefoot.evaluation.tracking import distance_along, kept_up
 from surefoot.robot import RobotDescription
+from surefoot.rotations import in_heading_frame
 from surefoot.task.config import load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.height_scan import HeightScanner, ScanConfig, scan_columns, scan_heights, scan_points
@@ -27,7 +28,7 @@ FIELD = TerrainConfig(sizes={"stairs": (0.02, 0.10), "slope_down": (3.0, 20.0)},
 def env() -> LocomotionEnv:
     """Four robots on two kinds of terrain."""
     task, _ = load_task("go2-steer")
-    task = replace(task, terrain=FIELD, start_linear_speed=0.0, start_angular_speed=0.0)
+    task = replace(task, terrain=replace(FIELD, heading=180.0), start_linear_speed=0.0, start_angular_speed=0.0)
     return LocomotionEnv(task, 4, find_world("mujoco"), 0, threads=1)
 
 
@@ -35,11 +36,12 @@ def test_robots_rest_on_the_middles_of_their_tiles(env):
     env.reset(seed=0)
     assert env.curriculum is not None
     starts = env.curriculum.tiles.starts
-    np.testing.assert_allclose(
-        env.truth.base_position_world[:, :2] - starts[0, [0, 1, 0, 1]],
-        np.tile(env.truth.base_position_world[0, :2], (4, 1)),
-        atol=1e-9,
-    )
+    # The base rests some centimetres from where its feet have their middle, and turns with the robot.
+    yaw = env.truth.roll_pitch_yaw[:, 2]
+    away = np.column_stack([env.truth.base_position_world[:, :2] - starts[0, [0, 1, 0, 1]], np.zeros(4)])
+    rest = in_heading_frame(away, yaw)
+    np.testing.assert_allclose(rest, np.tile(rest[0], (4, 1)), atol=1e-9)
+    assert len(np.unique(yaw)) == 4
     over = env.truth.base_position_world[:, 2] - env.ground.height(env.truth.base_position_world[:, :2])
     np.testing.assert_allclose(over, over[0], atol=1e-9)
     feet = env.world.foot_positions()

@@ -346,6 +346,22 @@ def test_feet_stand_at_the_same_places_of_uneven_ground(name: str, kind: str, ri
     np.testing.assert_allclose(*places, atol=1e-3)
 
 
+def test_a_robot_that_is_turned_walks_as_one_that_is_not(robot: RobotDescription):
+    # Alike but for the ground's friction, whose bound is a circle.
+    at, turn = np.array([0.3, -0.2]), 2.0
+    for world in both(robot, num_envs=2, config=WorldConfig(ground=Ground(np.zeros((40, 40, 2, 2)), CELL), threads=1)):
+        world.place([0, 1], np.array([np.zeros(2), at]), np.array([0.0, turn]))
+        world.reset()
+        for k in range(40):
+            world.step(np.tile(world.resting_angles + 0.1 * np.sin(0.2 * k + np.arange(robot.num_motors)), (2, 1)))
+        truth = world.truth()
+        (x, y, z), turned = truth.base_position_world
+        assert np.hypot(x, y) > 0.002
+        around = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+        np.testing.assert_allclose(turned, [*(around @ np.array([x, y]) + at), z], atol=2e-4)
+        np.testing.assert_allclose(np.diff(truth.roll_pitch_yaw, axis=0)[0], [0.0, 0.0, turn], atol=1e-3)
+
+
 def test_a_wall_stops_feet_alike(robot: RobotDescription):
     # 12 N press two feet of 3000 N/m into a wall 5 mm before them, by 2 mm each.
     places, front = [], robot.leg_mounts[:, 0] > 0

@@ -105,11 +105,15 @@ def evaluation_task(
 def on_terrain(task: TaskConfig, terrain: str) -> TaskConfig:
     """Return the task on one terrain for all robots, see `TerrainConfig.ground`.
 
+    Robots that follow commands are turned in every direction at their start, so that they meet different places; on
+    a map they head along x.
+
     Raises:
         SurefootError: no such terrain, or a map that no robot can stand on.
     """
     ground = str(Path(terrain).resolve()) if is_map(terrain) else terrain
-    changed = TerrainConfig(ground=ground, scan=task.terrain.scan)
+    every = task.commands.enabled and terrain != "flat" and not is_map(terrain)
+    changed = TerrainConfig(ground=ground, heading=180.0 if every else 0.0, scan=task.terrain.scan)
     changed.build(0)  # refuses one that does not exist
     return replace(task, terrain=changed)
 

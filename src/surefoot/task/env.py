@@ -16,6 +16,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import Randomizer
 from surefoot.rotations import in_heading_frame
+from surefoot.seeding import generators
 from surefoot.task.commands import CommandFilter, CommandGenerator, CommandState
 from surefoot.task.config import TaskConfig
 from surefoot.task.height_scan import HeightScanner, scan_columns, scan_heights, scan_points
@@ -116,6 +117,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.curriculum: TerrainCurriculum | None = None
         if tiles.kinds:
             self.curriculum = TerrainCurriculum(task.terrain, tiles, self.num_envs, seed)
+        self.heading_streams = generators(seed, "heading", self.num_envs if task.terrain.heading else 0)
         self.ground = config.ground
         self.scanner: HeightScanner | None = None
         if "height_scan" in task.observations:
@@ -146,8 +148,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
 
     def _begin(self, rows: NDArray[np.int64], fell: NDArray[np.bool_]) -> None:
         """Start new episodes for some robots; `fell` (N,) is how the last ones ended."""
-        if self.curriculum is not None:
-            self.world.place(rows, self.curriculum.begin(rows, fell[rows]))
+        if self.curriculum is not None or self.heading_streams:
+            starts = np.zeros((len(rows), 2)) if self.curriculum is None else self.curriculum.begin(rows, fell[rows])
+            self.world.place(rows, starts, self._draw_headings(rows))
         if self.randomizer.enabled:
             self.world.set_params(rows, self.randomizer.draw(rows))
         self.readings = self.world.reset(rows)
@@ -163,6 +166,11 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self.task.pushes.enabled:
             self.pusher.reset(rows)
             self.world.push(self.pusher.force)
+
+    def _draw_headings(self, rows: NDArray[np.int64]) -> Array:
+        """Return the headings (n,) [rad] that robots start with."""
+        limit = np.radians(self.task.terrain.heading)
+        return np.array([self.heading_streams[i].uniform(-limit, limit) if limit else 0.0 for i in rows])
 
     def _observe(self) -> Array:
         return self.observer.observe(self._observation_inputs())
@@ -375,6 +383,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
 
     def _streams(self) -> dict[str, list[np.random.Generator]]:
         drawn = {} if self.source is None else {"command_streams": self.source.streams}
+        if self.heading_streams:
+            drawn["heading_streams"] = self.heading_streams
         if self.curriculum is not None:
             drawn["terrain_streams"] = self.curriculum.streams
         if self.scanner is not None:

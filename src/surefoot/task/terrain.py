@@ -48,6 +48,8 @@ class TerrainConfig:
     """Side of a tile [m]."""
     start_level: Annotated[int, Within(0, 49)] = 2
     """Robots begin at levels up to this one."""
+    heading: Annotated[float, Within(0, 180)] = 0.0
+    """Greatest angle [deg] to either side that robots are turned by at their start."""
     scan: ScanConfig = field(default_factory=ScanConfig)
     """Errors of the map of heights that the observation `height_scan` has."""
     curriculum: bool = True

@@ -20,7 +20,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.self_collision import collision_pairs
-from surefoot.rotations import quat_matrix, xyzw_matrix
+from surefoot.rotations import matrix_quat, quat_matrix, rpy_matrix, xyzw_matrix
 from surefoot.world.actuation import RACK_HEIGHT, SPEED_LIMIT, ActuationState, bases_on_rack
 from surefoot.world.bullet_kernels import JOINTS, OMEGA, VELOCITY, Layout, base_links, observe, substep
 from surefoot.world.bullet_model import PARAMETERS, PUBLISHED, BulletModel, BulletSettings, import_pybullet
@@ -263,6 +263,17 @@ class BulletEngine:
     def set_force(self, force_world: Array) -> None:
         """Set the forces (N, 3) [N] on the bases' centres of mass, in the world frame."""
         self._force[:] = force_world
+
+    def turn(self, rows: Index, angles: Array) -> None:
+        """Turn robots by angles (n,) [rad] about the vertical axis through the world's origin."""
+        if self._config.rack:
+            return
+        for i, angle in zip(rows, angles, strict=True):
+            row, turn = self._rows[i], rpy_matrix(0.0, 0.0, angle)
+            for part in (slice(3), slice(VELOCITY, OMEGA), slice(OMEGA, JOINTS)):
+                row[part] = turn @ row[part]
+            row[3:7] = matrix_quat(turn @ xyzw_matrix(row[3:7]))[[1, 2, 3, 0]]
+            self._write_base(i)
 
     def move_base(self, rows: Index, offset_world: Array) -> None:
         """Move bases by offsets (n, 3) [m] in the world."""

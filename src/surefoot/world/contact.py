@@ -87,8 +87,8 @@ def friction_force_kernel(
 ) -> None:
     """Compute the force along the ground (3,) [N] on a foot that is pressed against it with a load [N].
 
-    Stretch and force are those of the motion along two axes of the world, x and y on the ground and z and another one at
-    a wall; the third component of the force follows from the normal. All else is as in `foot_force_kernel`.
+    Stretch and force are those of the motion along two axes of the world: x and y on the ground, z and another one at a
+    wall. The third component of the force follows from the normal. All else is as in `foot_force_kernel`.
     """
     # The axis that is nearest to the normal, and the two along the surface.
     n = 2 if abs(normal[2]) >= STEEP else 0 if abs(normal[0]) > abs(normal[1]) else 1

@@ -38,6 +38,9 @@ class Engine(Protocol):
     def set_state(self, rows: Index, states: Array) -> None:
         """Put robots into states (n, size), or all into one (size,), and clear their marks of divergence."""
 
+    def turn(self, rows: Index, angles: Array) -> None:
+        """Turn robots by angles (n,) [rad] about the vertical axis through the world's origin."""
+
     def move_base(self, rows: Index, offset_world: Array) -> None:
         """Move bases by offsets (n, 3) [m] in the world."""
 

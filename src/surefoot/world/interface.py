@@ -136,8 +136,11 @@ class Simulation(World, Protocol):
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
         """Give the robots at `index` other physical parameters, one row each."""
 
-    def place(self, index: ArrayLike, starts: Array) -> None:
-        """Let robots rest at places (n, 2) [m] of the ground from their next reset on; at (0, 0) without this."""
+    def place(self, index: ArrayLike, starts: Array, headings: Array) -> None:
+        """Let robots rest at places (n, 2) [m] of the ground, with headings (n,) [rad], from their next reset on.
+
+        Without this they rest at (0, 0), and head along x.
+        """
 
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] that acts at the base's centre of mass from now on, in the world frame."""

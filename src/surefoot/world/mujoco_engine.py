@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
+from surefoot.rotations import matrix_quat, quat_matrix, rpy_matrix
 from surefoot.world.actuation import RATIOS, ActuationState, bases_on_rack
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_loop import DATA_FIELDS, Native, advance, gather_base, observe
@@ -218,6 +219,19 @@ class MujocoEngine:
         self._native.moved[rows] = True
         stretch[rows] = states[:, -size:].reshape(-1, *stretch.shape[1:])
         self.diverged[rows] = False
+
+    def turn(self, rows: Index, angles: Array) -> None:
+        """Turn robots by angles (n,) [rad] about the vertical axis through the world's origin."""
+        native = self._native
+        if native.base_qpos < 0:
+            return
+        for i, angle in zip(rows, angles, strict=True):
+            data, turn = self.datas[i], rpy_matrix(0.0, 0.0, angle)
+            pose, velocity = data.qpos[native.base_qpos :][:7], data.qvel[native.base_dof :][:3]
+            pose[:3], velocity[:] = turn @ pose[:3], turn @ velocity
+            pose[3:] = matrix_quat(turn @ quat_matrix(pose[3:]))
+            native.stretch[i] = native.stretch[i] @ turn.T
+        native.moved[rows] = True
 
     def move_base(self, rows: Index, offset_world: Array) -> None:
         """Move bases by offsets (n, 3) [m] in the world."""

@@ -251,10 +251,10 @@ class ProcessWorld:
         self._call("set_params", [(own, params.rows(places)) for places, own in self._split_index(index)])
         self.params.set_rows(rows, params)
 
-    def place(self, index: ArrayLike, starts: Array) -> None:
-        """Let robots rest at places (n, 2) [m] of the ground from their next reset on; see `SimWorld.place`."""
-        places = np.asarray(starts, float)
-        self._call("place", [(own, places[rows]) for rows, own in self._split_index(index)])
+    def place(self, index: ArrayLike, starts: Array, headings: Array) -> None:
+        """Let robots rest at other places and headings from their next reset on; see `SimWorld.place`."""
+        places, turned = np.asarray(starts, float), np.asarray(headings, float)
+        self._call("place", [(own, places[rows], turned[rows]) for rows, own in self._split_index(index)])
 
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""

@@ -80,7 +80,7 @@ class SimWorld:
         self._control_steps = np.zeros(num_envs, np.int64)
         self._diverged = np.zeros(num_envs, np.bool_)
         self.divergences = 0
-        self._starts = np.zeros((num_envs, 3))
+        self._starts, self._headings = np.zeros((num_envs, 3)), np.zeros(num_envs)
         if params is not None:
             self.set_params(np.arange(num_envs), params)
         self.reset()
@@ -118,6 +118,8 @@ class SimWorld:
         self._control_steps[rows] = 0
         self._draw_noise(rows)
         self.engine.set_state(rows, self._settled)
+        turned = rows[self._headings[rows] != 0.0]
+        self.engine.turn(turned, self._headings[turned])
         offset = self._starts[rows]
         offset[:, 2] += self._nominal_depth - self._weight / self.params.contact_stiffness[rows]
         moved = offset.any(axis=1)
@@ -222,13 +224,13 @@ class SimWorld:
         self.params.set_rows(rows, params)
         set_actuation_params(self.actuation, rows, params)
 
-    def place(self, index: ArrayLike, starts: Array) -> None:
-        """Let robots rest at places (n, 2) [m] of the ground from their next reset on.
+    def place(self, index: ArrayLike, starts: Array, headings: Array) -> None:
+        """Let robots rest at places (n, 2) [m] of the ground, with headings (n,) [rad], from their next reset on.
 
         The ground there must be level, and as it is at (0, 0), where the robot has settled.
         """
         rows, ground = np.atleast_1d(np.asarray(index, np.int64)), self.config.ground
-        self._starts[rows, :2] = starts
+        self._starts[rows, :2], self._headings[rows] = starts, headings
         self._starts[rows, 2] = ground.height(np.asarray(starts, float)) - ground.height(np.zeros(2))
 
     def push(self, force_world: ArrayLike) -> None:
@@ -247,6 +249,7 @@ class SimWorld:
             "diverged": self._diverged.copy(),
             "divergences": self.divergences,
             "starts": self._starts.copy(),
+            "headings": self._headings.copy(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -263,5 +266,5 @@ class SimWorld:
             stream.bit_generator.state = saved
         self._diverged[:] = state["diverged"]
         self.divergences = state["divergences"]
-        # States of version 0.9 lack the places where robots start.
-        self._starts[:] = state.get("starts", 0.0)
+        # States of version 0.9 lack the places where robots start, and the headings.
+        self._starts[:], self._headings[:] = state.get("starts", 0.0), state.get("headings", 0.0)
