@@ -49,6 +49,8 @@ def main(argv: list[str]) -> int:
         return _serve_page(command)
     policy, robot, task, origin = load_gait(path, command.robot)
     task = command.apply(task, robot)
+    # The video's camera stands beside a robot that heads along x.
+    task = replace(task, terrain=replace(task.terrain, heading=0.0))
     duration = command.duration or max(_DURATION, schedule_duration(task.commands.schedule))
     task = with_duration(task, robot, duration)
     window = command.out is None and has_display()
