@@ -48,8 +48,9 @@ class BoxEngine(MujocoEngine):
         return spec.compile()
 
     def _layout(self) -> Any:
-        # Without feet for the law of `surefoot.world.contact`.
-        return super()._layout()._replace(foot_geom=np.zeros(0, np.int64))
+        # Without feet for the law of `surefoot.world.contact`, and with contacts of all shapes all the time.
+        none = np.zeros(0, np.int64)
+        return super()._layout()._replace(foot_geom=none, shape_geom=none)
 
 
 def _boxes(ground: Ground) -> list[tuple[list[float], list[float]]]:
