@@ -275,6 +275,22 @@ def sphere_contacts(
 
 
 @_function
+def friction_factor(friction: Array, grid: Array, x: float, y: float) -> float:
+    """Return the factor on the coefficient of friction at a place [m].
+
+    Args:
+        friction: that of the `Ground`, (P, Q).
+        grid: its `patch_grid`.
+        x: of the place in the world [m].
+        y: as x.
+    """
+    if friction.shape[0] == 0:
+        return 1.0
+    i, j = math.floor((x - grid[0]) / grid[2]), math.floor((y - grid[1]) / grid[2])
+    return float(friction[min(max(i, 0), friction.shape[0] - 1), min(max(j, 0), friction.shape[1] - 1)])
+
+
+@_function
 def _highest(points: Array, grid: Array, x: float, y: float, wide: float, deep: float) -> float:
     """Return the greatest height [m] of a continuous ground in a rectangle, or of points just beside it.
 
