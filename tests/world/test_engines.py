@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
+from surefoot.world.terrain import make_terrain
 
 ROUGH = Ground.from_points(np.random.default_rng(2).uniform(-0.02, 0.02, (30, 30)), 0.1)
 START = {"start_linear_speed": 0.05, "start_angular_speed": 0.1}
@@ -61,6 +64,23 @@ def test_a_state_continues_exactly_in_another_world(make_world, trot, assert_sam
     for one, another in zip(*paths, strict=True):
         assert_same(one, another)
     np.testing.assert_array_equal(world.get_state()["engine"], other.get_state()["engine"])
+
+
+@pytest.mark.parametrize("terrain", ["flat", "rough:0.1", "blocks:0.1"])
+def test_shapes_that_are_not_searched_for_contacts_have_none(make_world, terrain):
+    ground = make_terrain(terrain) if terrain == "flat" else replace(make_terrain(terrain), center=(4.1, 4.1))
+    config, paths = {"ground": ground, "start_linear_speed": 1.0, "start_angular_speed": 3.0}, []
+    for search_all in (False, True):
+        world, rng = make_world(8, seed=1, config=config), np.random.default_rng(0)
+        if search_all:
+            world.engine._native.shape_part[:, 2] = 1e9  # as if they might move that far
+        for k in range(80):
+            if k % 5 == 0:
+                target = world.resting_angles + rng.uniform(-1.0, 1.0, world.resting_angles.shape)
+            world.step(target)
+        paths.append(world.get_state()["engine"])
+        assert search_all or any(data.ncon for data in world.engine.datas)
+    np.testing.assert_array_equal(*paths)
 
 
 def test_a_state_of_version_0_6_continues(make_world, trot, assert_same):

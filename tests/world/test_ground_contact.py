@@ -7,7 +7,8 @@ import pytest
 
 from surefoot.arrays import Array
 from surefoot.world.ground import FLAT, Ground
-from surefoot.world.ground_contact import STEEP, box_clearance, row_clearance, sphere_contacts
+from surefoot.world.ground_contact import STEEP, friction_factor, point_clearance, shape_clearance, sphere_contacts
+from surefoot.world.mujoco_model import body_heights
 
 RADIUS, ERROR = 0.02, 1e-6
 CELL, COUNT = 0.05, 4
@@ -158,26 +159,57 @@ def test_beyond_the_field_its_border_goes_on_and_the_plane_has_no_wall():
 
 @pytest.mark.parametrize("kind", ["rough", "slope", "blocks", "fine", "steps"])
 def test_a_clearance_is_never_more_than_the_distance(kind: str):
-    rng, bound, shares = np.random.default_rng(4), 0.03, []
+    rng, bound, radius = np.random.default_rng(4), 0.03, 0.01
     for _ in range(100):
-        ground = random_ground(kind, rng)
+        walls = random_ground(kind, rng)
+        heights, cell = body_heights(walls)
+        ground, points = Ground.from_points(heights, cell), heights.astype(np.float32)
+        triangles = ground.triangles()
         middle = np.array([*rng.uniform(-0.05, 0.05, 2), 0.0])
         middle[2] = ground.height(middle[:2]) + rng.uniform(0.01, 0.08)
+        distance = np.linalg.norm(nearest(triangles, middle) - middle, axis=1).min()
+        assert point_clearance(points, ground.grid, *middle, bound) == pytest.approx(min(distance, bound), abs=ERROR)
+        # A cylinder of four parts has room for balls along its axis.
         offset = rng.uniform(-0.01, 0.01, 3)
-        centres = middle + np.arange(-1.5, 2.0)[:, None] * offset
-        if (ground.height(centres[:, :2]) > centres[:, 2]).any():
+        half = np.linalg.norm(offset) / 2
+        balls = middle + np.linspace(-1, 1, 33)[:, None] * max(4 * half - radius, 0.0) * offset / (2 * half)
+        if (ground.height(balls[:, :2]) > balls[:, 2]).any():
             continue
-        triangles, radius = ground.triangles(), 0.01
-        distance = min(np.linalg.norm(nearest(triangles, one) - one, axis=1).min() for one in centres)
-        clearance = row_clearance(ground.corners, ground.grid, tuple(middle), tuple(offset), 4, radius, bound)
-        assert clearance <= min(distance - radius, bound) + 1e-9, (ground.corners, middle, offset)
-        shares.append(min(distance - radius, bound) - clearance)
-        half = rng.uniform(0.005, 0.02, 3)
-        box = box_clearance(ground.corners, ground.grid, tuple(middle), tuple(half), bound)
-        corners = middle + half * np.array([[a, b, -1] for a in (-1, 0, 1) for b in (-1, 0, 1)])
-        assert box <= min(np.min(corners[:, 2] - ground.height(corners[:, :2])), bound) + 1e-9
-    # What may be lost, at edges, is little.
-    assert np.mean(shares) < 0.006
-    plane, middle = (FLAT.corners, FLAT.grid), (0.0, 0.0, 0.1)
-    assert row_clearance(*plane, middle, (0.0, 0.0, 0.02), 2, 0.01, 0.5) == pytest.approx(0.08)
-    assert box_clearance(*plane, middle, (1.0, 1.0, 0.02), 0.5) == pytest.approx(0.08)
+        distance = min(np.linalg.norm(nearest(triangles, one) - one, axis=1).min() for one in balls) - radius
+        reach = np.abs(offset) / 2 + radius
+        for need in (0.0, 0.005):
+            clearance = shape_clearance(
+                points, ground.grid, tuple(middle), tuple(reach), tuple(offset), 4, radius, False, need, bound
+            )
+            assert clearance <= max(min(distance, bound), 0.0) + ERROR
+            assert clearance > need or distance <= need + radius
+        sides = rng.uniform(0.005, 0.02, 3)
+        corners = middle + sides * np.array([[a, b, -1] for a in (-1, 0, 1) for b in (-1, 0, 1)])
+        box = (tuple(middle), tuple(sides), (0.0, 0.0, 0.0), 1, float(np.linalg.norm(sides)), True, 0.0, bound)
+        over = np.min(corners[:, 2] - ground.height(corners[:, :2]))
+        assert shape_clearance(points, ground.grid, *box) <= max(min(over, bound), 0.0) + ERROR
+
+
+def test_clearances_worked_by_hand():
+    plane, middle = (np.zeros((0, 0), np.float32), FLAT.grid), (0.0, 0.0, 0.1)
+    upright = ((0.01, 0.01, 0.01), (0.0, 0.0, -0.02), 2, 0.01, False, 0.0)
+    assert shape_clearance(*plane, middle, *upright, 0.5) == pytest.approx(0.08)
+    assert shape_clearance(*plane, middle, *upright, 0.03) == 0.03
+    # A wall of 1 m is a slope from x = 0 to 5 cm. A post of two parts of 10 cm, 1 cm thick, is 4 cm before it, and 4 cm
+    # over the ground. Spheres around quarters of the lower part: the lowest is at a height of 5.25 cm.
+    ground = level_cells(np.array([[0.0] * 4] * 2 + [[1.0] * 4] * 2))
+    heights, cell = body_heights(ground)
+    assert cell == CELL
+    points, post = heights.astype(np.float32), ((0.01, 0.01, 0.05), (0.0, 0.0, 0.1), 2, 0.01, False)
+    expected = (20 * 0.04 + 0.0525) / np.sqrt(401) - np.hypot(0.01, 0.0125)
+    for need in (0.01, 0.03):
+        clearance = shape_clearance(points, ground.grid, (-0.04, 0.0, 0.14), *post, need, 0.05)
+        assert clearance == pytest.approx(expected if expected > need else 0.0, abs=ERROR)
+
+
+def test_friction_of_a_place_is_that_of_its_patch_or_of_the_nearest_one():
+    ground = Ground(friction=np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]), patch=0.5, center=(1.0, 0.0))
+    places = {(0.6, -0.7): 0.1, (0.6, 0.0): 0.2, (1.4, 0.7): 0.6, (-9.0, 0.3): 0.3, (9.0, -9.0): 0.4}
+    for place, factor in places.items():
+        assert friction_factor(ground.friction, ground.patch_grid, *place) == factor
+    assert friction_factor(FLAT.friction, FLAT.patch_grid, 0.0, 0.0) == 1.0

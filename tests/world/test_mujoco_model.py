@@ -9,8 +9,21 @@ import numpy as np
 import pytest
 
 from surefoot.robot import RobotDescription
+from surefoot.world.ground import Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
+
+
+def test_bodies_meet_the_triangles_of_the_ground(robot: RobotDescription):
+    rng = np.random.default_rng(0)
+    ground = Ground.from_points(rng.uniform(-0.1, 0.1, (6, 5)), 0.2, (0.3, -0.1))
+    model = build_model(robot, WorldConfig(ground=ground))
+    data, geom = mujoco.MjData(model), np.zeros(1, np.int32)
+    data.qpos[2] = 10.0  # the robot is out of the way
+    mujoco.mj_kinematics(model, data)
+    for place in ground.center + rng.uniform(-0.39, 0.39, (200, 2)):
+        down = mujoco.mj_ray(model, data, [*place, 1.0], [0.0, 0.0, -1.0], None, 1, -1, geom)
+        assert 1.0 - down == pytest.approx(ground.height(place), abs=1e-5)
 
 
 class Rack:

@@ -26,6 +26,8 @@ _EDGE = 1e-9
 """Height [m] by which an edge must stand out to be one."""
 _STEP = 1e-6
 """Length [cells] of a step to a side of an edge."""
+PARTS = 4
+"""Of a sphere around a part of a rod, see `shape_clearance`."""
 _WALL_SLOPE = 10.0
 """Slope from which a step down to a side of an edge is a wall."""
 
@@ -108,30 +110,24 @@ def _is_nearest(corners: Array, u: float, v: float, z: float, normal: Vector, si
 
 
 @_function
-def _half_contact(
-    cell: Array, low: bool, x: float, y: float, z: float, side: float, bound: float
+def _triangle(
+    first: float, second: float, third: float, x: float, y: float, z: float, side: float, bound: float
 ) -> tuple[float, float, float, float, bool]:
-    """Return the distance of a point from one of the triangles of a cell, infinite where it is not within the bound.
+    """Return the distance of a point from a triangle, infinite where it is not within the bound.
 
     And the direction from the triangle's nearest point to it, and whether that is within the triangle, not on its
     border. Within the triangle, the direction is its normal, and the distance negative below it.
 
     Args:
-        cell: heights of the corners (2, 2).
-        low: the triangle at low x and y, or the other one.
-        x: of the point from the cell's corner at low x and y [m].
+        first: height over (0, 0) [m].
+        second: height over (side, 0) [m].
+        third: height over (0, side) [m].
+        x: of the point [m].
         y: as x.
-        z: height of the point [m].
-        side: of the cell [m].
+        z: as x.
+        side: of the triangle [m].
         bound: greatest distance [m] from a triangle that can carry; of others it is not bounded.
     """
-    # In a frame with its origin below the triangle's right angle, and the other corners over the axes.
-    sign = 1.0 if low else -1.0
-    if low:
-        first, second, third = cell[0, 0], cell[1, 0], cell[0, 1]
-    else:
-        first, second, third = cell[1, 1], cell[0, 1], cell[1, 0]
-        x, y = side - x, side - y
     slope_x, slope_y = (second - first) / side, (third - first) / side
     square = 1.0 + slope_x * slope_x + slope_y * slope_y
     over = z - first - slope_x * x - slope_y * y
@@ -140,7 +136,7 @@ def _half_contact(
     at_x, at_y = x + slope_x * over / square, y + slope_y * over / square
     upright = 1.0 / math.sqrt(square)
     if at_x > 0.0 and at_y > 0.0 and at_x + at_y < side:
-        return over * upright, -sign * slope_x * upright, -sign * slope_y * upright, upright, True
+        return over * upright, -slope_x * upright, -slope_y * upright, upright, True
     # The nearest point of the border: from each corner in turn along the side to the next.
     least, dx, dy, dz = np.inf, 0.0, 0.0, 1.0
     from_x, from_y, from_z = 0.0, 0.0, first
@@ -160,8 +156,30 @@ def _half_contact(
         from_x, from_y, from_z = to_x, to_y, to_z
     least = math.sqrt(least)
     if least < _EDGE:
-        return 0.0, -sign * slope_x * upright, -sign * slope_y * upright, upright, True
-    return least, sign * dx / least, sign * dy / least, dz / least, False
+        return 0.0, -slope_x * upright, -slope_y * upright, upright, True
+    return least, dx / least, dy / least, dz / least, False
+
+
+@_function
+def _half_contact(
+    cell: Array, low: bool, x: float, y: float, z: float, side: float, bound: float
+) -> tuple[float, float, float, float, bool]:
+    """Return what `_triangle` does for one of the triangles of a cell.
+
+    Args:
+        cell: heights of the corners (2, 2).
+        low: the triangle at low x and y, or the other one.
+        x: of the point from the cell's corner at low x and y [m].
+        y: as x.
+        z: as in `_triangle`.
+        side: of the cell [m].
+        bound: as in `_triangle`.
+    """
+    # In a frame with its origin below the triangle's right angle, and the other corners over the axes.
+    if low:
+        return _triangle(cell[0, 0], cell[1, 0], cell[0, 1], x, y, z, side, bound)
+    distance, dx, dy, dz, within = _triangle(cell[1, 1], cell[0, 1], cell[1, 0], side - x, side - y, z, side, bound)
+    return distance, -dx, -dy, dz, within
 
 
 @_function
@@ -196,13 +214,22 @@ def sphere_contacts(
     buried = z < height
     carrying, wall = NO_CONTACT, NO_CONTACT
     least, nx, ny, nz = np.inf, 0.0, 0.0, 1.0
+    if not buried:
+        # Most often the deepest: what is no nearer is left out soon.
+        distance, ex, ey, ez, within = _half_contact(
+            corners[i, j], u - i + v - j <= 1.0, (u - i) * side, (v - j) * side, z, side, radius
+        )
+        if within and ez >= STEEP:
+            carrying = _deeper(carrying, radius - distance, ex, ey, ez)
     for other_i in range(max(math.floor(u - reach), 0), min(math.floor(u + reach), last_i) + 1):
         for other_j in range(max(math.floor(v - reach), 0), min(math.floor(v + reach), last_j) + 1):
             other = corners[other_i, other_j]
+            if not buried and z - radius >= max(max(other[0, 0], other[0, 1]), max(other[1, 0], other[1, 1])):
+                continue
             # The cell's place that is nearest from above.
             at_u, at_v = min(max(u, other_i), other_i + 1.0), min(max(v, other_j), other_j + 1.0)
             du, dv = u - at_u, v - at_v
-            level = math.hypot(du, dv)
+            level = math.sqrt(du * du + dv * dv)
             if level == 0.0:
                 # On the cell, or exactly at its border, where a wall faces away from its middle.
                 du, dv = u - other_i - 0.5, v - other_j - 0.5
@@ -248,81 +275,170 @@ def sphere_contacts(
 
 
 @_function
-def row_clearance(
-    corners: Array, grid: Array, middle: Vector, offset: Vector, count: int, radius: float, bound: float
-) -> float:
-    """Return how far [m] spheres in a row are from the ground at least, 0 or less if they may touch it.
-
-    It is as far as the bound at most. Planes of triangles are taken to go on beyond these.
+def friction_factor(friction: Array, grid: Array, x: float, y: float) -> float:
+    """Return the factor on the coefficient of friction at a place [m].
 
     Args:
-        corners: as in `sphere_contacts`.
-        grid: as corners.
-        middle: of the row [m].
-        offset: from each sphere to the next [m].
-        count: of the spheres.
-        radius: of the spheres [m].
+        friction: that of the `Ground`, (P, Q).
+        grid: its `patch_grid`.
+        x: of the place in the world [m].
+        y: as x.
+    """
+    if friction.shape[0] == 0:
+        return 1.0
+    i, j = math.floor((x - grid[0]) / grid[2]), math.floor((y - grid[1]) / grid[2])
+    return float(friction[min(max(i, 0), friction.shape[0] - 1), min(max(j, 0), friction.shape[1] - 1)])
+
+
+@_function
+def _highest(points: Array, grid: Array, x: float, y: float, wide: float, deep: float) -> float:
+    """Return the greatest height [m] of a continuous ground in a rectangle, or of points just beside it.
+
+    Args:
+        points: heights at points (X, Y), a cell apart [m].
+        grid: that of the `Ground`.
+        x: middle of the rectangle [m].
+        y: as x.
+        wide: half of its side along x [m].
+        deep: half of its side along y [m].
+    """
+    side, last_i, last_j = grid[2], points.shape[0] - 1, points.shape[1] - 1
+    x, y, top = x - grid[0], y - grid[1], -np.inf
+    # Beyond the field its border goes on.
+    first_j = min(max(math.floor((y - deep) / side), 0), last_j)
+    end_j = min(max(math.ceil((y + deep) / side), 0), last_j) + 1
+    for i in range(
+        min(max(math.floor((x - wide) / side), 0), last_i), min(max(math.ceil((x + wide) / side), 0), last_i) + 1
+    ):
+        for j in range(first_j, end_j):
+            top = max(top, float(points[i, j]))
+    return top
+
+
+@_function
+def _cell_distance(points: Array, i: int, j: int, u: float, v: float, z: float, side: float, bound: float) -> float:
+    """Return the distance of a point over the ground from a cell, or the bound, whichever is less.
+
+    Args:
+        points: as in `_highest`.
+        i: number of the cell along x.
+        j: number of the cell along y.
+        u: of the point along x [cells].
+        v: of the point along y [cells].
+        z: height of the point [m].
+        side: of the cell [m].
         bound: see above [m].
     """
-    least, side = radius + bound, grid[2]
-    for k in range(count):
-        share = k - 0.5 * (count - 1)
-        x, y, z = middle[0] + share * offset[0], middle[1] + share * offset[1], middle[2] + share * offset[2]
-        if corners.shape[0] == 0:
-            least = min(least, z)
-            continue
-        u, v, reach = (x - grid[0]) / side, (y - grid[1]) / side, least / side
-        last_i, last_j = corners.shape[0] - 1, corners.shape[1] - 1
-        # Beyond the field its border goes on.
-        u, v = min(max(u, 0.0), last_i + 1.0), min(max(v, 0.0), last_j + 1.0)
-        for i in range(max(math.floor(u - reach), 0), min(math.floor(u + reach), last_i) + 1):
-            for j in range(max(math.floor(v - reach), 0), min(math.floor(v + reach), last_j) + 1):
-                cell = corners[i, j]
-                at_u, at_v = min(max(u - i, 0.0), 1.0), min(max(v - j, 0.0), 1.0)
-                level = side * math.hypot(u - i - at_u, v - j - at_v)
-                over = z - _cell_height(cell, at_u, at_v)
-                if over <= 0.0 or level >= least:
-                    least = min(least, level if over <= 0.0 and level > 0.0 else max(over, level))
-                    continue
-                low = _plane_distance(cell[0, 0], cell[1, 0], cell[0, 1], (u - i) * side, (v - j) * side, z, side)
-                high = _plane_distance(
-                    cell[1, 1], cell[0, 1], cell[1, 0], (i + 1.0 - u) * side, (j + 1.0 - v) * side, z, side
-                )
-                # The surface is the lower one of the planes where the cell has a ridge, the upper one in a valley.
-                ridge = cell[0, 1] + cell[1, 0] > cell[0, 0] + cell[1, 1]
-                least = min(least, max(max(low, high) if ridge else min(low, high), level))
-    return least - radius
+    first, second = float(points[i, j]), float(points[i + 1, j])
+    third, fourth = float(points[i, j + 1]), float(points[i + 1, j + 1])
+    top = max(max(first, second), max(third, fourth))
+    du, dv, over = max(max(i - u, u - i - 1.0), 0.0), max(max(j - v, v - j - 1.0), 0.0), max(z - top, 0.0)
+    square = (du * du + dv * dv) * side * side + over * over
+    if square >= bound * bound:
+        return bound
+    if first == second == third == fourth:
+        return math.sqrt(square)
+    x, y = (u - i) * side, (v - j) * side
+    bound = min(bound, abs(_triangle(first, second, third, x, y, z, side, bound)[0]))
+    return min(bound, abs(_triangle(fourth, third, second, side - x, side - y, z, side, bound)[0]))
 
 
 @_function
-def _plane_distance(first: float, second: float, third: float, x: float, y: float, z: float, side: float) -> float:
-    """Return how far above a plane a point is; heights are those over (0, 0), (side, 0) and (0, side)."""
-    slope_x, slope_y = (second - first) / side, (third - first) / side
-    return (z - first - slope_x * x - slope_y * y) / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+def point_clearance(points: Array, grid: Array, x: float, y: float, z: float, bound: float) -> float:
+    """Return the distance [m] of a point from the ground, 0 below its surface, or the bound, whichever is less.
+
+    Args:
+        points: as in `_highest`.
+        grid: as in `_highest`.
+        x: of the point in the world [m].
+        y: as x.
+        z: as x.
+        bound: see above [m].
+    """
+    side, last_i, last_j = grid[2], points.shape[0] - 2, points.shape[1] - 2
+    # Beyond the field its border goes on.
+    u, v = min(max((x - grid[0]) / side, 0.0), last_i + 1.0), min(max((y - grid[1]) / side, 0.0), last_j + 1.0)
+    i, j = min(max(math.floor(u), 0), last_i), min(max(math.floor(v), 0), last_j)
+    first, second = float(points[i, j]), float(points[i + 1, j])
+    third, fourth = float(points[i, j + 1]), float(points[i + 1, j + 1])
+    if u - i + v - j <= 1.0:
+        height = first + (u - i) * (second - first) + (v - j) * (third - first)
+    else:
+        height = fourth + (i + 1.0 - u) * (third - fourth) + (j + 1.0 - v) * (second - fourth)
+    if z <= height:
+        return 0.0
+    least = _cell_distance(points, i, j, u, v, z, side, bound)
+    reach = least / side
+    for other_i in range(max(math.floor(u - reach), 0), min(math.floor(u + reach), last_i) + 1):
+        for other_j in range(max(math.floor(v - reach), 0), min(math.floor(v + reach), last_j) + 1):
+            if other_i != i or other_j != j:
+                least = _cell_distance(points, other_i, other_j, u, v, z, side, least)
+    return least
 
 
 @_function
-def box_clearance(corners: Array, grid: Array, middle: Vector, reach: Vector, bound: float) -> float:
-    """Return how far [m] a box along the world's axes is from the ground at least, below 0 if it may touch it.
+def shape_clearance(
+    points: Array,
+    grid: Array,
+    middle: Vector,
+    reach: Vector,
+    offset: Vector,
+    count: int,
+    radius: float,
+    is_box: bool,
+    need: float,
+    bound: float,
+) -> float:
+    """Return how far [m] a rod or a box is from a continuous ground at least, or 0 if that may be no more than needed.
 
     It is as far as the bound at most.
 
     Args:
-        corners: as in `sphere_contacts`.
-        grid: as corners.
-        middle: of the box [m].
-        reach: half of its sides [m].
+        points: as in `_highest`; none of the plane z = 0.
+        grid: as in `_highest`.
+        middle: of the shape [m].
+        reach: half of the sides of a box along the world's axes around each part of the shape [m].
+        offset: from the middle of each part along the shape to that of the next one [m].
+        count: of the parts.
+        radius: of the rod; of a box, half of the diagonal across it [m].
+        is_box: whether it is a box.
+        need: see above [m].
         bound: see above [m].
     """
-    bottom = middle[2] - reach[2]
-    if corners.shape[0] == 0:
-        return min(bottom, bound)
-    side, last_i, last_j = grid[2], corners.shape[0] - 1, corners.shape[1] - 1
-    top, wide, deep = -np.inf, reach[0] + bound, reach[1] + bound
-    first_i = min(max(math.floor((middle[0] - wide - grid[0]) / side), 0), last_i)
-    first_j = min(max(math.floor((middle[1] - deep - grid[1]) / side), 0), last_j)
-    for i in range(first_i, min(max(math.floor((middle[0] + wide - grid[0]) / side), 0), last_i) + 1):
-        for j in range(first_j, min(max(math.floor((middle[1] + deep - grid[1]) / side), 0), last_j) + 1):
-            for k in range(4):
-                top = max(top, corners[i, j, k // 2, k % 2])
-    return min(bottom - top, bound)
+    spread = 0.5 * (count - 1)
+    dx, dy, dz = offset
+    if dz < 0.0:
+        dx, dy, dz = -dx, -dy, -dz
+    lowest = middle[2] - spread * dz - reach[2]
+    if points.shape[0] == 0:
+        return min(lowest, bound)
+    wide, deep = reach[0] + spread * abs(dx) + bound, reach[1] + spread * abs(dy) + bound
+    top = _highest(points, grid, middle[0], middle[1], wide, deep)
+    if lowest - top >= bound:
+        return bound
+    least, square = bound, 0.25 * (dx * dx + dy * dy + dz * dz)
+    cover, fine = math.sqrt(radius * radius + square), math.sqrt(radius * radius + square / PARTS**2)
+    # From the lowest part on.
+    for k in range(count):
+        share = k - spread
+        x, y, z = middle[0] + share * dx, middle[1] + share * dy, middle[2] + share * dz
+        if z - reach[2] - top >= least:
+            break
+        far = -np.inf
+        if is_box:
+            far = min(least, z - reach[2] - _highest(points, grid, x, y, reach[0] + least, reach[1] + least))
+        if not far > need:
+            far = point_clearance(points, grid, x, y, z, least + cover) - cover
+        if not is_box and not far > need:
+            # Smaller spheres around the parts of this one.
+            far = least
+            for n in range(PARTS):
+                part = (n + 0.5) / PARTS - 0.5
+                at_x, at_y, at_z = x + part * dx, y + part * dy, z + part * dz
+                far = min(far, point_clearance(points, grid, at_x, at_y, at_z, far + fine) - fine)
+                if not far > need:
+                    break
+        if not far > need:
+            return 0.0
+        least = min(least, far)
+    return least

@@ -24,7 +24,7 @@ from surefoot.rotations import matrix_quat, quat_matrix, rpy_matrix
 from surefoot.world.actuation import RATIOS, ActuationState, bases_on_rack
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_loop import DATA_FIELDS, Native, advance, gather_base, observe
-from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
+from surefoot.world.mujoco_model import body_heights, build_model, foot_geoms, resting_qpos
 from surefoot.world.native import function_address, struct_offset
 
 Index = NDArray[np.int64]
@@ -79,6 +79,7 @@ class MujocoEngine:
 
     def _layout(self) -> Native:
         model, robot, num_envs = self._nominal, self.robot, len(self.datas)
+        heights, cell = body_heights(self._ground)
         joints = [model.joint(name) for name in robot.motor_names]
         free = model.body(robot.base).jntadr[0] if model.body(robot.base).jntnum[0] else -1
         motor_dof = np.array([joint.dofadr[0] for joint in joints], np.int64)
@@ -109,6 +110,10 @@ class MujocoEngine:
             foot_radius=model.geom_size[self._feet, 0].copy(),
             ground=self._ground.corners,
             ground_grid=self._ground.grid,
+            patches=self._ground.friction,
+            patch_grid=self._ground.patch_grid,
+            body_points=heights.astype(np.float32),
+            body_grid=np.array([*self._ground.grid[:2], cell]),
             **self._shapes(),
             friction=np.full(num_envs, robot.contact.friction),
             stiffness=np.full(num_envs, robot.contact.stiffness),
@@ -128,30 +133,35 @@ class MujocoEngine:
         bodies = model.geom_bodyid[shapes].astype(np.int64)
         order = np.argsort(bodies, kind="stable")
         shapes, bodies = shapes[order], bodies[order]
-        axes, counts, covers, halves = [], [], [], np.zeros((len(shapes), 3))
-        for k, shape in enumerate(shapes):
+        axes, counts, boxes, parts, halves = [], [], [], [], []
+        for shape in shapes:
             kind, size, axis = kinds(int(model.geom_type[shape])), model.geom_size[shape], 2
-            length, radius, end = 0.0, model.geom_rbound[shape], 0.0
+            length, radius = 0.0, model.geom_rbound[shape]
+            half = np.full(3, radius)
             if kind == kinds.mjGEOM_BOX:
-                axis = int(np.argmax(size))
-                length, radius, halves[k] = size[axis], np.linalg.norm(np.delete(size, axis)), size
+                axis, half = int(np.argmax(size)), size.copy()
+                length, radius = size[axis], np.linalg.norm(np.delete(size, axis))
             elif kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER):
                 radius, length, _ = size
-                end = radius if kind == kinds.mjGEOM_CAPSULE else 0.0
-            # Spheres that overhang little where the shape is slender; a capsule's round ends are longer.
-            count = int(np.clip(np.ceil((length + end) / (1.5 * radius)), 1, 8))
+                length += radius if kind == kinds.mjGEOM_CAPSULE else 0.0
+                half = np.array([radius, radius, length])
+            # Spheres around the parts overhang little where the shape is slender.
+            count = int(np.clip(np.ceil(length / (1.5 * radius)), 1, 8))
+            half[axis] /= count
             axes.append(axis)
             counts.append(count)
-            part = (length + end) / count
-            covers.append([2 * part, np.hypot(part, radius), np.hypot(length + end, radius)])
+            boxes.append(kind == kinds.mjGEOM_BOX)
+            parts.append([2 * length / count, radius, model.geom_rbound[shape]])
+            halves.append(half)
         others = [model.geom_conaffinity[model.geom_bodyid == body] & ~1 for body in bodies]
         return {
             "shape_geom": shapes,
             "shape_body": bodies,
             "shape_axis": np.array(axes, np.int64),
             "shape_count": np.array(counts, np.int64),
-            "shape_cover": np.array(covers).reshape(-1, 3),
-            "shape_half": halves,
+            "shape_is_box": np.array(boxes, np.bool_),
+            "shape_part": np.array(parts).reshape(-1, 3),
+            "shape_half": np.array(halves).reshape(-1, 3),
             "clearance": np.zeros((len(self.datas), len(shapes))),
             "geom_conaffinity": np.array([one.geom_conaffinity.ctypes.data for one in self.models], np.int64),
             "body_conaffinity": np.array([one.body_conaffinity.ctypes.data for one in self.models], np.int64),

@@ -23,7 +23,7 @@ from surefoot.world.actuation import (
     roll_pitch_yaw,
 )
 from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
-from surefoot.world.ground_contact import box_clearance, row_clearance, sphere_contacts
+from surefoot.world.ground_contact import friction_factor, shape_clearance, sphere_contacts
 from surefoot.world.native import call_step, doubles, ints, pointers, take_number
 
 Index = NDArray[np.int64]
@@ -73,12 +73,17 @@ class Native(NamedTuple):
     foot_radius: Array
     ground: Array  # corners of its cells, see `Ground`
     ground_grid: Array
+    patches: Array  # factors on friction, see `Ground`
+    patch_grid: Array
+    body_points: NDArray[np.float32]  # heights that other shapes meet, see `body_heights`
+    body_grid: Array
     shape_geom: Index  # shapes that meet the ground by MuJoCo's contacts, in the order of their bodies
     shape_body: Index
     shape_axis: Index  # along which each is longest
-    shape_count: Index  # of spheres in a row along it that cover the shape
-    shape_cover: Array  # distance and radius of these, and the radius of a single one [m]
-    shape_half: Array  # half lengths of boxes (S, 3) [m]
+    shape_count: Index  # of parts along it
+    shape_is_box: NDArray[np.bool_]
+    shape_part: Array  # distance of these, radius across, and the radius of a sphere around the shape [m]
+    shape_half: Array  # half lengths of a box around each part (S, 3) [m]
     clearance: Array  # how far each of a robot's shapes can move before it touches the ground (N, S) [m]
     geom_conaffinity: Index
     body_conaffinity: Index
@@ -133,30 +138,28 @@ def _select_shapes(native: Native, worker: int, i: int) -> None:
             vx = cvel[6 * b + 3] + wy * arm_z - wz * arm_y
             vy = cvel[6 * b + 4] + wz * arm_x - wx * arm_z
             vz = cvel[6 * b + 5] + wx * arm_y - wy * arm_x
-            turning = math.sqrt(wx * wx + wy * wy + wz * wz) * native.shape_cover[k, 2]
+            turning = math.sqrt(wx * wx + wy * wy + wz * wz) * native.shape_part[k, 2]
             motion = native.step * (math.sqrt(vx * vx + vy * vy + vz * vz) + turning)
             native.clearance[i, k] -= motion
             # Not written with `<`: what is not finite is near.
             if not native.clearance[i, k] > NEAR + motion:
-                row, offset, middle = 9 * g, native.shape_cover[k, 0], (x, y, z)
+                row, part, half = 9 * g, native.shape_part[k], native.shape_half[k]
                 axis = row + native.shape_axis[k]
-                clearance = row_clearance(
-                    native.ground,
-                    native.ground_grid,
-                    middle,
-                    (offset * xmat[axis], offset * xmat[axis + 3], offset * xmat[axis + 6]),
+                reach_x = abs(xmat[row]) * half[0] + abs(xmat[row + 1]) * half[1] + abs(xmat[row + 2]) * half[2]
+                reach_y = abs(xmat[row + 3]) * half[0] + abs(xmat[row + 4]) * half[1] + abs(xmat[row + 5]) * half[2]
+                reach_z = abs(xmat[row + 6]) * half[0] + abs(xmat[row + 7]) * half[1] + abs(xmat[row + 8]) * half[2]
+                native.clearance[i, k] = shape_clearance(
+                    native.body_points,
+                    native.body_grid,
+                    (x, y, z),
+                    (reach_x, reach_y, reach_z),
+                    (part[0] * xmat[axis], part[0] * xmat[axis + 3], part[0] * xmat[axis + 6]),
                     native.shape_count[k],
-                    native.shape_cover[k, 1],
+                    part[1],
+                    native.shape_is_box[k],
+                    NEAR + motion,
                     LOOK,
                 )
-                half = native.shape_half[k]
-                if half[0] > 0.0 and not clearance >= LOOK:
-                    reach_x = abs(xmat[row]) * half[0] + abs(xmat[row + 1]) * half[1] + abs(xmat[row + 2]) * half[2]
-                    reach_y = abs(xmat[row + 3]) * half[0] + abs(xmat[row + 4]) * half[1] + abs(xmat[row + 5]) * half[2]
-                    reach_z = abs(xmat[row + 6]) * half[0] + abs(xmat[row + 7]) * half[1] + abs(xmat[row + 8]) * half[2]
-                    reach = (reach_x, reach_y, reach_z)
-                    clearance = max(clearance, box_clearance(native.ground, native.ground_grid, middle, reach, LOOK))
-                native.clearance[i, k] = clearance
                 near = not native.clearance[i, k] > NEAR + motion
         geoms[g] = 1 if near else 0
         if near:
@@ -200,6 +203,7 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
         g, b = 3 * native.foot_geom[leg], native.foot_body[leg]
         radius = native.foot_radius[leg]
         both = sphere_contacts(native.ground, native.ground_grid, xpos[g], xpos[g + 1], xpos[g + 2], radius)
+        friction = native.friction[i] * friction_factor(native.patches, native.patch_grid, xpos[g], xpos[g + 1])
         wx, wy, wz = cvel[6 * b], cvel[6 * b + 1], cvel[6 * b + 2]
         for k in range(6):
             applied[6 * b + k] = 0.0
@@ -221,7 +225,7 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
                 (nx, ny, nz),
                 velocity,
                 stretch,
-                native.friction[i],
+                friction,
                 native.stiffness[i],
                 native.shear[i],
                 native.damping,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import product
 
 import mujoco
@@ -96,41 +97,47 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
     return spec
 
 
-def _add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
-    """Add what the robot's body meets: a plane, or a field of the ground's heights at points.
+def body_heights(ground: Ground) -> tuple[Array, float]:
+    """Return heights (X, Y) [m] at points of what the robot's body meets, and the distance [m] of these.
 
-    MuJoCo's fields have no steps: a wall is a slope over the distance of two points, at most `WALL_WIDTH`, which begins
-    at the wall, so that no leg meets it before the wall. Feet meet the exact walls.
+    MuJoCo's fields of heights have no steps: a wall is a slope over the distance of two points, at most `WALL_WIDTH`,
+    which begins at the wall, so that no leg meets it before the wall. Feet meet the exact walls.
     """
+    if ground.is_flat:
+        return np.zeros((0, 0)), ground.cell
+    parts = max(round(ground.cell / WALL_WIDTH), 1) if has_steps(ground) else 1
+    cell, inset = ground.cell / parts, 1e-6
+    x, y = (
+        np.arange(n * parts + 1) * cell + low for n, low in zip(ground.corners.shape[:2], ground.grid, strict=False)
+    )
+    around = [
+        ground.height(np.stack(np.meshgrid(x + a * inset, y + b * inset, indexing="ij"), axis=-1))
+        for a in (-1, 1)
+        for b in (-1, 1)
+    ]
+    lowest: Array = np.min(around, axis=0)
+    return lowest, cell
+
+
+def _add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
+    """Add what the robot's body meets: a plane, or the field of `body_heights`."""
     kind, place, size = mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]
     if not ground.is_flat:
-        parts = max(round(ground.cell / WALL_WIDTH), 1) if has_steps(ground) else 1
-        corners = np.array(ground.corners.shape[:2])
-        x, y = (
-            np.arange(n * parts + 1) * ground.cell / parts + low for n, low in zip(corners, ground.grid, strict=False)
-        )
-        inset = 1e-6
-        heights = np.min(
-            [
-                ground.height(np.stack(np.meshgrid(x + a * inset, y + b * inset, indexing="xy"), axis=-1))
-                for a in (-1, 1)
-                for b in (-1, 1)
-            ],
-            axis=0,
-        )
+        heights, cell = body_heights(ground)
+        rows, columns = heights.shape
         low, high = float(heights.min()), float(heights.max())
-        half = 0.5 * ground.cell * corners
+        # MuJoCo's diagonals go from low to high x and y; with a quarter turn of its field they are those of the ground.
         spec.add_hfield(
             name="ground",
-            nrow=len(y),
-            ncol=len(x),
-            size=[*half, max(high - low, 1e-3), 1.0],
-            userdata=((heights - low) / max(high - low, 1e-3)).ravel(),
+            nrow=rows,
+            ncol=columns,
+            size=[0.5 * cell * (columns - 1), 0.5 * cell * (rows - 1), max(high - low, 1e-3), 1.0],
+            userdata=((heights[::-1] - low) / max(high - low, 1e-3)).ravel(),
         )
         kind, place, size = mujoco.mjtGeom.mjGEOM_HFIELD, [*ground.center, low], [0.0, 0.0, 0.0]
     geom = spec.worldbody.add_geom(name="ground", type=kind, size=size, pos=place, contype=1, conaffinity=0, condim=3)
     if not ground.is_flat:
-        geom.hfieldname = "ground"
+        geom.hfieldname, geom.quat = "ground", [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
 
 
 def has_steps(ground: Ground) -> bool:
