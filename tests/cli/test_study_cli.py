@@ -8,9 +8,9 @@ import json
 import os
 import re
 import shutil
-import sys
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
