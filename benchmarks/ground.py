@@ -37,8 +37,13 @@ AWAY = (4.1, 4.1)
 class Command:
     """Measure and print."""
 
-    terrains: Annotated[tuple[str, ...], tyro.conf.Positional] = ("rough:0.12", "blocks:0.12")
-    policy: str = "go2-steer"
+    terrains: Annotated[tuple[str, ...], tyro.conf.Positional] = (
+        "slope:10",
+        "rough:0.12",
+        "blocks:0.12",
+        "stairs:0.08",
+    )
+    policy: str = "go2-terrain"
     world: str = "mujoco"
     num_envs: int = 64
     turns: int = 400

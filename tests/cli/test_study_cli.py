@@ -10,6 +10,7 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -214,6 +215,9 @@ def test_a_study_of_the_reality_gap(
     capsys.readouterr()
     worlds.clear()
     before = (out / "episodes.csv").read_text()
+    # Run folders name this process's command, not that of a worker.
+    for path in (tmp_path / "runs/gaps").glob("*/*/run.json"):
+        assert json.loads(path.read_text())["command"] == ["surefoot", *sys.argv[1:]]
     # All that a finished run needs to be taken up again.
     needed = {"policy.onnx", "config.yaml", "run.json", "figures.jsonl", "evaluations"}
     for file in (tmp_path / "runs/gaps").glob("*/*/*"):

@@ -168,3 +168,22 @@ def test_a_map_of_heights_is_late_and_has_its_errors():
 def test_a_field_that_does_not_fit_is_refused(values, message):
     with pytest.raises(SurefootError, match=message):
         TerrainConfig(**values)
+
+
+def test_friction_by_place_is_drawn_for_patches_out_to_the_border():
+    config = replace(FIELD, friction=(0.4, 1.2), friction_patch=0.5)
+    ground, plain = config.build(3).ground, FIELD.build(3).ground
+    # Three by two tiles of 8 m.
+    assert ground.friction.shape == (48, 32)
+    assert ground.patch_grid.tolist() == [-4.0, -4.0, 0.5]
+    assert 0.4 <= ground.friction.min() < 0.45
+    assert 1.15 < ground.friction.max() <= 1.2
+    np.testing.assert_array_equal(ground.corners, plain.corners)
+    assert plain.friction.size == 0
+    np.testing.assert_array_equal(ground.friction, config.build(3).ground.friction)
+    assert (ground.friction != config.build(4).ground.friction).any()
+    level = TerrainConfig(friction=(0.4, 1.2)).build(0).ground
+    assert level.is_flat
+    assert level.friction.shape == (40, 40)
+    with pytest.raises(SurefootError, match="the least factor must come first"):
+        TerrainConfig(friction=(1.2, 0.4))

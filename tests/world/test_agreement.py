@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import matrix_quat, quat_matrix, xyzw_matrix
 from surefoot.world.bullet_engine import BulletEngine
-from surefoot.world.ground import Ground
+from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_engine import MujocoEngine
 from surefoot.world.sim_world import SimWorld
@@ -360,6 +361,30 @@ def test_a_robot_that_is_turned_walks_as_one_that_is_not(robot: RobotDescription
         around = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
         np.testing.assert_allclose(turned, [*(around @ np.array([x, y]) + at), z], atol=2e-4)
         np.testing.assert_allclose(np.diff(truth.roll_pitch_yaw, axis=0)[0], [0.0, 0.0, turn], atol=1e-3)
+
+
+@pytest.mark.parametrize("shear", [1.0, 0.999])
+@pytest.mark.parametrize("ground", [FLAT, Ground(np.zeros((40, 40, 2, 2)), CELL)], ids=["plane", "cells"])
+def test_feet_slide_on_slippery_patches_and_hold_on_others_alike(robot: RobotDescription, ground: Ground, shear: float):
+    # 20 N forward: friction of .09 of a robot's weight gives way, at (20 - 6.6) N / 7.5 kg, 5 cm in .24 s; .9 of it
+    # holds. Patches lie side by side: the first robot stands on both of them, the second one on the left, slippery one.
+    ground = replace(ground, friction=np.array([[1.0, 0.1]]), patch=1.0)
+    config, moved = WorldConfig(ground=ground, threads=1), []
+    for world in both(robot, 2, config, contact_shear_ratio=shear, contact_friction=0.9):
+        world.place([0, 1], np.array([[0.0, 0.0], [0.0, 0.7]]), np.zeros(2))
+        world.reset()
+        for _ in range(60):
+            world.step(world.resting_angles)
+        before = world.foot_positions()[..., 0]
+        world.push(np.tile([20.0, 0.0, 0.0], (2, 1)))
+        for _ in range(40):
+            world.step(world.resting_angles)
+        moved.append(world.foot_positions()[..., 0] - before)
+    left = robot.leg_mounts[:, 1] > 0
+    for way in moved:
+        assert way[1].min() > 0.04
+        assert np.abs(way[0, ~left]).max() < 0.005 < way[0, left].min()
+    np.testing.assert_allclose(*moved, atol=3e-3)  # with give and without it
 
 
 def test_a_wall_stops_feet_alike(robot: RobotDescription):

@@ -157,8 +157,8 @@ def soles(load, velocity, omega=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0), stre
     """Force (3,) on a sphere of .02 m, .1 m below its link's centre, where it acts (3,), and the new stretch (3,)."""
     links = np.array([[1.0, 2.0, 3.0, *turn, *velocity, *omega]])
     after, force, place = np.array([stretch], float), np.zeros((1, 3)), np.zeros((1, 3))
-    centres, radii, law = np.array([[0.0, 0.0, -0.1]]), np.array([0.02]), (0.5, 300.0, 100.0, 0.001)
-    sole_kernel(links, np.array([load], float), centres, radii, law, after, force, place)
+    centres, radii, law = np.array([[0.0, 0.0, -0.1]]), np.array([0.02]), (np.array([0.5]), (300.0, 100.0, 0.001))
+    sole_kernel(links, np.array([load], float), centres, radii, *law, after, force, place)
     return force[0], place[0], after[0]
 
 

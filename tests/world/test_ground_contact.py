@@ -7,7 +7,7 @@ import pytest
 
 from surefoot.arrays import Array
 from surefoot.world.ground import FLAT, Ground
-from surefoot.world.ground_contact import STEEP, point_clearance, shape_clearance, sphere_contacts
+from surefoot.world.ground_contact import STEEP, friction_factor, point_clearance, shape_clearance, sphere_contacts
 from surefoot.world.mujoco_model import body_heights
 
 RADIUS, ERROR = 0.02, 1e-6
@@ -205,3 +205,11 @@ def test_clearances_worked_by_hand():
     for need in (0.01, 0.03):
         clearance = shape_clearance(points, ground.grid, (-0.04, 0.0, 0.14), *post, need, 0.05)
         assert clearance == pytest.approx(expected if expected > need else 0.0, abs=ERROR)
+
+
+def test_friction_of_a_place_is_that_of_its_patch_or_of_the_nearest_one():
+    ground = Ground(friction=np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]), patch=0.5, center=(1.0, 0.0))
+    places = {(0.6, -0.7): 0.1, (0.6, 0.0): 0.2, (1.4, 0.7): 0.6, (-9.0, 0.3): 0.3, (9.0, -9.0): 0.4}
+    for place, factor in places.items():
+        assert friction_factor(ground.friction, ground.patch_grid, *place) == factor
+    assert friction_factor(FLAT.friction, FLAT.patch_grid, 0.0, 0.0) == 1.0

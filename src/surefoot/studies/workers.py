@@ -13,6 +13,7 @@ import math
 import os
 import re
 import shutil
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -79,9 +80,12 @@ class Worker:
     Args:
         folder: the folder that paths count from.
         plugins: plug-ins whose terms the trainings use.
+        words: the command's words, which run folders name; those of this process, if None.
     """
 
-    def __init__(self, folder: str, plugins: Sequence[Plugin] = ()) -> None:
+    def __init__(self, folder: str, plugins: Sequence[Plugin] = (), words: Sequence[str] | None = None) -> None:
+        if words is not None:
+            sys.argv[1:] = words
         os.makedirs(folder, exist_ok=True)
         os.chdir(folder)
         for plugin in plugins:
@@ -289,7 +293,7 @@ def run_trainings(
                 idle.clear()
                 break
             is_new = not idle
-            worker = make_worker.remote(os.getcwd(), registered_plugins()) if is_new else idle.pop()
+            worker = make_worker.remote(os.getcwd(), registered_plugins(), sys.argv[1:]) if is_new else idle.pop()
             tries[training.name] = tries.get(training.name, 0) + 1
             running[worker.begin.remote(training)] = _Job(training, worker, is_new)
             change(training, "started")

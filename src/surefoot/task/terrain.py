@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,10 +14,11 @@ from surefoot.arrays import Array
 from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError, suggest
 from surefoot.rotations import in_heading_frame
-from surefoot.seeding import generators
+from surefoot.seeding import generator, generators
 from surefoot.task.commanded_way import has_kept_up, step_ways
 from surefoot.task.height_scan import ScanConfig
-from surefoot.world.terrain import TerrainField, check_size, make_field, make_terrain
+from surefoot.world.ground import Ground
+from surefoot.world.terrain import HALF, TerrainField, check_size, make_field, make_terrain
 
 MAX_TILES = 400
 """Tiles of the largest field."""
@@ -50,6 +51,10 @@ class TerrainConfig:
     """Robots begin at levels up to this one."""
     heading: Annotated[float, Within(0, 180)] = 0.0
     """Greatest angle [deg] to either side that robots are turned by at their start."""
+    friction: Annotated[tuple[float, float], Within(0, 10)] = (1.0, 1.0)
+    """Least and greatest factor on the feet's coefficient of friction; each patch of the ground draws its own."""
+    friction_patch: Annotated[float, Within(0.05, 10)] = 0.5
+    """Side of a patch [m]."""
     scan: ScanConfig = field(default_factory=ScanConfig)
     """Errors of the map of heights that the observation `height_scan` has."""
     curriculum: bool = True
@@ -62,6 +67,8 @@ class TerrainConfig:
         for name, sizes in self.sizes.items():
             for size in sizes:
                 check_size(name, size)
+        if self.friction[0] > self.friction[1]:
+            raise SurefootError(f"terrain.friction is {self.friction}; the least factor must come first")
         for name in self.shares:
             if name not in self.sizes:
                 raise SurefootError(
@@ -90,8 +97,17 @@ class TerrainConfig:
     def build(self, seed: int) -> TerrainField:
         """Return what robots stand on: the field of tiles, or one ground without any."""
         if self.sizes:
-            return make_field(self.sizes, self.shares, self.levels, self.columns, self.tile, seed)
-        return TerrainField(make_terrain(self.ground, seed))
+            tiles = make_field(self.sizes, self.shares, self.levels, self.columns, self.tile, seed)
+        else:
+            tiles = TerrainField(make_terrain(self.ground, seed))
+        return tiles if self.friction == (1.0, 1.0) else replace(tiles, ground=self._with_friction(tiles.ground, seed))
+
+    def _with_friction(self, ground: Ground, seed: int) -> Ground:
+        """Return a ground with friction by place, out to its border; a plane as far as a terrain."""
+        sides = 2 * HALF if ground.is_flat else np.array(ground.corners.shape[:2]) * ground.cell
+        count = np.ceil(np.broadcast_to(sides, 2) / self.friction_patch).astype(int)
+        factors = generator(seed, "friction").uniform(*self.friction, count)
+        return replace(ground, friction=factors, patch=self.friction_patch)
 
 
 class TerrainCurriculum:

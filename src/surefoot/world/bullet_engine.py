@@ -142,6 +142,8 @@ class BulletEngine:
             p.setJointMotorControlArray(body, motors, p.TORQUE_CONTROL, forces=torques, physicsClientId=client)
         if has_force:  # Bullet forgets a force after a step, and when torques are set
             p.applyExternalForce(body, -1, self._force[i].tolist(), measured[:3].tolist(), p.WORLD_FRAME, client)
+        if self._config.ground.friction.size:
+            model.update_friction()
         if model.soles:
             model.apply_sole_forces()
         if model.planes:

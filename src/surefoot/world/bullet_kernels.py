@@ -158,7 +158,8 @@ def sole_kernel(
     loads: Array,
     centres: Array,
     radii: Array,
-    law: tuple[float, float, float, float],
+    friction: Array,
+    law: tuple[float, float, float],
     stretch: Array,
     force: Array,
     place: Array,
@@ -171,12 +172,13 @@ def sole_kernel(
         loads: normal forces of the ground on the feet in the step that has ended, world frame (F, 3) [N].
         centres: centres of the feet in their links' frames (F, 3) [m].
         radii: of the feet (F,) [m].
-        law: coefficient of friction, stiffness along the ground [N/m], damping against it [N s/m], step [s].
+        friction: coefficients of the feet (F,).
+        law: stiffness along the ground [N/m], damping against it [N s/m], step [s].
         stretch: of the soles along the world's axes (F, 3) [m]; updated.
         force: output, world frame (F, 3) [N].
         place: output, where the forces act, world frame (F, 3) [m].
     """
-    friction, shear, damping, dt = law
+    shear, damping, dt = law
     arm, slip = np.empty(3), np.empty(3)
     for k in range(len(links)):
         force[k] = 0.0
@@ -193,7 +195,7 @@ def sole_kernel(
         for c in range(3):
             a, b = (c + 1) % 3, (c + 2) % 3
             slip[c] = links[k, VELOCITY + c] + links[k, OMEGA + a] * arm[b] - links[k, OMEGA + b] * arm[a]
-        friction_force_kernel(load, normal, slip, stretch[k], friction, shear, damping, dt, force[k])
+        friction_force_kernel(load, normal, slip, stretch[k], friction[k], shear, damping, dt, force[k])
 
 
 @njit(cache=True)

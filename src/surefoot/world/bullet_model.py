@@ -27,6 +27,7 @@ from surefoot.rotations import matrix_quat
 from surefoot.world.actuation import CONTACT, RACK_HEIGHT, RATIOS
 from surefoot.world.bullet_kernels import contact_planes, pin_kernel, sole_kernel, sphere_centres
 from surefoot.world.ground import FLAT, Ground, uneven_floor
+from surefoot.world.ground_contact import friction_factor
 from surefoot.world.interface import WorldConfig
 
 SOLVER_ITERATIONS = 50
@@ -401,16 +402,15 @@ class BulletModel:
             self._set_floor(values["floor_unevenness"])
 
     def _set_foot_contact(self) -> None:
-        friction, stiffness, spinning, shear = (self.values[name] for name in CONTACT)
+        _, stiffness, spinning, shear = (self.values[name] for name in CONTACT)
         # Bullet's own friction holds a foot where it is, without give.
         self.soles = shear != 1.0 and not self.rack
-        self._sole_law = (friction, stiffness * shear, self.robot.contact.damping, self.robot.timing.servo_step)
+        self._sole_law = (stiffness * shear, self.robot.contact.damping, self.robot.timing.servo_step)
         self._reset_soles()
         for link in self.feet:
             self._p.changeDynamics(
                 self.body,
                 link,
-                lateralFriction=0.0 if self.soles else friction,
                 # Bullet takes it as a length: it bounds the torque about the normal by this times the normal force.
                 spinningFriction=spinning,
                 contactStiffness=stiffness,
@@ -418,6 +418,19 @@ class BulletModel:
                 contactDamping=self.robot.contact.damping,
                 physicsClientId=self.client,
             )
+        self._foot_friction = np.full(len(self.feet), np.nan)
+        self.update_friction()
+
+    def update_friction(self) -> None:
+        """Give the feet the friction of the places where they are."""
+        ground, friction = self._ground, np.full(len(self.feet), self.values["contact_friction"])
+        if ground.friction.size:
+            grid = ground.patch_grid
+            friction *= [friction_factor(ground.friction, grid, x, y) for x, y, _ in self.foot_positions()]
+        for k in np.flatnonzero(friction != self._foot_friction):
+            lateral = 0.0 if self.soles else float(friction[k])
+            self._p.changeDynamics(self.body, self.feet[k], lateralFriction=lateral, physicsClientId=self.client)
+        self._foot_friction = friction
 
     def _scale_masses(self) -> None:
         """Multiply the nominal masses and moments of base and other links, and check that Bullet has them."""
@@ -533,7 +546,8 @@ class BulletModel:
         states = self._p.getLinkStates(self.body, self.feet, computeLinkVelocity=1, physicsClientId=self.client)
         links = np.array([[*state[0], *state[1], *state[6], *state[7]] for state in states])
         feet = (self.foot_centre, self.foot_radius)
-        sole_kernel(links, loads, *feet, self._sole_law, self._sole_stretch, self._sole_force, self._sole_place)
+        law, output = (self._foot_friction, self._sole_law), (self._sole_force, self._sole_place)
+        sole_kernel(links, loads, *feet, *law, self._sole_stretch, *output)
 
     def clear_contacts(self) -> None:
         """Forget the contacts that Bullet remembers and the soles' stretch, and centre pins with play."""

@@ -42,6 +42,11 @@ class Ground:
     course: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """Smooth course of the ground at the middles of the cells, (X, Y), from which robots' heights and tilts are
     measured: the slope of stairs, the mean of rough ground; the plane z = 0, if not given."""
+    friction: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Factors on the coefficient of friction of feet, on square patches around the middle of the field, (P, Q). Beyond
+    them those of the border go on; none: 1 everywhere."""
+    patch: float = 1.0
+    """Side of a patch."""
 
     @classmethod
     def from_points(
@@ -69,6 +74,12 @@ class Ground:
         """What compiled loops take beside the corners: low x, low y and side of a cell [m], (3,)."""
         sides = np.array(self.corners.shape[:2]) * self.cell
         return np.array([*(np.array(self.center) - sides / 2), self.cell])
+
+    @property
+    def patch_grid(self) -> Array:
+        """What compiled loops take beside the friction: low x, low y and side of a patch [m], (3,)."""
+        sides = np.array(self.friction.shape) * self.patch
+        return np.array([*(np.array(self.center) - sides / 2), self.patch])
 
     def height(self, points: Array) -> Array:
         """Return the heights (...) at points (..., 2)."""

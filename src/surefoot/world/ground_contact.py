@@ -214,13 +214,22 @@ def sphere_contacts(
     buried = z < height
     carrying, wall = NO_CONTACT, NO_CONTACT
     least, nx, ny, nz = np.inf, 0.0, 0.0, 1.0
+    if not buried:
+        # Most often the deepest: what is no nearer is left out soon.
+        distance, ex, ey, ez, within = _half_contact(
+            corners[i, j], u - i + v - j <= 1.0, (u - i) * side, (v - j) * side, z, side, radius
+        )
+        if within and ez >= STEEP:
+            carrying = _deeper(carrying, radius - distance, ex, ey, ez)
     for other_i in range(max(math.floor(u - reach), 0), min(math.floor(u + reach), last_i) + 1):
         for other_j in range(max(math.floor(v - reach), 0), min(math.floor(v + reach), last_j) + 1):
             other = corners[other_i, other_j]
+            if not buried and z - radius >= max(max(other[0, 0], other[0, 1]), max(other[1, 0], other[1, 1])):
+                continue
             # The cell's place that is nearest from above.
             at_u, at_v = min(max(u, other_i), other_i + 1.0), min(max(v, other_j), other_j + 1.0)
             du, dv = u - at_u, v - at_v
-            level = math.hypot(du, dv)
+            level = math.sqrt(du * du + dv * dv)
             if level == 0.0:
                 # On the cell, or exactly at its border, where a wall faces away from its middle.
                 du, dv = u - other_i - 0.5, v - other_j - 0.5
@@ -263,6 +272,22 @@ def sphere_contacts(
             return NO_CONTACT, (radius + least, nx, ny, nz)
         carrying = (radius + least, nx, ny, nz)
     return carrying, wall
+
+
+@_function
+def friction_factor(friction: Array, grid: Array, x: float, y: float) -> float:
+    """Return the factor on the coefficient of friction at a place [m].
+
+    Args:
+        friction: that of the `Ground`, (P, Q).
+        grid: its `patch_grid`.
+        x: of the place in the world [m].
+        y: as x.
+    """
+    if friction.shape[0] == 0:
+        return 1.0
+    i, j = math.floor((x - grid[0]) / grid[2]), math.floor((y - grid[1]) / grid[2])
+    return float(friction[min(max(i, 0), friction.shape[0] - 1), min(max(j, 0), friction.shape[1] - 1)])
 
 
 @_function

@@ -110,6 +110,8 @@ class MujocoEngine:
             foot_radius=model.geom_size[self._feet, 0].copy(),
             ground=self._ground.corners,
             ground_grid=self._ground.grid,
+            patches=self._ground.friction,
+            patch_grid=self._ground.patch_grid,
             body_points=heights.astype(np.float32),
             body_grid=np.array([*self._ground.grid[:2], cell]),
             **self._shapes(),

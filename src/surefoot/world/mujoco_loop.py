@@ -23,7 +23,7 @@ from surefoot.world.actuation import (
     roll_pitch_yaw,
 )
 from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
-from surefoot.world.ground_contact import shape_clearance, sphere_contacts
+from surefoot.world.ground_contact import friction_factor, shape_clearance, sphere_contacts
 from surefoot.world.native import call_step, doubles, ints, pointers, take_number
 
 Index = NDArray[np.int64]
@@ -73,6 +73,8 @@ class Native(NamedTuple):
     foot_radius: Array
     ground: Array  # corners of its cells, see `Ground`
     ground_grid: Array
+    patches: Array  # factors on friction, see `Ground`
+    patch_grid: Array
     body_points: NDArray[np.float32]  # heights that other shapes meet, see `body_heights`
     body_grid: Array
     shape_geom: Index  # shapes that meet the ground by MuJoCo's contacts, in the order of their bodies
@@ -201,6 +203,7 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
         g, b = 3 * native.foot_geom[leg], native.foot_body[leg]
         radius = native.foot_radius[leg]
         both = sphere_contacts(native.ground, native.ground_grid, xpos[g], xpos[g + 1], xpos[g + 2], radius)
+        friction = native.friction[i] * friction_factor(native.patches, native.patch_grid, xpos[g], xpos[g + 1])
         wx, wy, wz = cvel[6 * b], cvel[6 * b + 1], cvel[6 * b + 2]
         for k in range(6):
             applied[6 * b + k] = 0.0
@@ -222,7 +225,7 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
                 (nx, ny, nz),
                 velocity,
                 stretch,
-                native.friction[i],
+                friction,
                 native.stiffness[i],
                 native.shear[i],
                 native.damping,
