@@ -91,6 +91,7 @@ def play(world: Any, trot: Any) -> list[Any]:
         returned.append(world.truth())
     params = world.params.rows([4, 0]).with_values(world.robot, leg_mass_ratio=1.4, contact_friction=0.5)
     world.set_params([4, 0], params)
+    world.place([0, 3], np.array([[0.5, 0.0], [0.0, -0.3]]), np.array([1.0, -2.0]))
     returned.append(world.reset([4, 0, -2]))
     world.push(np.arange(3 * NUM).reshape(NUM, 3))
     target = np.tile(trot(3), (NUM, 1))

@@ -33,7 +33,7 @@ Rows = TypeVar("Rows", Readings, Truth)
 
 _WAIT = 2.0
 """Time [s] that a process has to end by itself."""
-_ROWS = ("engine", "control_steps", "noise", "diverged", "starts")
+_ROWS = ("engine", "control_steps", "noise", "diverged", "starts", "headings")
 """Arrays of a world's state with a row for each robot."""
 _idle_processes: list[subprocess.Popen[bytes]] | None = None
 """Processes that wait for the next world; None where none are kept."""
