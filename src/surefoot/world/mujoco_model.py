@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from itertools import product
 
@@ -97,6 +98,7 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
     return spec
 
 
+@functools.lru_cache(maxsize=1)
 def body_heights(ground: Ground) -> tuple[Array, float]:
     """Return heights (X, Y) [m] at points of what the robot's body meets, and the distance [m] of these.
 
