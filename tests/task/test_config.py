@@ -11,7 +11,8 @@ import pytest
 from surefoot.configuration import to_mapping, write_yaml
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.task.config import TaskConfig, load_task, preset_names
+from surefoot.task.commands import CommandState
+from surefoot.task.config import FeedbackConfig, TaskConfig, load_task, preset_names
 
 
 def test_gallop_learns_from_scratch_and_trot_follows_a_reference():
@@ -122,6 +123,22 @@ def test_beside_a_relative_reference_bounds_are_narrowed_to_what_legs_allow() ->
     assert gait.low[-1] == -0.12
     assert highest + gait.high[-1] == pytest.approx(0.9)
     assert lowest + gait.low[-1] >= 0.35
+
+
+def test_feedback_on_commands_that_are_clipped_keeps_its_bounds() -> None:
+    robot = RobotDescription.load("go2")
+    task = load_task("steer", "go2")[0]
+    wide = FeedbackConfig(abduction=(-0.3, 0.3), swing=(-0.7, 0.7), extension=(-0.3, 0.9))
+    gait = replace(task, feedback=wide).gait(robot)
+    lowest, _ = gait.reference.extent()[-1]
+    np.testing.assert_allclose(gait.low[::4], [-0.3, -0.7, -0.3])
+    # Beyond what stretches the shortest leg of the reference to .9, more is of no use.
+    np.testing.assert_allclose(gait.high[::4], [0.3, 0.7, 0.9 - lowest])
+    state = CommandState(np.zeros((2, 3)), np.ones(2), np.array([0.1, 0.8]))
+    for end in (gait.low, gait.high):
+        poses = robot.to_pose(gait.motor_targets(np.zeros(2), np.tile(end, (2, 1)), state))
+        assert poses[:, -1].min() > 0.35 - 1e-9
+        assert poses[:, -1].max() < 0.9 + 1e-9
 
 
 def test_the_base_of_a_robots_task_is_its_own_task_of_that_name():

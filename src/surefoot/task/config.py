@@ -131,7 +131,7 @@ class TaskConfig:
     def gait(self, robot: RobotDescription) -> HybridGait:
         """Return the gait: reference and bounds of the feedback, which the robot must allow.
 
-        Beside a `relative` reference, which serves any robot, bounds are narrowed to what the legs allow.
+        Beside a `relative` reference, which serves any robot, bounds are narrowed: see `narrowed_bounds`.
         """
         reference = make_reference(self.reference, robot, self.commands.limits(robot), self.nominal(robot))
         names = {"leg": robot.coordinates, "joint": ("joint",), "angle": ()}[self.action]

@@ -32,19 +32,37 @@ def action_names(robot: RobotDescription, kind: ActionKind, memory: int = 0) -> 
 
 
 def narrowed_bounds(bounds: Sequence[Range], reference: Reference, robot: RobotDescription) -> list[Range]:
-    """Return bounds of the feedback in leg space, narrowed to what the robot's legs allow beside a reference."""
+    """Return bounds of the feedback in leg space, narrowed to what the robot's legs allow beside a reference.
+
+    Beside a reference that follows commands with a lead, poses are clipped to the leg space: feedback may be all that is of
+    use in some phase. Beside others it must fit in every phase.
+    """
     spans = zip(bounds, reference.extent(), robot.leg_space.values(), strict=True)
+    if isinstance(_leading(reference), FollowingReference):
+        return [
+            (max(low, least - highest), min(high, most - lowest))
+            for (low, high), (lowest, highest), (least, most) in spans
+        ]
     return [
         (max(low, min(least - lowest, 0.0)), min(high, max(most - highest, 0.0)))
         for (low, high), (lowest, highest), (least, most) in spans
     ]
 
 
+def _leading(reference: Reference) -> FootReference | FollowingReference | None:
+    """Return a reference that commands lead, and None for others."""
+    if isinstance(reference, FootReference | FollowingReference) and reference.velocity_feedforward:
+        return reference
+    if isinstance(reference, FollowingReference) and reference.acceleration_feedforward:
+        return reference
+    return None
+
+
 class HybridGait:
     """Reference plus bounded feedback (Tan et al. 2018, eq. 3).
 
-    With `velocity_feedforward` T of the reference, commands are T dq/dt ahead of it, as far as legs allow: an actuator
-    with T = k_d / k_p then damps the difference to the reference's velocity, not the velocity.
+    With `velocity_feedforward` T of the reference, commands are T dq/dt ahead of it: an actuator with T = k_d / k_p then
+    damps the difference to the reference's velocity, not the velocity. Commands with a lead are clipped to what legs allow.
 
     Feedback is in leg space, C numbers a leg, or, with `action` joint, an angle for each of the M motors. With `action`
     angle there is no reference and no leg space: feedback is the motors' angles themselves, within the joints' limits.
@@ -59,7 +77,7 @@ class HybridGait:
         memory: numbers that a policy keeps from one control step to the next.
 
     Raises:
-        SurefootError: a command could leave the leg's range.
+        SurefootError: a command that is not clipped could leave the leg's range.
     """
 
     def __init__(
@@ -71,13 +89,11 @@ class HybridGait:
         memory: int = 0,
     ) -> None:
         self.robot, self.reference, self.action_kind, self.memory = robot, reference, action, memory
-        self._leading: FootReference | FollowingReference | None = None
-        if isinstance(reference, FootReference | FollowingReference) and reference.velocity_feedforward:
-            self._leading = reference
+        self._leading = _leading(reference)
         self._accelerating: FollowingReference | None = None
         self._carrying: FollowingReference | None = None
         if isinstance(reference, FollowingReference) and reference.acceleration_feedforward:
-            self._leading = self._accelerating = reference
+            self._accelerating = reference
         if isinstance(reference, FollowingReference) and reference.weight_feedforward:
             self._carrying = reference
             self._allowed = robot.angle_extent(*robot.leg_space.values())
@@ -102,6 +118,9 @@ class HybridGait:
         feedback = bounds if action == "leg" else [(0.0, 0.0)] * len(coordinates)
         spans = zip(robot.leg_space.items(), robot.leg_geometry.units, reference.extent(), feedback, strict=True)
         for (name, (allowed_low, allowed_high)), unit, (least, most), (low, high) in spans:
+            if isinstance(self._leading, FollowingReference):
+                self._ranges.append((max(least + low, allowed_low), min(most + high, allowed_high)))
+                continue
             self._ranges.append((least + low, most + high))
             if least + low < allowed_low - 1e-9 or most + high > allowed_high + 1e-9:
                 unit = "" if unit == "1" else f" {unit}"
