@@ -34,8 +34,8 @@ def action_names(robot: RobotDescription, kind: ActionKind, memory: int = 0) -> 
 def narrowed_bounds(bounds: Sequence[Range], reference: Reference, robot: RobotDescription) -> list[Range]:
     """Return bounds of the feedback in leg space, narrowed to what the robot's legs allow beside a reference.
 
-    Beside a reference that follows commands with a lead, poses are clipped to the leg space: feedback may be all that is
-    of use in some phase. Beside others it must fit in every phase.
+    Beside a reference that follows commands with a lead, poses are clipped to the leg space: feedback may be all that
+    is of use in some phase. Beside others it must fit in every phase.
     """
     spans = zip(bounds, reference.extent(), robot.leg_space.values(), strict=True)
     if isinstance(_leading(reference), FollowingReference):
@@ -62,8 +62,8 @@ class HybridGait:
     """Reference plus bounded feedback (Tan et al. 2018, eq. 3).
 
     With `velocity_feedforward` T of the reference, commands are T dq/dt ahead of it: an actuator with T = k_d / k_p
-    then damps the difference to the reference's velocity, not the velocity. Commands with a lead are clipped to what legs
-    allow.
+    then damps the difference to the reference's velocity, not the velocity. Commands with a lead are clipped to what
+    legs allow.
 
     Feedback is in leg space, C numbers a leg, or, with `action` joint, an angle for each of the M motors. With `action`
     angle there is no reference and no leg space: feedback is the motors' angles themselves, within the joints' limits.
