@@ -149,6 +149,12 @@ def test_the_base_of_a_robots_task_is_its_own_task_of_that_name():
     assert not steer.randomize
 
 
+def test_the_base_of_a_file_is_the_own_task_of_the_robot_it_names(tmp_path: Path) -> None:
+    robust = load_task("steer-robust", "go2")[0]
+    assert load(tmp_path, "base: steer-robust\nrobot: go2\n") == replace(robust, name="mine")
+    assert load(tmp_path, "base: steer\n") == replace(load_task("steer", "solo8")[0], name="mine", robot="minitaur")
+
+
 def test_a_task_lays_its_own_values_over_those_of_its_base(tmp_path: Path) -> None:
     base = load_task("trot", "go2")[0]
     changed = "base: trot\nrobot: go2\nreference: {foot: {height: 0.7}}\nmax_steps: 7\ntrain: {steps: 5}\n"

@@ -209,20 +209,16 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
 def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return a task file's table merged over that of the task that its key `base` names, if it has one.
 
-    That is a preset, or for a task of a robot that ships another one of the same robot.
+    In a file with the name of a robot that ships that is the robot's own task of that name before one for any robot.
     """
-    base = data.pop("base", None)
+    base, robot = data.pop("base", None), data.get("robot")
     if base is None:
         return data
-    folders = [_PRESETS, path.parent] if path.parent in _robot_tasks() else [_PRESETS]
-    files = {file.stem: file for folder in folders for file in folder.glob("*.yaml") if file != path}
+    own = [RobotDescription.find_folder(robot) / "tasks"] if robot in RobotDescription.available() else []
+    files = {file.stem: file for folder in (_PRESETS, *own) for file in folder.glob("*.yaml") if file != path}
     if base not in list(files):  # it may be unhashable
         raise SurefootError(f"{path}: base is {quote(base)}; {suggest(base, sorted(files))}")
     return _merge(_with_base(read_yaml(files[base]), files[base]), data)
-
-
-def _robot_tasks() -> list[Path]:
-    return [RobotDescription.find_folder(robot) / "tasks" for robot in RobotDescription.available()]
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
