@@ -119,8 +119,8 @@ def test_commands_lead_by_what_the_weight_bends_the_actuators() -> None:
 
 def test_commands_lead_by_the_gains_of_the_task() -> None:
     lead = changed("go2", {"servo_kp": 30.0, "servo_kd": 0.6}).reference.velocity_feedforward
-    assert lead == pytest.approx(0.6 / 30.0)
-    assert reference_of("go2").velocity_feedforward == pytest.approx(1.0 / 40.0)
+    assert lead == pytest.approx(0.8 * 0.6 / 30.0)  # of which the robot's task has .8
+    assert reference_of("go2").velocity_feedforward == pytest.approx(0.8 * 1.0 / 40.0)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
