@@ -37,15 +37,13 @@ def narrowed_bounds(bounds: Sequence[Range], reference: Reference, robot: RobotD
     Beside a reference that follows commands with a lead, poses are clipped to the leg space: feedback may be all that
     is of use in some phase. Beside others it must fit in every phase.
     """
-    spans = zip(bounds, reference.extent(), robot.leg_space.values(), strict=True)
+    extent = reference.extent()
     if isinstance(_leading(reference), FollowingReference):
-        return [
-            (max(low, least - highest), min(high, most - lowest))
-            for (low, high), (lowest, highest), (least, most) in spans
-        ]
+        extent = tuple((highest, lowest) for lowest, highest in extent)
+    spans = zip(bounds, extent, robot.leg_space.values(), strict=True)
     return [
-        (max(low, min(least - lowest, 0.0)), min(high, max(most - highest, 0.0)))
-        for (low, high), (lowest, highest), (least, most) in spans
+        (max(low, min(least - down_from, 0.0)), min(high, max(most - up_from, 0.0)))
+        for (low, high), (down_from, up_from), (least, most) in spans
     ]
 
 
