@@ -10,7 +10,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
@@ -145,8 +145,13 @@ class RunFolder:
         return cls.create_at(config, path)
 
     @classmethod
-    def create_at(cls, config: TrainConfig, path: Path) -> RunFolder:
+    def create_at(cls, config: TrainConfig, path: Path, words: Sequence[str] | None = None) -> RunFolder:
         """Make the folder of a new run at a given path; figures of an earlier run there are removed.
+
+        Args:
+            config: of the run.
+            path: of the folder.
+            words: the command's words after `surefoot`; those of this process, if None.
 
         Raises:
             SurefootError: it can't be made.
@@ -162,7 +167,7 @@ class RunFolder:
             "format": FORMAT,
             "surefoot": __version__,
             "git": _git_revision(),
-            "command": ["surefoot", *sys.argv[1:]],
+            "command": ["surefoot", *(sys.argv[1:] if words is None else words)],
             "started": time.strftime(_TIME),
             "seed": config.seed,
             "plugins": to_mapping(

@@ -84,13 +84,11 @@ class Worker:
     """
 
     def __init__(self, folder: str, plugins: Sequence[Plugin] = (), words: Sequence[str] | None = None) -> None:
-        if words is not None:
-            sys.argv[1:] = words
         os.makedirs(folder, exist_ok=True)
         os.chdir(folder)
         for plugin in plugins:
             register_plugin(plugin)
-        self._lock = contextlib.ExitStack()
+        self._words, self._lock = words, contextlib.ExitStack()
         self._loop: TrainingLoop | None = None
 
     def begin(self, training: Training) -> ProgressReport:
@@ -114,7 +112,7 @@ class Worker:
         training.check()
         state = training.state
         if state == "new":
-            RunFolder.create_at(training.config, training.path)
+            RunFolder.create_at(training.config, training.path, self._words)
         folder, config = RunFolder.open(training.path)
         training = replace(training, config=config)
         if state == "finished":
