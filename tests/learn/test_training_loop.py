@@ -23,7 +23,7 @@ from surefoot.learn.training_loop import TrainingLoop
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import load_ranges
-from surefoot.task.height_scan import scan_columns
+from surefoot.task.height_scan import AROUND, MAP
 from surefoot.task.reference import make_reference
 from surefoot.world.sim_world import SimWorld
 
@@ -232,7 +232,9 @@ def test_a_new_observation_is_normalized_as_the_value_network_normalized_it(tmp_
     seeing = TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
     learned, actor = before.learner.algorithm.critic.obs_normalizer, seeing.learner.policy.obs_normalizer
     columns = [*before.learner.env.observer.columns, *before.learner.env.privileged_columns]
-    places = [columns.index(name) for name in scan_columns()]
+    near = MAP.nearest(AROUND)
+    assert near["ground-2.5.left0.5"] == "ground-3.middle"
+    places = [columns.index(near[name]) for name in MAP.columns()]
     assert (learned.mean[places] < -0.1).all()
     for name in ("mean", "std"):
         assert torch.equal(getattr(actor, name)[-len(places) :], getattr(learned, name)[places])

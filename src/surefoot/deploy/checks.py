@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.task.contract_mapping import check_plugins, task_from_contract
-from surefoot.task.height_scan import scan_grid
+from surefoot.task.height_scan import MAP
 from surefoot.task.observation import PARTS, Observer
 
 Gains = float | Sequence[float] | Array
@@ -172,7 +172,7 @@ def _grid_error(contract: Contract, robot: RobotDescription) -> str | None:
         return "height_map is the grid of the observation height_scan; it must have both or neither"
     if grid is None:
         return None
-    for what, places, expected in zip(("ahead", "left"), (grid.ahead, grid.left), scan_grid(robot), strict=True):
+    for what, places, expected in zip(("ahead", "left"), (grid.ahead, grid.left), MAP.scale(robot), strict=True):
         if len(places) != len(expected) or not np.allclose(places, expected, atol=1e-4):
             return f"the {len(places)} places {what} of its map are not the {len(expected)} of {robot.name} here"
     return None

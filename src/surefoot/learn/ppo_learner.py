@@ -28,6 +28,7 @@ from surefoot.robot.commands import COMMANDS
 from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv, SimulationFactory
 from surefoot.task.gait import HybridGait
+from surefoot.task.height_scan import AROUND, MAP
 
 
 @dataclass(frozen=True)
@@ -351,8 +352,10 @@ def _move_inputs(
     named = {name: k for k, (_, name) in enumerate(seen)} if critic["mlp.0.weight"].shape[1] == len(seen) else {}
     kept = [k for k, one in enumerate(new) if one in places]
     taken = [places[new[k]] for k in kept]
-    normalized = [k for k, (_, name) in enumerate(new) if name in named]
-    shared = [named[new[k][1]] for k in normalized]
+    near = MAP.nearest(AROUND)
+    alike = {k: name if name in named else near.get(name) for k, (_, name) in enumerate(new)}
+    normalized = [k for k, name in alike.items() if name in named]
+    shared = [named[alike[k]] for k in normalized]
     moved = dict(network)
     for key, start in fresh.items():
         normalizes = key.startswith("obs_normalizer") and start.dim() == 2

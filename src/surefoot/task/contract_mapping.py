@@ -22,7 +22,7 @@ from surefoot.robot.params_file import ParamValue, param_values
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.gait import ActionKind, action_names
-from surefoot.task.height_scan import scan_grid
+from surefoot.task.height_scan import MAP
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.plugins import changed_plugins, used_plugins
 from surefoot.task.reference import ReferenceConfig
@@ -102,7 +102,7 @@ def contract_from_task(
         config_hash=whole_hash or config_hash(_without_path(to_mapping(task), robot)),
         figures=dict(figures or {}),
         commands=task.commands.limits(robot),
-        height_map=HeightMap(*scan_grid(robot), age=scan.delay * float(task.nominal(robot).control_step[0]))
+        height_map=HeightMap(*MAP.scale(robot), age=scan.delay * float(task.nominal(robot).control_step[0]))
         if "height_scan" in task.observations
         else None,
         plugins=used_plugins(task.reward, task.observations),

@@ -19,7 +19,7 @@ from surefoot.rotations import in_heading_frame
 from surefoot.seeding import generators
 from surefoot.task.commands import CommandFilter, CommandGenerator, CommandState
 from surefoot.task.config import TaskConfig
-from surefoot.task.height_scan import HeightScanner, scan_columns, scan_heights, scan_points
+from surefoot.task.height_scan import AROUND, HeightScanner, scan_heights
 from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
 from surefoot.task.reward import Scales, StepMotion, base_height, base_rates, base_tilt, step_reward
@@ -92,7 +92,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.gait = task.gait(robot)
         self.observer = Observer(robot, task.observations, self.gait.action_names)
         self._scales = Scales.from_robot(robot)
-        self._scan_points = scan_points(robot)
+        self._scan_points = AROUND.points(robot)
         self.nominal = task.nominal(robot).rows(np.zeros(max(num_envs, 1), np.int64))
         self._make_world = make_world
         self._make(seed)
@@ -344,7 +344,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         ]
         if not self.task.terrain.is_flat:
             scan = scan_heights(self.ground, self._scan_points, truth.base_position_world, truth.roll_pitch_yaw[:, 2])
-            parts.append((scan_columns(), scan))
+            parts.append((AROUND.columns(), scan))
         if self.commands is not None:
             parts.append((["heading_error"], self.commands.heading_error[:, None]))
         if period is not None:

@@ -14,31 +14,52 @@ from surefoot.robot import RobotDescription
 from surefoot.seeding import generators
 from surefoot.world.ground import Ground
 
-AHEAD = tuple(0.25 * k for k in range(-5, 8))
-"""Places of the points ahead of the base, in lengths of the straight leg."""
-ASIDE = tuple(0.25 * k for k in range(-3, 4))
-"""Places of the points to its left, in the same."""
+
+@dataclass(frozen=True)
+class Grid:
+    """Points around the base, in lengths of the straight leg."""
+
+    ahead: tuple[float, ...]
+    """Places ahead of the base's origin, rising."""
+    left: tuple[float, ...]
+    """Places to its left, rising."""
+
+    def scale(self, robot: RobotDescription) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return the places ahead and to the left of the base's origin of a robot, upright [m]."""
+        length = robot.leg_geometry.length
+        return tuple(length * place for place in self.ahead), tuple(length * place for place in self.left)
+
+    def points(self, robot: RobotDescription) -> Array:
+        """Return the points (K, 2) [m] around a robot: x ahead and y to the left of the base's origin, upright."""
+        x, y = np.meshgrid(*self.scale(robot), indexing="ij")
+        points: Array = np.stack([x.ravel(), y.ravel()], axis=-1)
+        return points
+
+    def columns(self) -> list[str]:
+        """Return the names of heights at the points, in quarters of a leg; right ones are mirror images of left ones."""
+        sides = {0.0: "middle"} | {y: f"{'left' if y > 0 else 'right'}{4 * abs(y):g}" for y in self.left if y}
+        return [f"ground{4 * x:g}.{sides[y]}" for x in self.ahead for y in self.left]
+
+    def nearest(self, other: Grid) -> dict[str, str]:
+        """Return for each of the points the name of another grid's nearest point, by its own name."""
+        near = [
+            [min(places, key=lambda place, one=one: abs(place - one)) for one in ones]
+            for ones, places in ((self.ahead, other.ahead), (self.left, other.left))
+        ]
+        return dict(zip(self.columns(), Grid(*map(tuple, near)).columns(), strict=True))
+
+
+def _places(low: int, high: int, count: int) -> tuple[float, ...]:
+    """Return places from `low` to `high` quarters of a leg, `count` to a quarter."""
+    return tuple(k / (4 * count) for k in range(low * count, high * count + 1))
+
+
+MAP = Grid(_places(-3, 5, 2), _places(-2, 2, 2))
+"""What a policy sees: fine enough to set a foot beside a gap."""
+AROUND = Grid(_places(-5, 7, 1), _places(-3, 3, 1))
+"""What the value network sees."""
 RANGE = 1.0
 """Limit of the heights of a scan [m], up and down from the base's origin."""
-
-
-def scan_grid(robot: RobotDescription) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the places of a robot's grid ahead and to the left of the base's origin, upright [m], rising."""
-    length = robot.leg_geometry.length
-    return tuple(length * place for place in AHEAD), tuple(length * place for place in ASIDE)
-
-
-def scan_points(robot: RobotDescription) -> Array:
-    """Return the points (K, 2) [m] of a robot's grid: x ahead and y to the left of the base's origin, upright."""
-    x, y = np.meshgrid(*scan_grid(robot), indexing="ij")
-    points: Array = np.stack([x.ravel(), y.ravel()], axis=-1)
-    return points
-
-
-def scan_columns() -> list[str]:
-    """Return the names of the heights of a scan; those of the right are mirror images of those of the left."""
-    sides = {0.0: "middle"} | {y: f"{'left' if y > 0 else 'right'}{round(4 * abs(y))}" for y in ASIDE if y}
-    return [f"ground{round(4 * x)}.{sides[y]}" for x in AHEAD for y in ASIDE]
 
 
 def scan_heights(ground: Ground, points: Array, position: Array, yaw: Array) -> Array:
@@ -91,7 +112,7 @@ class HeightScanner:
     """Names of the arrays that change over time."""
 
     def __init__(self, config: ScanConfig, robot: RobotDescription, num_envs: int, seed: int) -> None:
-        self.config, self.points = config, scan_points(robot)
+        self.config, self.points = config, MAP.points(robot)
         self.streams = generators(seed, "height scan", num_envs)
         # The newest scan first.
         self._past = np.zeros((config.delay + 1, num_envs, len(self.points)))

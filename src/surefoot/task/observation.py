@@ -13,7 +13,7 @@ from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.commands import CommandState
-from surefoot.task.height_scan import scan_columns
+from surefoot.task.height_scan import MAP
 from surefoot.task.reference import Reference
 from surefoot.world.interface import Readings
 
@@ -107,7 +107,7 @@ PARTS: dict[str, Part] = {
         "m/s, m/s, rad/s", "heading: x forward, y left", lambda _: [f"command_{name}" for name in COMMANDS], _command
     ),
     "height_scan": Part(
-        "m", "heading, from the base's origin: x forward, y left, z up", lambda _: scan_columns(), _heights
+        "m", "heading, from the base's origin: x forward, y left, z up", lambda _: MAP.columns(), _heights
     ),
     "last_action": Part(
         "rad",

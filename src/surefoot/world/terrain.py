@@ -33,7 +33,7 @@ LAND = 0.6
 GAP = 0.1
 """Distance [m] of stepping stones."""
 DEPTH = 1.0
-"""Depth [m] of gaps, and of the ground between stones."""
+"""Depth [m] of the ground between stones, and of gaps, if they are not narrower than half of it."""
 GRID = 0.05
 """Widths of gaps and sides of stones are whole multiples of this [m]."""
 CELL = 0.1
@@ -125,7 +125,7 @@ def _gaps(size: float, half: float, cell: float, _: np.random.Generator) -> Heig
     distance = _distance(half, cell)
     # The first gap is at the edge of the level place.
     gap = (distance > 0) & (np.round(distance % (size + LAND), 6) < size)
-    return _level_cells(np.where(gap, -DEPTH, 0.0)), np.zeros_like(distance)
+    return _level_cells(np.where(gap, -min(DEPTH, 2 * size), 0.0)), np.zeros_like(distance)
 
 
 def _stones(size: float, half: float, cell: float, _: np.random.Generator) -> Heights:
