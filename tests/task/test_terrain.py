@@ -15,7 +15,7 @@ from surefoot.robot import RobotDescription
 from surefoot.rotations import in_heading_frame
 from surefoot.task.config import load_task
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.height_scan import AROUND, MAP, HeightScanner, ScanConfig, scan_heights
+from surefoot.task.height_scan import AROUND, HeightScanner, ScanConfig, scan_heights
 from surefoot.task.terrain import TerrainConfig, TerrainCurriculum
 from surefoot.world.ground import FLAT
 from surefoot.world.registry import find_world

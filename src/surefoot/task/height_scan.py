@@ -36,7 +36,7 @@ class Grid:
         return points
 
     def columns(self) -> list[str]:
-        """Return the names of heights at the points, in quarters of a leg; right ones are mirror images of left ones."""
+        """Return names of the heights at the points, in quarters of a leg; those of the right mirror the left ones."""
         sides = {0.0: "middle"} | {y: f"{'left' if y > 0 else 'right'}{4 * abs(y):g}" for y in self.left if y}
         return [f"ground{4 * x:g}.{sides[y]}" for x in self.ahead for y in self.left]
 
