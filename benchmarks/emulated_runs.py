@@ -33,6 +33,7 @@ class Case(NamedTuple):
     """Seeds of robots with hidden parameters; the data sheet's robot without."""
     forward: float = 0.0
     """Command to a policy with commands [m/s]."""
+    robot: str = "minitaur"
 
 
 CASES = {
@@ -43,6 +44,7 @@ CASES = {
     "trot-robust/mujoco-minute": Case("trot-robust", "mujoco", ("--duration", 60)),
     "trot-robust/bullet-minute": Case("trot-robust", "bullet", ("--duration", 60)),
     "steer/mujoco-ten-minutes": Case("steer", "mujoco", ("--duration", 600), forward=0.66),
+    "go2-steer/mujoco-ten-minutes": Case("go2-steer", "mujoco", ("--duration", 600), forward=1.0, robot="go2"),
 }
 
 
@@ -56,7 +58,7 @@ def run(name: str, case: Case) -> list[dict[str, Any]]:
             commands.write_text(f"time,forward,sideways,yaw_rate\n0.5,{case.forward},0,0\n")
             options += ("--commands", commands)
         for seed in case.hidden or (None,):
-            robot: tuple[object, ...] = ("--world", case.world)
+            robot: tuple[object, ...] = ("--robot", case.robot, "--world", case.world)
             if seed is not None:
                 robot += ("--hidden-seed", seed, "--seed", seed)
             traces = deploy(case.policy, *options, robot=robot)
