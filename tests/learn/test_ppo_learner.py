@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -74,6 +75,19 @@ def test_exploration_stays_under_a_limit_that_falls():
     assert float(learner.policy.distribution.log_std_param.detach().exp().min()) > 0.08
     with pytest.raises(SurefootError, match=r"ppo.final_std is 0.5; it must be at most ppo.init_std, 0.4"):
         replace(config.ppo, final_std=0.5)
+
+
+def test_the_value_network_learns_before_the_policy():
+    preset = load_train_config("trot")
+    config = replace(preset, num_envs=4, steps_per_update=10, threads=1, learning_threads=1)
+    learner = PpoLearner(replace(config, ppo=replace(preset.ppo, value_updates=2)), SimWorld)
+    policies, values = [], []
+    for _ in range(4):
+        policies.append(torch.cat([one.detach().flatten().clone() for one in learner.policy.parameters()]))
+        values.append(torch.cat([one.detach().flatten().clone() for one in learner.algorithm.critic.parameters()]))
+        learner.update()
+    assert [torch.equal(before, after) for before, after in pairwise(policies)] == [True, True, False]
+    assert not any(torch.equal(before, after) for before, after in pairwise(values))
 
 
 def test_with_symmetry_a_minibatch_runs_the_policy_once():

@@ -39,6 +39,9 @@ class PPOConfig:
     """Greatest standard deviation at the end of the run; the limit falls linearly from init_std. 0: no limit."""
     start_std: Annotated[float, Within(0, 100)] = 0.0
     """Standard deviation of a run's first actions whose networks come from another run; 0: what that one ended with."""
+    value_updates: Annotated[int, Within(0, 1_000_000)] = 0
+    """First updates in which the value network alone learns: one of another run is wrong where robots see anything new,
+    and a policy that follows it forgets what it can do."""
     epochs: Annotated[int, Within(1, 1000)] = 5
     """Passes over the samples of an update."""
     minibatches: Annotated[int, Within(1, 1_000_000)] = 4

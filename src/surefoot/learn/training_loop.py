@@ -100,6 +100,7 @@ class TrainingLoop:
                 config.task,
                 observations=former.observations,
                 history=former.history,
+                reference=former.reference,
                 randomize=former.randomize,
                 pushes=former.pushes,
                 terrain=former.terrain,
