@@ -111,7 +111,7 @@ def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path, text, pieces)
 def test_an_unknown_task_names_the_presets():
     with pytest.raises(
         SurefootError,
-        match=r"'waltz' does not exist; choices: gallop, gallop-robust, scratch, steer, terrain, trot.*of a YAML file",
+        match=r"'waltz' does not exist; choices: gallop, gallop-robust, scratch, steer, .*of a YAML file",
     ):
         load_task("waltz")
 
