@@ -283,7 +283,8 @@ def test_robots_that_follow_commands_go_on_exactly_from_a_state(commands):
         path = []
         for _ in range(30):
             observation, reward, *_ = one.step(np.zeros((2, 12)))
-            path += [observation.copy(), reward, one.source.command.copy(), *vars(one.commands.state).values()]
+            now = one.commands.state
+            path += [observation.copy(), reward, one.source.command.copy(), now.command, now.activity, now.phase]
         return path
 
     run(env)

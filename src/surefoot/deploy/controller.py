@@ -16,6 +16,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.commands import STAND
 from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.contract_mapping import task_from_contract
+from surefoot.task.footholds import Footholds
 from surefoot.task.observation import ObservationInputs, Observer
 from surefoot.world.interface import Readings
 
@@ -42,6 +43,7 @@ class Controller:
         """Heights of the ground (K,) [m] on the grid of the contract's map, for a policy that sees them."""
         self._history: NDArray[np.float32] | None = None
         self._filter = None if limits is None else CommandFilter.from_reference(self.gait.reference, limits, robot, 1)
+        self._footholds = Footholds.of(self.gait.reference, 1)
 
     def reset(self) -> None:
         """Start a new episode, with the command to stand."""
@@ -61,7 +63,9 @@ class Controller:
         return clamped
 
     def _state(self) -> CommandState | None:
-        return None if self._filter is None else self._filter.state
+        if self._filter is None:
+            return None
+        return self._filter.state if self._footholds is None else self._footholds.add_to(self._filter.state)
 
     def observe(self, moment: float, state: State, missed: int = 0) -> NDArray[np.float32]:
         """Return the policy's input (1, O * history), the newest observation first.
@@ -89,6 +93,11 @@ class Controller:
                 step = np.array([self.contract.control_step * (missed + 1)])
                 self._filter.advance(self.command[None], step, yaw)
         heights = None if self.heights is None else self.heights[None]
+        if self._footholds is not None and self._filter is not None and heights is not None:
+            if self._history is None:
+                self._footholds.reset(np.arange(1))
+            else:
+                self._footholds.choose(heights, self._filter.state, readings)
         inputs = ObservationInputs(
             readings, self.gait.reference, self.feedback[None], self._state(), self.gait.memory, heights
         )

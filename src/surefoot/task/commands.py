@@ -272,6 +272,10 @@ class CommandState:
     """Share of full steps, 0 for a robot that stands to 1 for one that walks, (N,)."""
     phase: Array
     """Phase of the gait in cycles, 0 to 1, (N,)."""
+    lift_off: Array | None = None
+    """How far feet stood beside the places of their strides when they lifted off (N, L, 2) [m], see `Footholds`."""
+    landing: Array | None = None
+    """How far beside them they land, likewise; they keep that in stance."""
 
 
 class CommandFilter:

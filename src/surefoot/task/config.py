@@ -127,6 +127,11 @@ class TaskConfig:
         check_bounds(self)
         check_reward(self.reward, self.reward_limits)
         check_ranges(self.randomize)
+        sees = self.reference.kind == "follow" and "height_scan" in self.observations
+        if self.reference.foothold_radius and not sees:
+            raise SurefootError(
+                "reference.foothold_radius is not 0; it needs the observation height_scan and reference.kind follow"
+            )
 
     def gait(self, robot: RobotDescription) -> HybridGait:
         """Return the gait: reference and bounds of the feedback, which the robot must allow.

@@ -19,6 +19,7 @@ from surefoot.rotations import in_heading_frame
 from surefoot.seeding import generators
 from surefoot.task.commands import CommandFilter, CommandGenerator, CommandState
 from surefoot.task.config import TaskConfig
+from surefoot.task.footholds import Footholds
 from surefoot.task.height_scan import AROUND, HeightScanner, scan_heights
 from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
@@ -130,6 +131,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if limits := task.commands.limits(self.robot):
             self.source = self._given_source or task.commands.make_generator(limits, self.num_envs, seed)
             self.commands = CommandFilter.from_reference(self.gait.reference, limits, self.robot, self.num_envs)
+        self.footholds = Footholds.of(self.gait.reference, self.num_envs)
         self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)
         self.returns = np.zeros(self.num_envs)
@@ -163,6 +165,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self.source is not None and self.commands is not None:
             self.source.reset(rows)
             self.commands.reset(rows, self.readings.roll_pitch_yaw[:, 2])
+        if self.footholds is not None:
+            self.footholds.reset(rows)
         if self.task.pushes.enabled:
             self.pusher.reset(rows)
             self.world.push(self.pusher.force)
@@ -188,7 +192,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     @property
     def command_state(self) -> CommandState | None:
         """What the gait follows now, of a task with commands."""
-        return None if self.commands is None else self.commands.state
+        if self.commands is None:
+            return None
+        return self.commands.state if self.footholds is None else self.footholds.add_to(self.commands.state)
 
     def _observation(self) -> NDArray[np.float32]:
         return self.history.reshape(self.num_envs, -1).astype(np.float32)
@@ -233,6 +239,10 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
                 self.curriculum.record(self.source.command[:, :2], velocity, before.roll_pitch_yaw[:, 2], duration)
             self.source.update(self.readings.time)
             self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
+        if self.scanner is not None:
+            self.scanner.update(self.ground, self.truth.base_position_world, self.truth.roll_pitch_yaw[:, 2])
+            if self.footholds is not None and self.commands is not None:
+                self.footholds.choose(self.scanner.heights, self.commands.state, self.readings)
         for part in (reward, self.command_error, self.stride_error, *self.reward_terms.values()):
             part[diverged | self.over] = 0.0
         self.reward = reward
@@ -246,8 +256,6 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             info["diverged"] = diverged.copy()
         if task.history > 1:
             self.history[:, 1:] = self.history[:, :-1].copy()
-        if self.scanner is not None:
-            self.scanner.update(self.ground, self.truth.base_position_world, self.truth.roll_pitch_yaw[:, 2])
         self.history[:, 0] = self._observe()
         if done.any():
             rows = np.flatnonzero(done)
@@ -379,6 +387,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             owners["terrain_"] = self.curriculum
         if self.scanner is not None:
             owners["scan_"] = self.scanner
+        if self.footholds is not None:
+            owners["footholds_"] = self.footholds
         return {f"{prefix}{name}": getattr(owner, name) for prefix, owner in owners.items() for name in owner.arrays}
 
     def _streams(self) -> dict[str, list[np.random.Generator]]:

@@ -29,7 +29,7 @@ QUANTITIES = ("stroke", "clearance", "duty_factor", "phase", "height", "offset",
 """What each leg has of its own."""
 LENGTHS = ("stroke", "clearance", "height", "offset", "depth")
 """Those that are lengths."""
-FOLLOWING = ("stride_gain", "frequency_rise", "turn_gain", "clearance_rise", "height_rise")
+FOLLOWING = ("stride_gain", "frequency_rise", "turn_gain", "clearance_rise", "height_rise", "foothold_radius")
 """Numbers of a `FollowingReference` that `ReferenceConfig` has by the same names."""
 _LOADING = 0.15
 """Part of the stance in which a leg takes over its share of the weight, and in which it gives it back."""
@@ -39,6 +39,11 @@ ACCELERATION_STEP = 0.01
 """Half of the time [s] over which the acceleration of a pose is taken: it jumps where feet touch down and lift off."""
 _SAMPLES = 360
 _PHASES = 48
+_TURNS = 16
+_ARRIVED = 0.8
+"""Part of the swing after which a foot is beside its stride by as much as it lands: soft legs lag."""
+_ASIDE = 0.5
+"""Axis to the side of the ellipse in which footholds are, over that ahead."""
 
 
 @dataclass(frozen=True)
@@ -173,6 +178,8 @@ class FollowingReference:
     """Clearance gained at the greatest stride, over that on the spot."""
     height_rise: float = 0.0
     """Height gained at the greatest stride, over that on the spot."""
+    foothold_radius: float = 0.0
+    """Greatest distance [m] by which feet land beside the places of their strides, see `Footholds`."""
     acceleration_feedforward: float = 0.0
     """Square of the time [s^2] by which commands lead along the acceleration of the pose."""
     weight_feedforward: float = 0.0
@@ -180,6 +187,7 @@ class FollowingReference:
     places: Array = field(init=False, repr=False)
     """Feet below the legs' mounts, (L, 3) [m] from the mounts; z is the height."""
     _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
+    _reach: float = field(init=False, repr=False, compare=False, default=0.0)
 
     def __post_init__(self) -> None:
         """Check that legs reach every stride."""
@@ -197,6 +205,18 @@ class FollowingReference:
             )
         extent = tuple((float(part.min()), float(part.max())) for part in np.moveaxis(poses, -2, 0))
         object.__setattr__(self, "_extent", extent)
+        if self.foothold_radius:
+            object.__setattr__(self, "_reach", self._find_reach())
+
+    def _find_reach(self) -> float:
+        """Return how far ahead [m] all feet reach from their places, in an ellipse, when they are lowest."""
+        most = float(self.feet.stroke.max()) / 2 + self.foothold_radius
+        length, turn = np.linspace(0.0, most, 50)[:, None], np.linspace(0.0, 2 * np.pi, _TURNS, endpoint=False)
+        aside = np.stack([length * np.cos(turn), _ASIDE * length * np.sin(turn), np.zeros((50, _TURNS))], axis=-1)
+        lowest = self.places - [[0.0, 0.0, depth] for depth in np.broadcast_to(self.feet.depth, len(self.places))]
+        poses = self.robot.leg_geometry.foot_pose(aside[..., None, :] + lowest)
+        reached = np.isfinite(poses).all(axis=(1, 2, 3))
+        return float(length[int(np.argmin(reached)) - 1 if not reached.all() else -1, 0])
 
     def _resting(self) -> Array:
         """Return the motor angles (L, m) of legs without abduction or swing."""
@@ -258,8 +278,22 @@ class FollowingReference:
             _, share = self._on_the_spot(state.command)
             lifted = np.where(bump > 0.0, bump * (1.0 + self.clearance_rise * share[:, None]), bump)
             bump = lifted - self.height_rise * share[:, None] * self.feet.height
+        if state.lift_off is not None and state.landing is not None:
+            step = step + self._beside(state.phase, state.lift_off, state.landing)
+            step = step / np.maximum(1.0, self.reached(step))[..., None]
         foot = np.concatenate([step, (active * bump)[..., None]], axis=-1) + self.places
         return self.robot.leg_geometry.foot_pose(foot)
+
+    def _beside(self, phase: Array, lift_off: Array, landing: Array) -> Array:
+        """Return how far feet are beside the places of their strides (N, L, 2) [m]."""
+        duty = self.feet.duty_factor
+        part = np.clip((self.feet.shares(phase) - duty) / (1.0 - duty) / _ARRIVED, 0.0, 1.0)[..., None]
+        over = np.where(part > 0.0, part**2 * (3.0 - 2.0 * part), 1.0)
+        return np.asarray(lift_off + over * (landing - lift_off))
+
+    def reached(self, step: Array) -> Array:
+        """Return how much of their reach feet take (...), that are beside their places by steps (..., 2) [m]."""
+        return np.asarray(np.hypot(step[..., 0], step[..., 1] / _ASIDE) / self._reach)
 
     def load(self, state: CommandState) -> Array:
         """Return the share of the weight that each leg carries (N, L), of legs in stance alike."""
@@ -295,6 +329,6 @@ class FollowingReference:
     def to_dict(self) -> dict[str, Any]:
         """Return the `ReferenceConfig` that makes it again, as JSON values."""
         gains = {name: getattr(self, name) for name in ("stride_gain", "frequency_rise", "turn_gain")}
-        others = ("clearance_rise", "height_rise", "acceleration_feedforward", "weight_feedforward")
+        others = ("clearance_rise", "height_rise", "foothold_radius", "acceleration_feedforward", "weight_feedforward")
         gains |= {name: value for name in others if (value := getattr(self, name))}
         return {**self.feet.to_dict(), "kind": "follow", **gains}

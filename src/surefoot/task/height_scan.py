@@ -24,6 +24,11 @@ class Grid:
     left: tuple[float, ...]
     """Places to its left, rising."""
 
+    @property
+    def spacing(self) -> float:
+        """Distance of the points."""
+        return self.ahead[1] - self.ahead[0]
+
     def scale(self, robot: RobotDescription) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the places ahead and to the left of the base's origin of a robot, upright [m]."""
         length = robot.leg_geometry.length
@@ -54,7 +59,7 @@ def _places(low: int, high: int, count: int) -> tuple[float, ...]:
     return tuple(k / (4 * count) for k in range(low * count, high * count + 1))
 
 
-MAP = Grid(_places(-3, 5, 2), _places(-2, 2, 2))
+MAP = Grid(_places(-3, 6, 2), _places(-3, 3, 2))
 """What a policy sees: fine enough to set a foot beside a gap."""
 AROUND = Grid(_places(-5, 7, 1), _places(-3, 3, 1))
 """What the value network sees."""

@@ -1,0 +1,134 @@
+"""Where the feet of a `FollowingReference` land on a map of heights: beside gaps, edges and walls.
+
+While a foot swings, the place where its stride would end is looked up on the map. If a foot can't stand there, it
+lands on the nearest place where it can, within a radius. In stance it keeps that place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.task.commands import CommandState
+from surefoot.task.foot_references import FollowingReference
+from surefoot.task.height_scan import MAP
+from surefoot.task.reference import Reference
+from surefoot.world.interface import Readings
+
+LEVEL = 0.15
+"""A place is even if its neighbours on the map are no higher or lower than this, in lengths of the straight leg."""
+DEEP = 0.55
+"""Greatest depth below a foot of the reference at which a foothold is looked for, in the same."""
+_CHOSEN = 0.75
+"""Part of the swing after which the foothold stays."""
+_LEARNS = 0.3
+"""Share of what a landing changes in the mean of what feet have missed their places by."""
+_KEEPS = 0.25
+"""Weight of the distance from the place chosen before in this swing, over that from the stride's own end."""
+
+
+class Footholds:
+    """Places where feet of N robots with L legs lift off and land.
+
+    Args:
+        reference: with `foothold_radius`.
+        num_envs: robots.
+    """
+
+    arrays = ("lift_off", "landing", "missed", "landed", "swung")
+    """Names of the arrays that change over time."""
+
+    def __init__(self, reference: FollowingReference, num_envs: int) -> None:
+        self.reference, robot = reference, reference.robot
+        ahead, left = (np.array(places) for places in MAP.scale(robot))
+        self._shape, self._corner = (len(ahead), len(left)), np.array([ahead[0], left[0]])
+        length = robot.leg_geometry.length
+        self._spacing = MAP.spacing * length
+        radius = reference.foothold_radius
+        steps = np.arange(-np.ceil(radius / self._spacing), np.ceil(radius / self._spacing) + 1) * self._spacing
+        offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+        self._offsets = offsets[np.linalg.norm(offsets, axis=1) <= radius + 1e-9]
+        """Of the places looked at from the end of a stride (K, 2) [m]."""
+        self._under = robot.leg_mounts + reference.places
+        """Feet below the legs' mounts, from the base's origin (L, 3) [m]."""
+        self._even, self._deepest = LEVEL * length, self._under[:, 2].min() - DEEP * length
+        self.lift_off, self.landing, self.missed = np.zeros((3, num_envs, len(self._under), 2))
+        """How far feet stood beside the places of their strides when they lifted off, how far they land beside them,
+        and how far from there feedback and soft legs have let them land: forward and to the left (N, L, 2) [m]."""
+        self.landed = np.zeros((num_envs, len(self._under)))
+        """How often feet have landed (N, L)."""
+        self.swung = np.zeros(self.landed.shape, np.bool_)
+        """Whether they were swinging (N, L)."""
+
+    @classmethod
+    def of(cls, reference: Reference, num_envs: int) -> Footholds | None:
+        """Return the footholds of a reference; None, if it has none."""
+        has = isinstance(reference, FollowingReference) and reference.foothold_radius
+        return cls(reference, num_envs) if has else None
+
+    def add_to(self, state: CommandState) -> CommandState:
+        """Return what the gait follows, with these places."""
+        return replace(state, lift_off=self.lift_off.copy(), landing=self.landing.copy())
+
+    def reset(self, rows: NDArray[np.int64]) -> None:
+        """Let robots stand on the places of their strides."""
+        for array in (self.lift_off, self.landing, self.missed, self.landed, self.swung):
+            array[rows] = 0
+
+    def choose(self, heights: Array, state: CommandState, readings: Readings) -> None:
+        """Choose footholds on maps of heights (N, P) [m], those of the grid `MAP`, for what the gait follows now."""
+        reference, bad = self.reference, self._bad(heights)
+        feet, command = reference.feet, state.command
+        share = feet.shares(state.phase)
+        part = (share - feet.duty_factor) / (1.0 - feet.duty_factor)
+        swings = part > 0.0
+        rest = (1.0 - part) * (1.0 - feet.duty_factor) / reference.frequency(command)[:, None]
+        ends = self._under[:, :2] + 0.5 * state.activity[:, None, None] * reference.strides(command)
+        self._learn(self.swung & ~swings, ends, readings)
+        keeps = _KEEPS * (self.swung & swings)
+        self.swung = swings
+        # The base goes on until the foot lands.
+        ends += self.missed
+        ends += np.where(swings, rest, 0.0)[..., None] * command[:, None, :2]
+        places = np.rint((ends[:, :, None] + self._offsets - self._corner) / self._spacing).astype(np.int64)
+        i, j = np.moveaxis(np.clip(places, 0, np.array(self._shape) - 1), -1, 0)
+        change = self._offsets - self.landing[:, :, None]
+        cost = (self._offsets**2).sum(-1) + keeps[..., None] * (change**2).sum(-1)
+        cost = cost + bad[np.arange(len(bad))[:, None, None], i, j]
+        best = self._offsets[np.argmin(cost, axis=-1)]
+        chooses = swings & (part < _CHOSEN)
+        self.lift_off = np.where(swings[..., None], self.lift_off, self.landing)
+        self.landing = np.where(chooses[..., None], best, self.landing)
+
+    def _learn(self, lands: NDArray[np.bool_], ends: Array, readings: Readings) -> None:
+        """Take from feet that land (N, L) how far they are from the ends of their strides (N, L, 2) and `landing`."""
+        legs, mounts = self.reference.robot.leg_geometry, self.reference.robot.leg_mounts
+        angles = readings.motor_angle[:, self.reference.robot.leg_motor_index]
+        foot = np.asarray(legs.foot_position(angles)) + mounts
+        roll, pitch, _ = readings.roll_pitch_yaw.T[..., None]
+        x, y, z = np.moveaxis(foot, -1, 0)
+        y, z = y * np.cos(roll) - z * np.sin(roll), y * np.sin(roll) + z * np.cos(roll)
+        places = np.stack([x * np.cos(pitch) + z * np.sin(pitch), y], axis=-1)
+        self.landed += lands
+        share = lands * np.maximum(_LEARNS, 1.0 / np.maximum(self.landed, 1.0))
+        self.missed += share[..., None] * (places - ends - self.landing - self.missed)
+
+    def _bad(self, heights: Array) -> Array:
+        """Return 1 for points of maps where a foot can't stand, else 0, (N, X, Y)."""
+        grid = heights.reshape(len(heights), *self._shape)
+        uneven = (grid + _second_highest(-grid) > self._even) | (_second_highest(grid) - grid > self._even)
+        return (uneven | (grid < self._deepest)).astype(float)
+
+
+def _second_highest(grid: Array) -> Array:
+    """Return the second highest of each point of grids (N, X, Y) and those around it: one may be a hole of a map."""
+    wide = np.pad(grid, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    highest, second = np.full((2, *grid.shape), -np.inf)
+    for i, j in np.ndindex(3, 3):
+        other = wide[:, i : i + grid.shape[1], j : j + grid.shape[2]]
+        second = np.maximum(second, np.minimum(highest, other))
+        highest = np.maximum(highest, other)
+    return second

@@ -1,0 +1,156 @@
+"""Footholds: feet land beside gaps and edges of the map, and what they miss their places by is learned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.task.commands import CommandState
+from surefoot.task.config import TaskConfig, load_task
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.foot_references import FollowingReference
+from surefoot.task.footholds import Footholds
+from surefoot.task.height_scan import MAP
+from surefoot.world.interface import Readings
+from surefoot.world.sim_world import SimWorld
+
+GO2 = RobotDescription.load("go2")
+SPACING = 0.426 / 8
+FRONT_LEFT, FRONT_RIGHT = (GO2.leg_names.index(name) for name in ("front_left", "front_right"))
+
+
+def seeing_task() -> TaskConfig:
+    """Return the task `terrain` of a robot that sees, with footholds up to half a leg away."""
+    task = load_task("terrain", "go2")[0]
+    reference = replace(task.reference, foothold_radius=0.5)
+    return replace(task, reference=reference, observations=(*task.observations, "height_scan"))
+
+
+@pytest.fixture
+def reference() -> FollowingReference:
+    made = seeing_task().gait(GO2).reference
+    assert isinstance(made, FollowingReference)
+    return made
+
+
+def on_the_spot(phase: float) -> CommandState:
+    """Return a robot that steps on the spot; the left front foot swings from .6 to 1."""
+    return CommandState(np.zeros((1, 3)), np.ones(1), np.array([phase]))
+
+
+def standing(reference: FollowingReference, ahead: float = 0.0) -> Readings:
+    """Return what a level robot measures, whose feet are some way [m] ahead of the reference's places."""
+    legs = GO2.leg_geometry
+    motors = GO2.to_motors(legs.foot_pose(reference.places + np.array([ahead, 0.0, 0.0]))[None])
+    zero = np.zeros((1, 3))
+    return Readings(np.zeros(1), zero, zero, motors, np.zeros_like(motors))
+
+
+def level_map() -> np.ndarray:
+    return np.full((len(MAP.ahead), len(MAP.left)), -0.3)
+
+
+def row_under(reference: FollowingReference, leg: int) -> int:
+    """Return the map's row under a foot on its place."""
+    x = (GO2.leg_mounts + reference.places)[leg, 0]
+    return int(np.argmin(np.abs(np.array(MAP.scale(GO2)[0]) - x)))
+
+
+def test_feet_keep_to_their_strides_on_level_ground(reference):
+    feet = Footholds(reference, 1)
+    feet.choose(level_map().reshape(1, -1), on_the_spot(0.8), standing(reference))
+    assert not feet.landing.any()
+    state = on_the_spot(0.8)
+    np.testing.assert_array_equal(reference.pose(0.0, feet.add_to(state)), reference.pose(0.0, state))
+
+
+def test_a_foot_lands_on_the_nearest_even_place_beside_a_gap(reference):
+    heights, row = level_map(), row_under(reference, FRONT_LEFT)
+    # Four points low, one more on either side is an edge: three points back is even, four ahead.
+    heights[row - 1 : row + 3] = -1.3
+    feet = Footholds(reference, 1)
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
+    assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx([-3 * SPACING, 0.0])
+    assert not feet.landing[0, FRONT_RIGHT].any()  # it stands
+    # Late in its swing a foot keeps its place, and in stance.
+    for phase in (0.95, 0.0, 0.3):
+        feet.choose(level_map().reshape(1, -1), on_the_spot(phase), standing(reference))
+        assert feet.landing[0, FRONT_LEFT, 0] == pytest.approx(-3 * SPACING)
+    # It lifts off there, and goes back to its stride.
+    feet.choose(level_map().reshape(1, -1), on_the_spot(0.7), standing(reference))
+    assert feet.lift_off[0, FRONT_LEFT, 0] == pytest.approx(-3 * SPACING)
+    assert feet.landing[0, FRONT_LEFT, 0] == 0.0
+
+
+def test_a_single_hole_of_the_map_is_no_gap(reference):
+    heights, row = level_map(), row_under(reference, FRONT_LEFT)
+    heights[row + 1, 8] = -1.3
+    feet = Footholds(reference, 1)
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
+    assert not feet.landing.any()
+
+
+def test_ground_that_is_even_but_too_deep_is_no_foothold(reference):
+    heights, row = level_map(), row_under(reference, FRONT_LEFT)
+    heights[row - 2 :] = -0.3 - 0.6 * 0.426
+    feet = Footholds(reference, 1)
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
+    assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx([-4 * SPACING, 0.0])
+
+
+def test_feet_go_from_where_they_lift_off_to_where_they_land(reference):
+    lift_off, landing = np.zeros((2, 1, 4, 2))
+    lift_off[..., 0], landing[..., 0] = -0.05, 0.1
+    legs, places = GO2.leg_geometry, []
+    for phase in (0.0, 0.3, 0.6 + 1e-9, 0.8, 1.0 - 1e-9):
+        state = replace(on_the_spot(phase), lift_off=lift_off, landing=landing)
+        foot = legs.foot_position(legs.to_motors(reference.pose(0.0, state)))
+        places.append(foot[0, FRONT_LEFT, 0] - reference.places[FRONT_LEFT, 0])
+    # On the spot there is no stride: in stance .1 m ahead, in the middle of the swing halfway.
+    assert places == pytest.approx([0.1, 0.1, -0.05, 0.025, 0.1], abs=1e-6)
+
+
+def test_what_feet_miss_their_places_by_counts_from_the_first_landing(reference):
+    feet, level = Footholds(reference, 1), level_map().reshape(1, -1)
+    for phase in (0.95, 0.02):
+        feet.choose(level, on_the_spot(phase), standing(reference, ahead=2 * SPACING))
+    assert feet.missed[0, FRONT_LEFT].tolist() == pytest.approx([2 * SPACING, 0.0], abs=1e-6)
+    assert not feet.missed[0, FRONT_RIGHT].any()  # it has not landed
+    # From now on the map is looked at where the foot does land.
+    heights, row = level_map(), row_under(reference, FRONT_LEFT)
+    heights[row + 3 :] = -1.3
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
+    assert feet.landing[0, FRONT_LEFT, 0] == pytest.approx(-SPACING)
+    feet.reset(np.arange(1))
+    assert not feet.missed.any()
+    assert not feet.landing.any()
+
+
+def test_steps_stay_within_the_legs_reach(reference):
+    everywhere = np.random.default_rng(0).uniform(-1, 1, (400, 4, 2))
+    state = CommandState(np.tile([1.0, 0.4, 0.5], (400, 1)), np.ones(400), np.arange(400) / 400)
+    poses = reference.pose(0.0, replace(state, lift_off=everywhere, landing=-everywhere))
+    assert np.isfinite(poses).all()
+
+
+def test_a_robot_that_sees_goes_on_exactly_from_a_state():
+    task = replace(seeing_task(), terrain=replace(seeing_task().terrain, sizes={}, shares={}, ground="gaps:0.1"))
+    env = LocomotionEnv(task, 2, SimWorld, seed=3, threads=1)
+    action = np.zeros((2, len(env.gait.action_names)))
+    for _ in range(30):
+        env.step(action)
+    state = env.get_state()
+    first = [env.step(action)[0] for _ in range(40)]
+    assert env.footholds is not None
+    assert env.footholds.landed.any()
+    env.set_state(state)
+    np.testing.assert_array_equal([env.step(action)[0] for _ in range(40)], first)
+
+
+def test_footholds_need_a_map():
+    with pytest.raises(SurefootError, match=r"foothold_radius is not 0; it needs the observation height_scan"):
+        replace(seeing_task(), observations=("roll", "pitch"))
