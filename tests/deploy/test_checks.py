@@ -250,10 +250,10 @@ def test_the_grid_of_a_policys_map_is_that_of_the_robot():
     assert grid is not None
     for change, message in (
         (None, "height_map is the grid of the observation height_scan; it must have both or neither"),
-        (replace(grid, ahead=grid.ahead[1:]), "the 12 places ahead of its map are not the 13 of minitaur here"),
+        (replace(grid, ahead=grid.ahead[1:]), "the 18 places ahead of its map are not the 19 of minitaur here"),
         (
             replace(grid, left=tuple(1.1 * place for place in grid.left)),
-            "the 7 places left of its map are not the 7 of minitaur here",
+            "the 13 places left of its map are not the 13 of minitaur here",
         ),
     ):
         with pytest.raises(SurefootError, match=message):
