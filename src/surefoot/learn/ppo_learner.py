@@ -358,7 +358,7 @@ def _move_inputs(
     kept = [k for k, one in enumerate(new) if one in places]
     taken = [places[new[k]] for k in kept]
     near = MAP.nearest(AROUND)
-    alike = {k: name if name in named else near.get(name) for k, (_, name) in enumerate(new)}
+    alike = {k: name if name in named else near.get(name, name) for k, (_, name) in enumerate(new)}
     normalized = [k for k, name in alike.items() if name in named]
     shared = [named[alike[k]] for k in normalized]
     moved = dict(network)

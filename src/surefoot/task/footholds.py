@@ -66,8 +66,9 @@ class Footholds:
     @classmethod
     def of(cls, reference: Reference, num_envs: int) -> Footholds | None:
         """Return the footholds of a reference; None, if it has none."""
-        has = isinstance(reference, FollowingReference) and reference.foothold_radius
-        return cls(reference, num_envs) if has else None
+        if isinstance(reference, FollowingReference) and reference.foothold_radius:
+            return cls(reference, num_envs)
+        return None
 
     def add_to(self, state: CommandState) -> CommandState:
         """Return what the gait follows, with these places."""

@@ -47,11 +47,11 @@ class Grid:
 
     def nearest(self, other: Grid) -> dict[str, str]:
         """Return for each of the points the name of another grid's nearest point, by its own name."""
-        near = [
-            [min(places, key=lambda place, one=one: abs(place - one)) for one in ones]
-            for ones, places in ((self.ahead, other.ahead), (self.left, other.left))
-        ]
-        return dict(zip(self.columns(), Grid(*map(tuple, near)).columns(), strict=True))
+        ahead, left = (
+            tuple(places[int(np.argmin(np.abs(np.subtract(places, one))))] for one in own)
+            for own, places in ((self.ahead, other.ahead), (self.left, other.left))
+        )
+        return dict(zip(self.columns(), Grid(ahead, left).columns(), strict=True))
 
 
 def _places(low: int, high: int, count: int) -> tuple[float, ...]:
