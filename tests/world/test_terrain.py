@@ -58,6 +58,12 @@ def test_gaps_and_stones_have_their_widths():
     stones = make_terrain("stones:0.25")
     deep = stones.height(np.stack([x, np.zeros_like(x)], axis=-1)) < 0
     assert set(map(len, "".join("_" if one else "#" for one in deep).strip("_").split("__")[1:-1])) == {5}
+    # Depths: twice the width of gaps, at most a metre; of the ground between stones by the square of their side.
+    for text, depth in (
+        *(("gaps:0.1", 0.2), ("gaps:0.6", 1.0)),
+        *(("stones:0.25", 1.0), ("stones:0.2", 1.0), ("stones:0.5", 0.25)),
+    ):
+        assert make_terrain(text).corners.min() == pytest.approx(-depth)
 
 
 def test_surface_of_triangles_has_the_heights_of_the_ground():

@@ -33,7 +33,9 @@ LAND = 0.6
 GAP = 0.1
 """Distance [m] of stepping stones."""
 DEPTH = 1.0
-"""Depth [m] of the ground between stones, and of gaps, if they are not narrower than half of it."""
+"""Greatest depth [m] of gaps, which are twice as deep as wide, and of the ground between stones."""
+DEEPEST_STONES = 0.25
+"""Side [m] of the stones between which the ground is that deep; between larger ones it is less, by the square."""
 GRID = 0.05
 """Widths of gaps and sides of stones are whole multiples of this [m]."""
 CELL = 0.1
@@ -134,7 +136,8 @@ def _stones(size: float, half: float, cell: float, _: np.random.Generator) -> He
     shift = np.floor(np.round(size / 2 / GRID, 6)) * GRID
     on_stone = [np.round((one + shift) % (size + GAP), 6) < size for one in (x, y)]
     far = _distance(half, cell) > 0
-    return _level_cells(np.where(far & ~(on_stone[0] & on_stone[1]), -DEPTH, 0.0)), np.zeros_like(x)
+    depth = DEPTH * min(1.0, DEEPEST_STONES / size) ** 2
+    return _level_cells(np.where(far & ~(on_stone[0] & on_stone[1]), -depth, 0.0)), np.zeros_like(x)
 
 
 def _downward(make: Callable[[float, float, float, np.random.Generator], Heights]) -> Callable[..., Heights]:
