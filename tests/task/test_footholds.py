@@ -151,6 +151,30 @@ def test_a_robot_that_sees_goes_on_exactly_from_a_state():
     np.testing.assert_array_equal([env.step(action)[0] for _ in range(40)], first)
 
 
+def test_legs_without_abduction_land_ahead_or_behind():
+    robot = RobotDescription.load("minitaur")
+    task = load_task("steer", "minitaur")[0]
+    task = replace(
+        task,
+        reference=replace(task.reference, foothold_radius=0.5),
+        observations=(*task.observations, "height_scan"),
+    )
+    reference = task.gait(robot).reference
+    assert isinstance(reference, FollowingReference)
+    leg = robot.leg_names.index("front_left")
+    under = (robot.leg_mounts + reference.places)[leg]
+    heights = np.full((len(MAP.ahead), len(MAP.left)), under[2])
+    # The foot is over the middle of a groove, which goes on ahead and behind: aside it would be out of it.
+    x, y = (np.array(places) for places in MAP.scale(robot))
+    heights[np.abs(x - under[0]) < 2.5 * (x[1] - x[0])] = np.where(np.abs(y - under[1]) < y[1] - y[0], -1.0, under[2])
+    heights = heights.reshape(1, -1)
+    feet, motors = Footholds(reference, 1), robot.resting_angles[None]
+    zero = np.zeros((1, 3))
+    feet.choose(heights, on_the_spot(0.9), Readings(np.zeros(1), zero, zero, motors, np.zeros_like(motors)))
+    assert feet.landing[..., 0].any()
+    assert not feet.landing[..., 1].any()
+
+
 def test_footholds_need_a_map():
     with pytest.raises(SurefootError, match=r"foothold_radius is not 0; it needs the observation height_scan"):
         replace(seeing_task(), observations=("roll", "pitch"))

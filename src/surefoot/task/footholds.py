@@ -49,7 +49,8 @@ class Footholds:
         self._spacing = MAP.spacing * length
         radius = reference.foothold_radius
         steps = np.arange(-np.ceil(radius / self._spacing), np.ceil(radius / self._spacing) + 1) * self._spacing
-        offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+        aside = steps if "abduction" in robot.coordinates else [0.0]
+        offsets = np.stack(np.meshgrid(steps, aside, indexing="ij"), -1).reshape(-1, 2)
         self._offsets = offsets[np.linalg.norm(offsets, axis=1) <= radius + 1e-9]
         """Of the places looked at from the end of a stride (K, 2) [m]."""
         self._under = robot.leg_mounts + reference.places
