@@ -158,7 +158,7 @@ def seeing(tmp_path: Path) -> Path:
 
 
 def test_a_policy_sees_the_step_that_an_emulated_robot_stands_before(seeing: Path, tmp_path: Path) -> None:
-    heights = np.where(np.arange(81)[:, None] * 0.05 - 2.0 > 0.62, 0.1, np.zeros((81, 81)))
+    heights = np.where(np.arange(81)[:, None] * 0.05 - 2.0 > 0.52, 0.1, np.zeros((81, 81)))
     np.savez(tmp_path / "step.npz", heights=heights, cell=0.05)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))

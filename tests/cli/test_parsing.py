@@ -42,7 +42,7 @@ INVALID = [
     ("train ranges.yaml", "ranges.yaml: randomize.voltage is [16, 15]; the lower bound must come first"),
     ("evaluate trot --randomize.base_mass_ratio 80 120", "minitaur allows base_mass_ratio from 0.2 to 5"),
     ("evaluate trot --randomize nowhere", "'nowhere' does not exist; choices: ensemble, none, table1, or the path"),
-    ("train walk", "task 'walk' does not exist; choices: gallop, gallop-robust, scratch, steer, terrain, trot"),
+    ("train walk", "task 'walk' does not exist; choices: gallop, gallop-robust, scratch, steer, steer-robust, terrain"),
     ("train gallop --num-envs few", "few"),
     ("train gallop --nun-envs 8", "nun-envs"),
     ("train gallop --robot spot", "robot 'spot': no such robot"),
