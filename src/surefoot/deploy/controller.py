@@ -16,7 +16,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.commands import STAND
 from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.contract_mapping import task_from_contract
-from surefoot.task.footholds import Footholds
+from surefoot.task.footholds import Footholds, followed_state
 from surefoot.task.observation import ObservationInputs, Observer
 from surefoot.world.interface import Readings
 
@@ -63,9 +63,7 @@ class Controller:
         return clamped
 
     def _state(self) -> CommandState | None:
-        if self._filter is None:
-            return None
-        return self._filter.state if self._footholds is None else self._footholds.add_to(self._filter.state)
+        return followed_state(self._filter, self._footholds)
 
     def observe(self, moment: float, state: State, missed: int = 0) -> NDArray[np.float32]:
         """Return the policy's input (1, O * history), the newest observation first.

@@ -182,12 +182,12 @@ class PpoLearner:
             algorithm.compute_returns(self.observation)
         rollout_seconds = time.perf_counter() - start
         torch.set_num_threads(self._threads)
-        held = [one.detach().clone() for one in self.policy.parameters()]
+        parameters = list(self.policy.parameters()) if self.update_count < config.ppo.value_updates else []
+        held = [one.detach().clone() for one in parameters]
         losses = algorithm.update()
-        if self.update_count < config.ppo.value_updates:
-            with torch.no_grad():
-                for parameter, value in zip(self.policy.parameters(), held, strict=True):
-                    parameter.copy_(value)
+        with torch.no_grad():
+            for parameter, value in zip(parameters, held, strict=True):
+                parameter.copy_(value)
         self.update_count += 1
         self._limit_std()
         returns, lengths, distances, durations = np.concatenate(episodes, axis=1)

@@ -19,7 +19,7 @@ from surefoot.rotations import in_heading_frame
 from surefoot.seeding import generators
 from surefoot.task.commands import CommandFilter, CommandGenerator, CommandState
 from surefoot.task.config import TaskConfig
-from surefoot.task.footholds import Footholds
+from surefoot.task.footholds import Footholds, followed_state
 from surefoot.task.height_scan import AROUND, HeightScanner, scan_heights
 from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
@@ -192,9 +192,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     @property
     def command_state(self) -> CommandState | None:
         """What the gait follows now, of a task with commands."""
-        if self.commands is None:
-            return None
-        return self.commands.state if self.footholds is None else self.footholds.add_to(self.commands.state)
+        return followed_state(self.commands, self.footholds)
 
     def _observation(self) -> NDArray[np.float32]:
         return self.history.reshape(self.num_envs, -1).astype(np.float32)

@@ -105,6 +105,10 @@ class FootReference:
         """Return the part of each leg's own cycle that is over (..., N, L), 0 to 1, after cycles (..., N)."""
         return np.asarray((np.asarray(cycle, float)[..., None] - self.phase) % 1.0)
 
+    def swing_part(self, cycle: ArrayLike) -> Array:
+        """Return the part of each leg's swing that is over (..., N, L), 0 to 1, after cycles (..., N); less: stance."""
+        return np.asarray((self.shares(cycle) - self.duty_factor) / (1.0 - self.duty_factor))
+
     def curve(self, cycle: ArrayLike) -> tuple[Array, Array]:
         """Return where feet are along their strokes, .5 (front) to -.5, and above `height` [m], after cycles (..., N).
 
@@ -286,8 +290,7 @@ class FollowingReference:
 
     def _beside(self, phase: Array, lift_off: Array, landing: Array) -> Array:
         """Return how far feet are beside the places of their strides (N, L, 2) [m]."""
-        duty = self.feet.duty_factor
-        part = np.clip((self.feet.shares(phase) - duty) / (1.0 - duty) / _ARRIVED, 0.0, 1.0)[..., None]
+        part = np.clip(self.feet.swing_part(phase) / _ARRIVED, 0.0, 1.0)[..., None]
         over = np.where(part > 0.0, part**2 * (3.0 - 2.0 * part), 1.0)
         return np.asarray(lift_off + over * (landing - lift_off))
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.task.commands import CommandState
+from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.foot_references import FollowingReference
 from surefoot.task.height_scan import MAP
 from surefoot.task.reference import Reference
@@ -71,10 +71,6 @@ class Footholds:
             return cls(reference, num_envs)
         return None
 
-    def add_to(self, state: CommandState) -> CommandState:
-        """Return what the gait follows, with these places."""
-        return replace(state, lift_off=self.lift_off.copy(), landing=self.landing.copy())
-
     def reset(self, rows: NDArray[np.int64]) -> None:
         """Let robots stand on the places of their strides."""
         for array in (self.lift_off, self.landing, self.missed, self.landed, self.swung):
@@ -84,8 +80,7 @@ class Footholds:
         """Choose footholds on maps of heights (N, P) [m], those of the grid `MAP`, for what the gait follows now."""
         reference, bad = self.reference, self._bad(heights)
         feet, command = reference.feet, state.command
-        share = feet.shares(state.phase)
-        part = (share - feet.duty_factor) / (1.0 - feet.duty_factor)
+        part = feet.swing_part(state.phase)
         swings = part > 0.0
         rest = (1.0 - part) * (1.0 - feet.duty_factor) / reference.frequency(command)[:, None]
         ends = self._under[:, :2] + 0.5 * state.activity[:, None, None] * reference.strides(command)
@@ -123,6 +118,13 @@ class Footholds:
         grid = heights.reshape(len(heights), *self._shape)
         uneven = (grid + _second_highest(-grid) > self._even) | (_second_highest(grid) - grid > self._even)
         return (uneven | (grid < self._deepest)).astype(float)
+
+
+def followed_state(commands: CommandFilter | None, footholds: Footholds | None) -> CommandState | None:
+    """Return what a gait follows now: commands, phase and footholds, if it has any; None without commands."""
+    if commands is None or footholds is None:
+        return None if commands is None else commands.state
+    return replace(commands.state, lift_off=footholds.lift_off.copy(), landing=footholds.landing.copy())
 
 
 def _second_highest(grid: Array) -> Array:
