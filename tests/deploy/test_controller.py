@@ -14,7 +14,10 @@ from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 
-POLICIES = sorted((Path(__file__).resolve().parents[2] / "policies").glob("*.onnx"))
+ROOT = Path(__file__).resolve().parents[2]
+POLICIES = sorted((ROOT / "policies").glob("*.onnx"))
+SEEING = ROOT / "results" / "terrain" / "go2-terrain-seeing.onnx"
+"""A policy with a map of heights and footholds."""
 
 
 class Echo:
@@ -35,7 +38,7 @@ def contract():
     return PolicyRuntime.load(next(path for path in POLICIES if path.stem == "trot")).contract
 
 
-@pytest.mark.parametrize("path", POLICIES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*POLICIES, SEEING], ids=lambda path: path.stem)
 def test_a_simulated_episode_gets_the_same_targets(path, a_state):
     """Readings of a simulated episode, given to the robot's side step by step."""
     pytest.importorskip("mujoco")
@@ -47,6 +50,8 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
     policy = PolicyRuntime.load(path)
     task = task_from_contract(policy.contract)
     task = replace(task, pushes=replace(task.pushes, enabled=False), randomize={})
+    if path == SEEING:
+        task = replace(task, terrain=replace(task.terrain, sizes={}, shares={}, ground="gaps:0.15"))
     env = LocomotionEnv(task, 1, SimWorld, 3, autoreset=False, threads=1)
     controller = Controller(policy, RobotDescription.load(policy.contract.robot))
     observation, _ = env.reset()
@@ -63,6 +68,8 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
         assert readings.time[0] == pytest.approx(moment, abs=1e-12)
         if env.source is not None:
             assert controller.set_command(env.source.command[0]) == ""
+        if env.scanner is not None:
+            controller.heights = env.scanner.heights[0]
         observed = controller.observe(moment, state)
         assert observed == pytest.approx(observation, abs=1e-6)
         target = controller.compute_target(moment, observed)
