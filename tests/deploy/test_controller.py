@@ -52,10 +52,11 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
     task = replace(task, pushes=replace(task.pushes, enabled=False), randomize={})
     if path == SEEING:
         task = replace(task, terrain=replace(task.terrain, sizes={}, shares={}, ground="gaps:0.15"))
-    env = LocomotionEnv(task, 1, SimWorld, 3, autoreset=False, threads=1)
+    env = LocomotionEnv(task, 1, SimWorld, 5, autoreset=False, threads=1)
     controller = Controller(policy, RobotDescription.load(policy.contract.robot))
     observation, _ = env.reset()
-    for k in range(50):
+    stepped_aside = False
+    for k in range(200 if path == SEEING else 50):  # the first gap is a metre away
         readings = env.readings
         state = replace(
             a_state,
@@ -70,11 +71,13 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
             assert controller.set_command(env.source.command[0]) == ""
         if env.scanner is not None:
             controller.heights = env.scanner.heights[0]
+            stepped_aside |= env.footholds is not None and env.footholds.landing.any()
         observed = controller.observe(moment, state)
         assert observed == pytest.approx(observation, abs=1e-6)
         target = controller.compute_target(moment, observed)
         observation, *_ = env.step(env.gait.action(policy.feedback(observation)))
         assert target == pytest.approx(env.target[0], abs=1e-6)
+    assert stepped_aside == (path == SEEING)
 
 
 def test_history_is_the_newest_first_and_starts_full(contract, robot, a_state):
