@@ -20,6 +20,7 @@ RESULTS = [
     *(
         f"docs/{name}.md"
         for name in (
+            *("firmware", "show"),
             *("results", "robustness", "reality-gap", "study", "handcrafted", "robots", "steer"),
             *("speed", "adopt", "identification", "real-robot", "search"),
         )

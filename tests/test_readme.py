@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PLAIN = (
     *("start", "train", "own-gait", "own-reward", "own-robot", "own-learner", "own-hardware", "go2", "cluster"),
-    "python",
+    *("python", "firmware", "adopt"),
 )
 """Pages of Start and How-to."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+(?:,\d{3})*(?:\.\d+)?|\.\d+)(?![\w.]*\w)")
