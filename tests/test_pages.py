@@ -20,7 +20,7 @@ RESULTS = [
     *(
         f"docs/{name}.md"
         for name in (
-            *("firmware", "show"),
+            *("terrain", "go2", "deploy", "firmware", "show"),
             *("results", "robustness", "reality-gap", "study", "handcrafted", "robots", "steer"),
             *("speed", "adopt", "identification", "real-robot", "search"),
         )
@@ -58,6 +58,7 @@ def results(tmp_path: Path) -> Path:
     rows = ["name,speed,fell,falls,episodes,gait", "trot,0.6615,0.27,27,100,trot", "b/bullet,-2.05,0,1,20,other"]
     (tmp_path / "results" / "runs.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "results" / "pushes" / "calm.json").write_text('{"falls": 3, "episodes": 64, "rmse": {"yaw": 0.098}}')
+    (tmp_path / "results" / "found.toml").write_text("[params]\nfriction = [0.25, 0.5]  # N m\n")
     return tmp_path
 
 
@@ -78,6 +79,9 @@ def results(tmp_path: Path) -> Path:
         ("1 of 2<!--= runs trot; b/bullet: sum falls -->", "28 of 120"),
         ("1.00<!--= runs trot; b/bullet: sd speed -->", "1.92"),
         ("walk<!--= runs trot: gait -->", "trot"),
+        ("1.0<!--= runs all fell=0: min speed -->", "-2.0"),
+        ("1.0<!--= runs all episodes=100; b/bullet: max speed -->", ".7"),
+        ("1.1<!--= found: params.friction.1 -->", ".5"),
     ],
 )
 def test_a_marker_writes_the_number_before_it_in_its_format(
@@ -97,6 +101,8 @@ def test_a_marker_writes_the_number_before_it_in_its_format(
     [
         ("1<!--= run trot: speed -->", "results has no file run.csv or run.json"),
         ("1<!--= runs trott: speed -->", "line 2: results/runs.csv: has 0 rows of name trott"),
+        ("1<!--= runs all gait=pace: max speed -->", "results/runs.csv: has no rows of gait=pace"),
+        ("1<!--= found: params.friction.2 -->", "has no params.friction.2"),
         ("1<!--= runs trot: sped -->", "has no sped"),
         ("1<!--= runs trot: gait -->", "is no number: trot"),
         ("1<!--= runs trot speed -->", "is no source"),

@@ -56,7 +56,7 @@ def test_a_text_is_filled_with_numbers_of_results(results: Path, text: str, fill
         ("groups group=b: count pattern", "has no column pattern in such rows"),
         ("run: calm.power .2", "results/run.json: has no calm.power in its keys"),
         ("run: gait .2", "is no number: trot"),
-        ("runs: gait", "results has no file runs.csv or runs.json"),
+        ("runs: gait", "results has no file runs.csv or runs.json or runs.toml"),
         ("cut: speed .2", "results/cut.json: is not JSON"),
     ],
 )

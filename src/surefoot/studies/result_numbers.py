@@ -1,12 +1,13 @@
 """Numbers of results by name, for text: `evaluations trot/table1: falls of episodes` in results/evaluations.csv.
 
-A source reads FILE ROW: COLUMN. FILE is a CSV or JSON file without its suffix, in results/ or from the root
-(policies/...). ROW is a value of the first column, or COLUMN=VALUE,COLUMN=VALUE; a JSON file has none. COLUMN is a
-column, or keys of a JSON file with dots between them; a factor may follow, as in `share x100`. `N of M` is one column
-of another. `mean [low, high]` and `mean ± error` are several columns; what is in brackets or behind ± is left out
-where it is empty, as it is for a single policy.
+A source reads FILE ROW: COLUMN. FILE is a CSV, JSON or TOML file without its suffix, in results/ or from the root
+(policies/...). ROW is a value of the first column, or COLUMN=VALUE,COLUMN=VALUE; a JSON or TOML file has none. COLUMN
+is a column, or keys of a JSON or TOML file with dots between them, for a place in a list its number from 0; a factor
+may follow, as in `share x100`. `N of M` is one column of another. `mean [low, high]` and `mean ± error` are several
+columns; what is in brackets or behind ± is left out where it is empty, as it is for a single policy.
 
 Several rows, `A; B; C`, give several numbers; or one, if COLUMN begins with sum, mean, sd (with n - 1), min or max.
+`all COLUMN=VALUE,COLUMN=VALUE` are all rows with these values; without `all` there must be one.
 `count` is how many rows there are, and `count COLUMN` how often each value is in a column, such as `3 trot, 1 pace`.
 
 A format follows in braces of a text: `.2`, `0.2` (with a leading zero), `0` (an integer), `+.2` (with its sign);
@@ -19,6 +20,7 @@ import csv
 import json
 import re
 import statistics
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -69,7 +71,7 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
         raise SurefootError(f"'{source}' is no source; it is FILE ROW: COLUMN")
     name, _, selectors = place.partition(" ")
     counts = re.match(r"count\b", column)
-    path = find_file(root, name, ("csv", "json") if selectors or counts else ("json", "csv"))
+    path = find_file(root, name, ("csv", "json") if selectors or counts else ("json", "toml", "csv"))
     with prefix_errors(path.relative_to(root)):
         if counts:
             return [count(read_rows(path, where(path, selectors)), column[6:])]
@@ -77,7 +79,7 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
         word, _, rest = column.partition(" ")
         # A column may be called mean, and have a spread.
         combine = _COMBINED.get(word) if rest and rest[0] not in "[±" else None
-        rows = [find_row(path, where(path, one)) for one in selectors.split("; ")]
+        rows = [row for one in selectors.split("; ") for row in select_rows(path, one)]
 
         def texts(key: str) -> list[str]:
             """Return the text in each row; an empty one where there is nothing."""
@@ -134,7 +136,7 @@ def find_file(root: Path, name: str, kinds: Iterable[str] = ("csv", "json")) -> 
     for path in (root / folder / f"{name}.{kind}" for folder in ("results", ".") for kind in kinds):
         if path.is_file():
             return path
-    raise NotMeasured(f"results has no file {name}.csv or {name}.json")
+    raise NotMeasured("results has no file " + " or ".join(f"{name}.{kind}" for kind in sorted(kinds)))
 
 
 def where(path: Path, selector: str) -> dict[str, str]:
@@ -149,8 +151,18 @@ def first_column(path: Path) -> list[str]:
     return [row[0] for row in csv.reader(_read(path).splitlines())]
 
 
+def select_rows(path: Path, selector: str) -> list[Any]:
+    """Return the one row of a selector, or all that `all COLUMN=VALUE` selects."""
+    one = selector.removeprefix("all ")
+    if one == selector or "=" not in one:
+        return [find_row(path, where(path, selector))]
+    if not (rows := read_rows(path, where(path, one))):
+        raise NotMeasured(f"has no rows of {one}")
+    return rows
+
+
 def find_row(path: Path, columns: dict[str, str]) -> Any:
-    """Return the one row of a CSV file with these values of columns; all of a JSON file.
+    """Return the one row of a CSV file with these values of columns; all of a JSON or TOML file.
 
     Raises:
         SurefootError: a file that can't be read, or not just one such row.
@@ -162,10 +174,11 @@ def find_row(path: Path, columns: dict[str, str]) -> Any:
             error = SurefootError if rows else NotMeasured
             raise error(f"has {len(rows)} rows of {described}; there must be one")
         return rows[0]
+    loads = tomllib.loads if path.suffix == ".toml" else json.loads
     try:
-        return json.loads(_read(path))
+        return loads(_read(path))
     except (ValueError, RecursionError):
-        raise SurefootError("is not JSON") from None
+        raise SurefootError(f"is not {path.suffix[1:].upper()}") from None
 
 
 def read_rows(path: Path, columns: dict[str, str]) -> list[dict[str, str]]:
@@ -177,7 +190,10 @@ def read_rows(path: Path, columns: dict[str, str]) -> list[dict[str, str]]:
 def find_value(data: Any, key: str) -> Any:
     """Return what is in a column of a row, or at keys with dots between them; None without such a key."""
     for part in [key] if isinstance(data, dict) and key in data else key.split("."):
-        data = data.get(part) if isinstance(data, dict) else None
+        if isinstance(data, list) and part.isdecimal() and int(part) < len(data):
+            data = data[int(part)]
+        else:
+            data = data.get(part) if isinstance(data, dict) else None
     return data
 
 
