@@ -7,6 +7,8 @@ import pytest
 
 from surefoot.evaluation.foot_forces import foot_forces
 from surefoot.robot import RobotDescription
+from surefoot.rotations import quat_matrix
+from surefoot.world.sim_world import SimWorld
 
 ROBOTS = RobotDescription.available()
 
@@ -45,3 +47,15 @@ def test_a_straight_leg_has_no_force_along_itself():
     force = foot_forces(robot, straight, np.full(robot.num_motors, 0.1))
     assert np.isfinite(force).all()
     assert np.abs(force).max() < 10.0
+
+
+@pytest.mark.parametrize(("name", "share"), [("minitaur", 0.90), ("go2", 0.94), ("pupper_v2", 0.81), ("solo8", 0.89)])
+def test_feet_of_a_robot_that_stands_carry_it_but_for_its_legs(name: str, share: float):
+    robot = RobotDescription.load(name)
+    world = SimWorld(robot, 1)
+    for _ in range(350):
+        world.step(world.resting_angles)
+    truth = world.truth()
+    force = foot_forces(robot, truth.motor_angle[0], truth.motor_torque[0])
+    upward = (force @ quat_matrix(truth.base_quat_world[0])[2]).sum()
+    assert upward / robot.weight == pytest.approx(share, abs=0.02)
