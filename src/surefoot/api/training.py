@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from surefoot.api.episodes import draw_episode, film
+from surefoot.configuration import to_mapping
 from surefoot.learn.config import TrainConfig
 from surefoot.progress import ProgressBar
 from surefoot.world.registry import find_world
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 EPISODE = "episode.npz"
 """File of the median episode's trace among the figures of a run."""
+_LISTED = 4
+"""Changes that a note names."""
 _EPISODES = 20
 _RANDOMIZED_EPISODES = 100
 """Episodes with randomized parameters: falls are rare there, and robots differ."""
@@ -37,6 +40,37 @@ def check_config(config: TrainConfig) -> None:
     LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
     if config.start_from is not None:
         RunFolder.open(Path(config.start_from))
+
+
+def start_note(config: TrainConfig) -> str | None:
+    """Return in one line what lets actions have other effects than in the run to start from; None: nothing does."""
+    from surefoot.learn.run_folder import RunFolder
+
+    if config.start_from is None:
+        return None
+    former, now = RunFolder.open(Path(config.start_from))[1].task, config.task
+    changes = [
+        change
+        for table in ("params", "reference")
+        for change in _changes(to_mapping(getattr(former, table)), to_mapping(getattr(now, table)), table)
+    ]
+    if not changes:
+        return None
+    more = f" and {len(changes) - _LISTED} more" if len(changes) > _LISTED else ""
+    return (
+        f"the policy of {config.start_from} learned with another reference or other parameters, so its actions had "
+        f"other effects: {', '.join(changes[:_LISTED])}{more}"
+    )
+
+
+def _changes(former: Any, now: Any, name: str) -> Iterator[str]:
+    """Yield the values of a table that differ from those of a former one."""
+    if isinstance(former, dict) and isinstance(now, dict):
+        for key in former | now:
+            yield from _changes(former.get(key), now.get(key), f"{name}.{key}")
+    elif former != now:
+        before, after = ("not set" if value is None else value for value in (former, now))
+        yield f"{name} {after} (was {before})"
 
 
 class TrainingProgress(ProgressBar):
