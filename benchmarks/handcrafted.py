@@ -224,7 +224,7 @@ def tuning_figure(curves: dict[str, list[dict[str, str]]], path: Path) -> Path:
         ax.set(
             xlabel="Control steps (million)", ylabel="Least cost of the generation (W)", yscale="log", ylim=(None, 200)
         )
-        ax.set_yticks([10, 20, 50, 100, 200], ["10", "20", "50", "100", "200"])
+        ax.set_yticks([5, 10, 20, 50, 100, 200], ["5", "10", "20", "50", "100", "200"])
         ax.minorticks_off()
         ax.margins(x=0.12)
     return path
@@ -248,9 +248,9 @@ def figure(rows: list[dict[str, Any]], conditions: tuple[str, ...], path: Path) 
                 ax.annotate(row["gait"], (row["speed"], row["power"]), (4, 3), textcoords="offset points", fontsize=6)
             ax.set_title(_TITLES[condition])
             ax.set_xlabel("Speed (m/s)")
-            ax.set(xscale="log", yscale="log", xlim=(0.35, 4.0), ylim=(6.0, 90.0))
+            ax.set(xscale="log", yscale="log", xlim=(0.35, 4.0), ylim=(3.0, 90.0))
             ax.set_xticks([0.4, 0.6, 1.0, 1.5, 2.5], ["0.4", "0.6", "1", "1.5", "2.5"])
-            ax.set_yticks([10, 20, 40, 80], ["10", "20", "40", "80"])
+            ax.set_yticks([5, 10, 20, 40, 80], ["5", "10", "20", "40", "80"])
             ax.minorticks_off()
         for number, family in enumerate(FAMILIES):
             axes[0].plot([], [], MARKERS[number], color=COLORS[number], label=family)
