@@ -266,7 +266,7 @@ def run_live(runs: int, folder: Path) -> Iterator[dict[str, Any]]:
             bare_figures = bare.end()
             process.terminate()
             _, summary = process.communicate()
-        result: dict[str, Any] = {"ended": "refused", "what": "".join(done.stderr.splitlines()[-1:])}
+        result: dict[str, Any] = {"ended": "refused", "what": done.stderr.strip().rpartition("\n")[2]}
         if done.stdout:
             (result,) = json.loads(done.stdout)["runs"]
         timing = result.get("timing", {})
