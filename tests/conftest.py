@@ -45,14 +45,17 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 class RealTimeLast(LoadFileScheduling):
-    """Each file's tests on one worker, for the fixtures that they share; those in real time are a unit of their own."""
+    """Each file's tests on one worker, for the fixtures that they share; those in real time, of all files, on one.
+
+    A worker keeps the fixtures of a file until its next test: robots and browsers, which would disturb others' tests.
+    """
 
     @functools.cached_property
     def _realtime(self) -> set[str]:
         return set(self.config.cache.get(REALTIME, ()))
 
     def _split_scope(self, nodeid: str) -> str:
-        return super()._split_scope(nodeid) + " in real time" * (nodeid in self._realtime)
+        return "in real time" if nodeid in self._realtime else super()._split_scope(nodeid)
 
 
 @pytest.hookimpl(optionalhook=True)
