@@ -69,6 +69,19 @@ def running_browser(gives_way: Path | None = None) -> Iterator[Browser]:
         browser.close()
 
 
+def new_page(browser: Browser, width: int, height: int, view: bool = True) -> Page:
+    """Return a small tab, which is drawn in software here, with patience for a busy computer.
+
+    Args:
+        view: with the 3D view; drawn by all processors, it takes the time that a control loop or training beside needs.
+    """
+    page = browser.new_page(viewport={"width": width, "height": height})
+    page.set_default_timeout(120_000)
+    if not view:
+        page.route("**/view?*", lambda route: route.fulfill(body="", content_type="text/html"))
+    return page
+
+
 def errors_of(page: Page) -> list[str]:
     """Return a list that collects the errors of a tab from now on."""
     errors: list[str] = []

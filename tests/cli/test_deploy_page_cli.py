@@ -18,7 +18,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
-from chromium import errors_of, hold_stick, in_browser, running_browser
+from chromium import errors_of, hold_stick, in_browser, new_page, running_browser
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -27,10 +27,7 @@ if TYPE_CHECKING:
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[Page]:
     with running_browser(gives_way=tmp_path) as browser:
-        page = browser.new_page(viewport={"width": 500, "height": 400})
-        # Without the 3D view: drawn by two processors, it would take the time that the control loop beside it needs.
-        page.route("**/view?*", lambda route: route.fulfill(body="", content_type="text/html"))
-        yield page
+        yield new_page(browser, 500, 400, view=False)
 
 
 @in_browser
@@ -46,7 +43,7 @@ def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
         address = deploy.stderr.readline().split()[0]
         wrong = errors_of(page)
         page.goto(address)
-        page.wait_for_function("document.getElementById('state').textContent.startsWith('run')", timeout=40_000)
+        page.wait_for_function("document.getElementById('state').textContent.startsWith('run')")
         assert page.locator("#policy").is_hidden()
         assert page.locator("#push").is_hidden()
         hold_stick(page, 0.2, 0.0)

@@ -23,7 +23,7 @@ pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
 import websockets
-from chromium import errors_of, hold_stick, in_browser, running_browser
+from chromium import errors_of, hold_stick, in_browser, new_page, running_browser
 from websockets.sync.client import connect
 
 from surefoot.api.drive_page import DrivePage, serve
@@ -52,7 +52,7 @@ class Running:
 
     def until(self, holds: Callable[[], object]) -> None:
         """Wait until something holds."""
-        end = time.monotonic() + 20.0
+        end = time.monotonic() + 60.0
         while not holds():
             assert time.monotonic() < end
             time.sleep(0.02)
@@ -241,8 +241,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def shared(running: Running, browser: Browser) -> Iterator[Page]:
     """Yield a tab that drives; its errors fail the tests."""
-    # A small picture, as it is drawn in software here.
-    page = browser.new_page(viewport={"width": 600, "height": 420})
+    page = new_page(browser, 600, 420)
     wrong = errors_of(page)
     page.goto(running.server.address)
     page.wait_for_function("document.getElementById('state').textContent.includes('m/s')")
@@ -385,9 +384,7 @@ def test_page_slows_and_pauses_time(running: Running, page: Page):
 
 @in_browser
 def test_second_tab_watches_until_the_first_is_closed(running: Running, page: Page, browser: Browser):
-    second = browser.new_page(viewport={"width": 300, "height": 300})
-    # Without the 3D view, which the first tab draws.
-    second.route("**/view?*", lambda route: route.fulfill(body="", content_type="text/html"))
+    second = new_page(browser, 300, 300, view=False)
     second.goto(running.server.address)
     watches = "document.getElementById('role').textContent.includes('watching')"
     second.wait_for_function(watches)

@@ -21,7 +21,7 @@ import pytest
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
-from chromium import errors_of, in_browser, running_browser
+from chromium import errors_of, in_browser, new_page, running_browser
 from recordings import swinging
 
 from surefoot.cli.main import main
@@ -59,8 +59,7 @@ def browser() -> Iterator[Browser]:
 
 def opened(browser: Browser, url: str) -> Page:
     """Open a page at time 0, paused; it must request nothing else and raise no errors."""
-    # A small picture, as it is drawn in software here.
-    tab, requests = browser.new_page(viewport={"width": 480, "height": 400}), list[str]()
+    tab, requests = new_page(browser, 480, 400), list[str]()
     wrong = errors_of(tab)
     tab.on("request", lambda request: requests.append(request.url))
     tab.goto(url)

@@ -19,7 +19,7 @@ pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
 import torch
-from chromium import errors_of, in_browser, running_browser
+from chromium import errors_of, in_browser, new_page, running_browser
 
 from surefoot.learn.run_folder import read_checkpoint
 
@@ -37,11 +37,7 @@ TINY = (
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[Page]:
     with running_browser() as browser:
-        page = browser.new_page(viewport={"width": 500, "height": 400})
-        page.set_default_timeout(60_000)  # the page has low priority
-        # Without the 3D view, which would take the time that the training needs.
-        page.route("**/view?*", lambda route: route.fulfill(body="", content_type="text/html"))
-        yield page
+        yield new_page(browser, 500, 400, view=False)
 
 
 @in_browser
