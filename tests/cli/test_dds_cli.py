@@ -72,9 +72,9 @@ def deploy(folder: Path, *words: str, event: Callable[[], object] | None = None)
 
 @pytest.mark.realtime
 def test_a_run_is_recorded_and_ends_with_damped_motors(body: Go2, tmp_path: Path) -> None:
-    code, result, _ = deploy(tmp_path, "--duration", "0.5", "--world-name", "a floor")
+    code, result, messages = deploy(tmp_path, "--duration", "0.5", "--world-name", "a floor")
+    assert code == 0, (result, messages)
     (run,) = result["runs"]
-    assert code == 0, run
     assert (run["ended"], run["what"]) == ("time", "done")
     trace = EpisodeTrace.load(tmp_path / "run_000.npz")
     assert trace.meta["world"] == "a floor"
@@ -121,8 +121,8 @@ def test_a_robot_that_is_not_ready_is_not_armed(body: Go2, tmp_path: Path) -> No
 @pytest.mark.realtime
 def test_release_and_hand_back(body: Go2, tmp_path: Path) -> None:
     body.set(controller="mcf")
-    code, _, messages = deploy(tmp_path, "--duration", "0.3", "--release", "--hand-back")
-    assert code == 0, messages
+    code, result, messages = deploy(tmp_path, "--duration", "0.3", "--release", "--hand-back")
+    assert code == 0, (result, messages)
     assert body.settings.controller == "mcf"
 
 
