@@ -189,8 +189,9 @@ class Stm32:
         listener.close()
         self.decoder, self.start, self.number = Decoder(Codec(8)), time.monotonic(), 0
         self.frames: list[Packet] = []
+        self._body = threading.Thread(target=self._embody, args=(plant,), daemon=True)
         if plant is not None:
-            threading.Thread(target=self._embody, args=(plant,), daemon=True).start()
+            self._body.start()
 
     def _embody(self, plant: Plant) -> None:
         with contextlib.suppress(BrokenPipeError):
@@ -237,6 +238,8 @@ class Stm32:
 
     def close(self) -> None:
         self.process.kill()
+        if self._body.ident is not None:
+            self._body.join()  # it writes to a pipe that is closed next
         self.process.communicate()
         self.line.close()
 
