@@ -41,8 +41,11 @@ def start(cwd: Path, workers: int) -> subprocess.Popen[str]:
 
 
 def updates(folder: Path, group: str) -> int:
-    log = folder / "runs" / "tiny" / group / "seed_0" / "figures.jsonl"
-    return len(log.read_text().splitlines()) if log.exists() else 0
+    """How many updates a training has logged; a training that begins anew removes its log at any moment."""
+    try:
+        return len((folder / "runs" / "tiny" / group / "seed_0" / "figures.jsonl").read_text().splitlines())
+    except FileNotFoundError:
+        return 0
 
 
 def worker(folder: Path, group: str) -> int:
