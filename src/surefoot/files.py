@@ -77,7 +77,11 @@ def atomic_write(path: Path, content: str | bytes) -> None:
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
     """Return the tables of a file of JSON lines; none if it is missing, and none after a line that was cut off."""
     rows: list[dict[str, Any]] = []
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:  # A training that begins anew removes its log at any moment.
+        return rows
+    for line in lines:
         try:
             rows.append(json.loads(line))
         except ValueError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
 import re
 import signal
@@ -13,6 +12,8 @@ from pathlib import Path
 import pytest
 from processes import SUREFOOT, refused, surefoot, wait_until
 from ray_nodes import cluster, free_port
+
+from surefoot.files import read_json_lines
 
 for module in ("optuna", "ray"):
     pytest.importorskip(module)
@@ -38,8 +39,7 @@ SEARCH = ("search", "tiny.yaml", "--space", "space.yaml", "--steps", str(STEPS),
 
 
 def rows(folder: Path, number: int) -> list[dict[str, object]]:
-    log = folder / f"out/trials/trial_{number:04d}/figures.jsonl"
-    return [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+    return read_json_lines(folder / f"out/trials/trial_{number:04d}/figures.jsonl")
 
 
 def start(folder: Path, *words: str) -> subprocess.Popen[str]:

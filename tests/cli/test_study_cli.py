@@ -17,6 +17,7 @@ import pytest
 from processes import SUREFOOT, refused, surefoot, wait_until
 
 from surefoot.api.extras import install_command
+from surefoot.files import read_json_lines
 from surefoot.studies.training import Training
 
 TINY = """
@@ -41,11 +42,7 @@ def start(cwd: Path, workers: int) -> subprocess.Popen[str]:
 
 
 def updates(folder: Path, group: str) -> int:
-    """How many updates a training has logged; a training that begins anew removes its log at any moment."""
-    try:
-        return len((folder / "runs" / "tiny" / group / "seed_0" / "figures.jsonl").read_text().splitlines())
-    except FileNotFoundError:
-        return 0
+    return len(read_json_lines(folder / "runs" / "tiny" / group / "seed_0" / "figures.jsonl"))
 
 
 def worker(folder: Path, group: str) -> int:
