@@ -7,6 +7,7 @@ A row is called POLICY, or POLICY/SET for other options than those of the set `n
 row's command prints its figures. It is stale if the policy's file, its training or the options have changed.
 `policies` in the YAML file are those that do not ship: a file in the repository, or a `training`, the words after
 `surefoot train`. Its run is looked for in `--runs`, in a folder of its name; `--train` trains what is not there.
+A name in braces is the run of another one: `--start-from {steer-spot}`.
 Without its run the row of such a policy stays as it is.
 """
 
@@ -17,6 +18,7 @@ import csv
 import hashlib
 import io
 import json
+import re
 import shlex
 import sys
 from contextlib import redirect_stdout
@@ -53,14 +55,27 @@ def named_rows(names: dict[str, Any]) -> dict[str, tuple[str, str]]:
     return rows
 
 
-def find_file(policy: str, about: dict[str, str], runs: Path, may_train: bool = False) -> Path | None:
-    """Return a policy's file; None, if it is made by a training whose run is not there."""
+def find_file(policy: str, others: dict[str, Any], runs: Path, may_train: bool = False) -> Path | None:
+    """Return a policy's file; None, if it is made by a training whose run is not there.
+
+    Args:
+        policy: its name.
+        others: policies that do not ship, by name.
+        runs: folder of trainings.
+        may_train: train what is not there.
+    """
+    about = others.get(policy, {})
     if "training" not in about:
         return ROOT / about["file"] if about else shipped_policies()[policy]
     found = sorted(runs.joinpath(policy).rglob("evaluation.json"))
     if not found and may_train:
+        training = about["training"]
+        for first in re.findall(r"{(.+?)}", training):
+            path = find_file(first, others, runs, may_train)
+            assert path is not None
+            training = training.replace(f"{{{first}}}", shlex.quote(str(path.parent)))
         words = ["--threads", "1", "--learning-threads", "1", "--out", str(runs / policy)]
-        train.main([*shlex.split(about["training"]), *words])
+        train.main([*shlex.split(training), *words])
         found = sorted(runs.joinpath(policy).rglob("evaluation.json"))
     return found[-1].with_name("policy.onnx") if found else None
 
@@ -106,7 +121,7 @@ def main() -> int:
     for name in selected:
         policy, options = named[name]
         about = names["policies"].get(policy, {})
-        path = find_file(policy, about, arguments.runs, arguments.train)
+        path = find_file(policy, names["policies"], arguments.runs, arguments.train)
         made = describe(policy, options, about, path)
         fresh = read_table().get(name, {}).items() >= made.items()
         if path is None and not fresh:

@@ -202,7 +202,8 @@ def test_evaluations_are_of_the_policies_and_options_that_are_named():
     for name, row in rows.items():
         policy, options = named[name]
         about = names["policies"].get(policy, {})
-        described = script.describe(policy, options, about, script.find_file(policy, about, Path("nowhere")))
+        path = script.find_file(policy, names["policies"], Path("nowhere"))
+        described = script.describe(policy, options, about, path)
         assert row.items() >= described.items(), f"{name} is stale: run benchmarks/evaluations.py"
 
 
