@@ -37,7 +37,7 @@ Run = dict[str, Array]
 
 def read_runs(path: Path) -> dict[str, list[Run]]:
     """Return the runs by what they have in common but the seed."""
-    table = pd.read_csv(path, keep_default_na=False)
+    table = pd.read_csv(path, keep_default_na=False, na_values=[""])
     runs: dict[str, list[Run]] = {}
     for (robot, start, ranges, threads), group in table.groupby(["robot", "start", "randomize", "threads"], sort=False):
         parts = (robot, start, *([ranges] if ranges != "none" else []), *(["1 thread"] if threads == 1 else []))

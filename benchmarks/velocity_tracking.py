@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 import csv
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -57,9 +57,13 @@ class TrainedPolicy:
         return self.learner.env.gait.feedback(self.learner.act(np.asarray(observation, np.float32)))
 
 
-def fresh_commands(task: TaskConfig, control_step: float) -> TaskConfig:
-    """Return the task with one command an episode, on nominal robots without pushes."""
+def fresh_commands(task: TaskConfig, control_step: float, within: Sequence[float]) -> TaskConfig:
+    """Return the task with one command an episode, on nominal robots without pushes; `within` as for `measure`."""
     commands = replace(task.commands, hold=(SECONDS, SECONDS), ramp=0)
+    if within:
+        low, high, sideways, turn = within
+        bounds = {"forward": (low, high), "sideways": (-sideways, sideways), "yaw_rate": (-turn, turn)}
+        commands = replace(commands, relative=False, **bounds)
     pushes = PushConfig(enabled=False)
     return replace(task, commands=commands, pushes=pushes, max_steps=round(SECONDS / control_step))
 
@@ -71,10 +75,17 @@ def from_scratch(task: TaskConfig) -> TaskConfig:
     return replace(task, reference=ReferenceConfig(), feedback=wide, observations=seen)
 
 
-def measure(learner: PpoLearner, episodes: int) -> dict[str, Any]:
-    """Return errors and falls of the present policy on fresh commands."""
+def measure(learner: PpoLearner, episodes: int, within: Sequence[float] = ()) -> dict[str, Any]:
+    """Return errors and falls of the present policy on fresh commands.
+
+    Args:
+        learner: has the policy.
+        episodes: commands.
+        within: least and greatest speed forward [m/s], greatest sideways [m/s] and yaw rate [rad/s]; the task's ranges,
+            if empty.
+    """
     config, env = learner.config, learner.env
-    task = fresh_commands(config.task, float(env.nominal.control_step[0]))
+    task = fresh_commands(config.task, float(env.nominal.control_step[0]), within)
     traces = run_episodes(TrainedPolicy(learner), task, episodes, SimWorld, config.seed + FRESH, config.threads)
     errors = Tracking.from_traces(traces, env.gait.reference.period or STRIDE)
     named: dict[str, float] = {}
@@ -83,7 +94,9 @@ def measure(learner: PpoLearner, episodes: int) -> dict[str, Any]:
     return {"falls": sum(trace.fell for trace in traces), "episodes": episodes, **named}
 
 
-def train(config: TrainConfig, minutes: float, every: float, episodes: int) -> Iterator[dict[str, Any]]:
+def train(
+    config: TrainConfig, minutes: float, every: float, episodes: int, within: Sequence[float]
+) -> Iterator[dict[str, Any]]:
     """Train for some minutes, and yield the errors every `every` minutes; measuring them is outside the time."""
     clock = time.process_time if config.threads == 1 else time.perf_counter
     spent, due, start = 0.0, every, clock()
@@ -92,7 +105,10 @@ def train(config: TrainConfig, minutes: float, every: float, episodes: int) -> I
         learner.update()
         spent += clock() - start
         if spent >= 60 * due:
-            yield {"seconds": round(spent, 1), "control_steps": learner.steps, **measure(learner, episodes)}
+            point = {"seconds": round(spent, 1), "control_steps": learner.steps, **measure(learner, episodes)}
+            if within:
+                point |= {f"{name}_within": value for name, value in measure(learner, episodes, within).items()}
+            yield point
             due = every * (spent // (60 * every) + 1)
         start = clock()
 
@@ -108,6 +124,15 @@ def main() -> int:
     parser.add_argument("--randomize", default="none", help="table of ranges from which robots are drawn in training")
     parser.add_argument("--every", type=float, help="minutes between errors, outside the time; once, if not given")
     parser.add_argument("--threads", type=int, default=0, help="of simulation and learning; 0: one a core")
+    parser.add_argument(
+        "--within",
+        type=float,
+        nargs=4,
+        default=(),
+        metavar=("LOW", "HIGH", "SIDEWAYS", "TURN"),
+        help="measure on commands of a smaller range too: speed forward from LOW to HIGH [m/s], SIDEWAYS [m/s] and "
+        "TURN [rad/s] to both sides; those that all Go2 policies of docs/steer.md follow: -0.5 1 0.4 0.8",
+    )
     parser.add_argument("--out", type=Path, help="CSV file for the errors, with those of earlier runs")
     options = parser.parse_args()
     every = options.every or options.minutes
@@ -128,7 +153,7 @@ def main() -> int:
         if own and float(own[-1]["seconds"]) >= 60 * options.minutes:
             continue
         rows = [row for row in rows if row not in own]
-        for point in train(replace(base, seed=seed), options.minutes, every, options.episodes):
+        for point in train(replace(base, seed=seed), options.minutes, every, options.episodes, options.within):
             print({**run, **point}, flush=True)
             rows.append({**run, **point})
             if options.out:
