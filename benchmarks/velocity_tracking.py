@@ -62,8 +62,8 @@ def fresh_commands(task: TaskConfig, control_step: float, within: Sequence[float
     commands = replace(task.commands, hold=(SECONDS, SECONDS), ramp=0)
     if within:
         low, high, sideways, turn = within
-        bounds = {"forward": (low, high), "sideways": (-sideways, sideways), "yaw_rate": (-turn, turn)}
-        commands = replace(commands, relative=False, **bounds)
+        commands = replace(commands, relative=False, forward=(low, high), sideways=(-sideways, sideways))
+        commands = replace(commands, yaw_rate=(-turn, turn))
     pushes = PushConfig(enabled=False)
     return replace(task, commands=commands, pushes=pushes, max_steps=round(SECONDS / control_step))
 
