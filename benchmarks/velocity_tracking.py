@@ -2,7 +2,8 @@ r"""How well a robot follows commands after some minutes of training on this com
 
 The time runs from the start of training (models built, compiled code loaded) to its end; with one thread it is the
 process's time on a processor, which other programs change little, with more it is the wall's. Then the deterministic
-policy is run on fresh commands, one for each robot: 8 s from standing, of which the first second does not count.
+policy is run on fresh commands, one for each robot, which is drawn as in training and is not pushed: 8 s from
+standing, of which the first second does not count.
 Errors are root mean squares of speed forward and sideways [m/s] and yaw rate [rad/s], of every control step and
 averaged over a stride. Episodes that fell count up to the fall.
 
@@ -58,12 +59,12 @@ class TrainedPolicy:
 
 
 def fresh_commands(task: TaskConfig, control_step: float, within: Sequence[float]) -> TaskConfig:
-    """Return the task with one command an episode, on nominal robots without pushes; `within` as for `measure`."""
+    """Return the task with one command an episode, on robots as in training, without pushes; see `measure`."""
     commands = replace(task.commands, hold=(SECONDS, SECONDS), ramp=0)
     if within:
         low, high, sideways, turn = within
-        commands = replace(commands, relative=False, forward=(low, high), sideways=(-sideways, sideways))
-        commands = replace(commands, yaw_rate=(-turn, turn))
+        aside, turns = (-sideways, sideways), (-turn, turn)
+        commands = replace(commands, relative=False, forward=(low, high), sideways=aside, yaw_rate=turns)
     pushes = PushConfig(enabled=False)
     return replace(task, commands=commands, pushes=pushes, max_steps=round(SECONDS / control_step))
 

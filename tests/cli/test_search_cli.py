@@ -99,6 +99,7 @@ def check(folder: Path, trials: int) -> None:
     assert all(row["state"] == "complete" for row in table)
     for number in range(trials):
         results = rows(folder, number)
+        assert len((folder / f"out/trials/trial_{number:04d}/figures.jsonl").read_text().splitlines()) == UPDATES
         assert [row["steps"] for row in results] == [256 * (n + 1) for n in range(UPDATES)]
         assert float(table[number]["return"]) == pytest.approx(results[-1]["evaluation"]["return_mean"], abs=1e-6)  # type: ignore[index]
     assert len({row["seed"] for row in table}) == trials
