@@ -39,13 +39,16 @@ _LYING_KNEE, _LYING_MOTION, _LYING_TIME = -2.2, 0.05, 0.5
 """A Go2 lies whose knees are folded below this angle [rad] and whose joints have moved by less than this [rad] for so
 long [s]; single readings of speeds are too noisy."""
 _POLL = 0.001
+_DEPTH = 512
+"""Messages on a topic that wait for a computer that is late."""
 
 
 @dataclass
 class Observation:
-    """What has come within a time [s]."""
+    """What has come."""
 
     time: float
+    """For how long [s], as measured."""
     records: list[Record]
     damaged: list[str]
     """Why messages on rt/lowstate were no states."""
@@ -63,9 +66,9 @@ class Inspection:
         self._place = f"interface {interface}, domain {domain}"
         self._interface = interface
         self._bus = bus
-        self._states = bus.reader(LOW_STATE_TOPIC, types.LowState, 512)
-        self._commands = bus.reader(LOW_COMMAND_TOPIC, types.LowCmd, 512, others=True)
-        self._sport = bus.reader(SPORT_STATE_TOPIC, types.SportModeState, 512)
+        self._states = bus.reader(LOW_STATE_TOPIC, types.LowState, _DEPTH)
+        self._commands = bus.reader(LOW_COMMAND_TOPIC, types.LowCmd, _DEPTH, others=True)
+        self._sport = bus.reader(SPORT_STATE_TOPIC, types.SportModeState, _DEPTH)
 
     def await_robot(self) -> None:
         """Wait for the first message on rt/lowstate.
@@ -89,20 +92,21 @@ class Inspection:
             time.sleep(_POLL)
 
     def observe(self, duration: float) -> Observation:
-        """Observe the topics for a time [s]."""
+        """Observe the topics for a time [s]; on a busy computer it takes longer, and that time is in the result."""
         for reader in (self._states, self._commands, self._sport):
-            reader.take(512)
-        seen = Observation(duration, [], [], 0, 0)
-        end = time.monotonic() + duration
-        while time.monotonic() < end:
+            reader.take(_DEPTH)
+        seen = Observation(0.0, [], [], 0, 0)
+        start = time.monotonic()
+        while seen.time < duration:
             time.sleep(_POLL)
-            for data in self._states.take():
+            seen.time = time.monotonic() - start
+            for data in self._states.take(_DEPTH):
                 try:
                     seen.records.append(decode(LOW_STATE, data))
                 except BadMessageError as error:
                     seen.damaged.append(str(error))
-            seen.commands += len(self._commands.take())
-            seen.sport += len(self._sport.take())
+            seen.commands += len(self._commands.take(_DEPTH))
+            seen.sport += len(self._sport.take(_DEPTH))
         return seen
 
     def lies(self) -> bool:
@@ -193,7 +197,7 @@ def _check_strangers(seen: Observation) -> CheckResult:
     return judge(
         "other programs",
         not seen.commands,
-        f"{seen.commands} messages on {LOW_COMMAND_TOPIC} in {seen.time:g} s",
+        f"{seen.commands} messages on {LOW_COMMAND_TOPIC} in {seen.time:.1f} s",
         "; nobody else may command the motors",
         "end the other program, also on the robot's own computer",
         seen.commands,
