@@ -18,6 +18,7 @@ from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.footholds import Footholds, followed_state
 from surefoot.task.observation import ObservationInputs, Observer
+from surefoot.task.touch import TouchLift
 from surefoot.world.interface import Readings
 
 
@@ -44,6 +45,7 @@ class Controller:
         self._history: NDArray[np.float32] | None = None
         self._filter = None if limits is None else CommandFilter.from_reference(self.gait.reference, limits, robot, 1)
         self._footholds = Footholds.of(self.gait.reference, 1)
+        self._touch = TouchLift.of(self.gait.reference, 1)
 
     def reset(self) -> None:
         """Start a new episode, with the command to stand."""
@@ -63,7 +65,7 @@ class Controller:
         return clamped
 
     def _state(self) -> CommandState | None:
-        return followed_state(self._filter, self._footholds)
+        return followed_state(self._filter, self._footholds, self._touch)
 
     def observe(self, moment: float, state: State, missed: int = 0) -> NDArray[np.float32]:
         """Return the policy's input (1, O * history), the newest observation first.
@@ -87,9 +89,13 @@ class Controller:
             yaw = readings.roll_pitch_yaw[:, 2]
             if self._history is None:
                 self._filter.reset(np.arange(1), yaw)
+                if self._touch is not None:
+                    self._touch.reset(np.arange(1))
             else:
                 step = np.array([self.contract.control_step * (missed + 1)])
                 self._filter.advance(self.command[None], step, yaw)
+                if self._touch is not None:
+                    self._touch.update(self.target[None], readings.motor_angle, self._filter.state, step)
         heights = None if self.heights is None else self.heights[None]
         if self._footholds is not None and self._filter is not None and heights is not None:
             if self._history is None:

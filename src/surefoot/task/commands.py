@@ -276,6 +276,8 @@ class CommandState:
     """How far feet stood beside the places of their strides when they lifted off (N, L, 2) [m], see `Footholds`."""
     landing: Array | None = None
     """How far beside them they land, likewise; they keep that in stance."""
+    lift: Array | None = None
+    """How much further feet are lifted in their swings (N, L) [m], see `TouchLift`."""
 
 
 class CommandFilter:

@@ -25,6 +25,7 @@ from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
 from surefoot.task.reward import Scales, StepMotion, base_height, base_rates, base_tilt, step_reward
 from surefoot.task.terrain import TerrainCurriculum
+from surefoot.task.touch import TouchLift
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
@@ -132,6 +133,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             self.source = self._given_source or task.commands.make_generator(limits, self.num_envs, seed)
             self.commands = CommandFilter.from_reference(self.gait.reference, limits, self.robot, self.num_envs)
         self.footholds = Footholds.of(self.gait.reference, self.num_envs)
+        self.touch = TouchLift.of(self.gait.reference, self.num_envs)
         self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)
         self.returns = np.zeros(self.num_envs)
@@ -165,8 +167,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self.source is not None and self.commands is not None:
             self.source.reset(rows)
             self.commands.reset(rows, self.readings.roll_pitch_yaw[:, 2])
-        if self.footholds is not None:
-            self.footholds.reset(rows)
+        for part in (self.footholds, self.touch):
+            if part is not None:
+                part.reset(rows)
         if self.task.pushes.enabled:
             self.pusher.reset(rows)
             self.world.push(self.pusher.force)
@@ -192,7 +195,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     @property
     def command_state(self) -> CommandState | None:
         """What the gait follows now, of a task with commands."""
-        return followed_state(self.commands, self.footholds)
+        return followed_state(self.commands, self.footholds, self.touch)
 
     def _observation(self) -> NDArray[np.float32]:
         return self.history.reshape(self.num_envs, -1).astype(np.float32)
@@ -237,6 +240,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
                 self.curriculum.record(self.source.command[:, :2], velocity, before.roll_pitch_yaw[:, 2], duration)
             self.source.update(self.readings.time)
             self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
+            if self.touch is not None:
+                angles, step = self.readings.motor_angle, world.params.control_step
+                self.touch.update(self.target, angles, self.commands.state, step)
         if self.scanner is not None:
             self.scanner.update(self.ground, self.truth.base_position_world, self.truth.roll_pitch_yaw[:, 2])
             if self.footholds is not None and self.commands is not None:
@@ -387,6 +393,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             owners["scan_"] = self.scanner
         if self.footholds is not None:
             owners["footholds_"] = self.footholds
+        if self.touch is not None:
+            owners["touch_"] = self.touch
         return {f"{prefix}{name}": getattr(owner, name) for prefix, owner in owners.items() for name in owner.arrays}
 
     def _streams(self) -> dict[str, list[np.random.Generator]]:

@@ -29,7 +29,15 @@ QUANTITIES = ("stroke", "clearance", "duty_factor", "phase", "height", "offset",
 """What each leg has of its own."""
 LENGTHS = ("stroke", "clearance", "height", "offset", "depth")
 """Those that are lengths."""
-FOLLOWING = ("stride_gain", "frequency_rise", "turn_gain", "clearance_rise", "height_rise", "foothold_radius")
+FOLLOWING = (
+    "stride_gain",
+    "frequency_rise",
+    "turn_gain",
+    "clearance_rise",
+    "height_rise",
+    "foothold_radius",
+    "touch_clearance",
+)
 """Numbers of a `FollowingReference` that `ReferenceConfig` has by the same names."""
 _LOADING = 0.15
 """Part of the stance in which a leg takes over its share of the weight, and in which it gives it back."""
@@ -42,6 +50,8 @@ _PHASES = 48
 _TURNS = 16
 _ARRIVED = 0.8
 """Part of the swing after which a foot is beside its stride by as much as it lands: soft legs lag."""
+_RISEN, _LOWERED = 0.2, 0.25
+"""Parts of the swing in which a foot gets its lift by touch, and gives it back."""
 _ASIDE = 0.5
 """Axis to the side of the ellipse in which footholds are, over that ahead."""
 
@@ -184,6 +194,8 @@ class FollowingReference:
     """Height gained at the greatest stride, over that on the spot."""
     foothold_radius: float = 0.0
     """Greatest distance [m] by which feet land beside the places of their strides, see `Footholds`."""
+    touch_clearance: float = 0.0
+    """Greatest height [m] by which feet are lifted further that meet something, see `TouchLift`."""
     acceleration_feedforward: float = 0.0
     """Square of the time [s^2] by which commands lead along the acceleration of the pose."""
     weight_feedforward: float = 0.0
@@ -235,7 +247,8 @@ class FollowingReference:
         corners[:, 2] = np.where(corners[:, 2] > 0, rate, -rate)
         corners = np.concatenate([corners, corners * [1, 1, 0], np.zeros((1, 3))])
         phase = np.tile(np.arange(_PHASES) / _PHASES, len(corners))
-        return CommandState(np.repeat(corners, _PHASES, axis=0), np.ones(len(phase)), phase)
+        lift = np.full((len(phase), len(self.feet.legs)), self.touch_clearance)
+        return CommandState(np.repeat(corners, _PHASES, axis=0), np.ones(len(phase)), phase, lift=lift)
 
     @property
     def period(self) -> float:
@@ -282,11 +295,18 @@ class FollowingReference:
             _, share = self._on_the_spot(state.command)
             lifted = np.where(bump > 0.0, bump * (1.0 + self.clearance_rise * share[:, None]), bump)
             bump = lifted - self.height_rise * share[:, None] * self.feet.height
+        if state.lift is not None:
+            bump = bump + state.lift * self._raised(state.phase)
         if state.lift_off is not None and state.landing is not None:
             step = step + self._beside(state.phase, state.lift_off, state.landing)
             step = step / np.maximum(1.0, self.reached(step))[..., None]
         foot = np.concatenate([step, (active * bump)[..., None]], axis=-1) + self.places
         return self.robot.leg_geometry.foot_pose(foot)
+
+    def _raised(self, phase: Array) -> Array:
+        """Return the share of the lift by touch that feet have (N, L): soon, and to the end of the swing."""
+        part = self.feet.swing_part(phase)
+        return np.asarray(np.clip(np.minimum(part / _RISEN, (1.0 - part) / _LOWERED), 0.0, 1.0))
 
     def _beside(self, phase: Array, lift_off: Array, landing: Array) -> Array:
         """Return how far feet are beside the places of their strides (N, L, 2) [m]."""
@@ -331,7 +351,7 @@ class FollowingReference:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the `ReferenceConfig` that makes it again, as JSON values."""
-        gains = {name: getattr(self, name) for name in ("stride_gain", "frequency_rise", "turn_gain")}
-        others = ("clearance_rise", "height_rise", "foothold_radius", "acceleration_feedforward", "weight_feedforward")
+        gains = {name: getattr(self, name) for name in FOLLOWING[:3]}
+        others = (*FOLLOWING[3:], "acceleration_feedforward", "weight_feedforward")
         gains |= {name: value for name in others if (value := getattr(self, name))}
         return {**self.feet.to_dict(), "kind": "follow", **gains}

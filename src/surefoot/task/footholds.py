@@ -16,6 +16,7 @@ from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.foot_references import FollowingReference
 from surefoot.task.height_scan import MAP
 from surefoot.task.reference import Reference
+from surefoot.task.touch import TouchLift
 from surefoot.world.interface import Readings
 
 LEVEL = 0.15
@@ -120,11 +121,16 @@ class Footholds:
         return (uneven | (grid < self._deepest)).astype(float)
 
 
-def followed_state(commands: CommandFilter | None, footholds: Footholds | None) -> CommandState | None:
-    """Return what a gait follows now: commands, phase and footholds, if it has any; None without commands."""
-    if commands is None or footholds is None:
-        return None if commands is None else commands.state
-    return replace(commands.state, lift_off=footholds.lift_off.copy(), landing=footholds.landing.copy())
+def followed_state(
+    commands: CommandFilter | None, footholds: Footholds | None, touch: TouchLift | None
+) -> CommandState | None:
+    """Return what a gait follows now: commands, phase, footholds and lift, if it has any; None without commands."""
+    if commands is None:
+        return None
+    state = commands.state
+    if footholds is not None:
+        state = replace(state, lift_off=footholds.lift_off.copy(), landing=footholds.landing.copy())
+    return state if touch is None else replace(state, lift=touch.lift.copy())
 
 
 def _second_highest(grid: Array) -> Array:

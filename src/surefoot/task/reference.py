@@ -98,6 +98,8 @@ class ReferenceConfig:
     foothold_radius: Annotated[float, Within(0, 1)] = 0.0
     """Greatest distance [m] by which feet land beside the ends of their strides, where the map of heights has a gap, an
     edge or a wall there, for kind follow; 0: none."""
+    touch_clearance: Annotated[float, Within(0, 1)] = 0.0
+    """Greatest height [m] by which feet are lifted further that meet something in their swing, for kind follow."""
     velocity_feedforward: Annotated[float, Within(0, 10)] = 0.0
     """Time [s] by which commands lead along the velocity of the reference, for kinds foot and follow."""
     acceleration_feedforward: Annotated[float, Within(0, 10)] = 0.0
@@ -244,7 +246,7 @@ def make_reference(
         if config.relative:
             kp, _, inertia = _mean_actuator(robot, params)
             ahead = {"acceleration_feedforward": inertia / kp, "weight_feedforward": robot.weight / kp}
-            ahead["foothold_radius"] = robot.leg_geometry.length
+            ahead |= dict.fromkeys(("foothold_radius", "touch_clearance"), robot.leg_geometry.length)
         gains |= {name: unit * getattr(config, name) for name, unit in ahead.items()}
         return FollowingReference(robot, _foot_reference(config, robot, params), commands, **gains)
     waves = {"abduction": config.abduction, "swing": config.swing, "extension": config.extension}

@@ -1,0 +1,92 @@
+"""Feet that meet something in their swing are lifted further, until they have met nothing for some strides.
+
+A swinging foot that stays far behind its command has met a step or a stone. Motor angles tell, so that no sensor at the
+foot is needed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.robot import GRAVITY
+from surefoot.task.commands import CommandState
+from surefoot.task.foot_references import FollowingReference
+from surefoot.task.reference import Reference
+
+BEHIND = 0.12
+"""A foot has met something that is further than this behind its command, in lengths l of the straight leg: a free one
+of soft legs lags by less."""
+_FIRST, _LAST = 0.2, 0.95
+"""Part of the swing in which it is looked at: before, it may still stand, and then it may have landed."""
+_FILTER = 0.2
+"""Time constant [sqrt(l / g)] of that distance: commands that differ from step to step are no obstacles."""
+_RISES = 1.7
+"""By how much the lift grows in a time sqrt(l / g), in l."""
+_FALLS = 15.0
+"""Time constant [sqrt(l / g)] with which the lift is forgotten, some strides."""
+_SHORTEST = 0.07
+"""Shortest stride [l] that has a direction in which a foot can meet something."""
+
+
+class TouchLift:
+    """How much further feet of N robots with L legs are lifted.
+
+    Args:
+        reference: with `touch_clearance`.
+        num_envs: robots.
+    """
+
+    arrays = ("lift", "behind", "commanded")
+    """Names of the arrays that change over time."""
+
+    def __init__(self, reference: FollowingReference, num_envs: int) -> None:
+        self.reference, legs = reference, reference.robot.leg_geometry
+        self._length = float(legs.length)
+        self._natural = float(np.sqrt(self._length / GRAVITY))
+        self.lift = np.zeros((num_envs, len(reference.places)))
+        """Height [m] by which feet are lifted further in the middle of their swings, (N, L)."""
+        self.behind = np.zeros(self.lift.shape)
+        """How far feet are behind their commands in the direction of their strides, low-pass filtered [m] (N, L)."""
+        self.commanded = np.zeros((*self.lift.shape, 3))
+        """Feet of the last command but one, from the legs' mounts [m] (N, L, 3): actuators take that long."""
+
+    @classmethod
+    def of(cls, reference: Reference, num_envs: int) -> TouchLift | None:
+        """Return that of a reference; None, if it lifts no feet further."""
+        if isinstance(reference, FollowingReference) and reference.touch_clearance:
+            return cls(reference, num_envs)
+        return None
+
+    def reset(self, rows: NDArray[np.int64]) -> None:
+        """Let robots stand that have met nothing."""
+        for array in (self.lift, self.behind, self.commanded):
+            array[rows] = 0.0
+
+    def update(self, target: Array, measured: Array, state: CommandState, step: Array) -> None:
+        """Go on by a control step.
+
+        Args:
+            target: motor angles (N, M) [rad] that were commanded.
+            measured: those at its end.
+            state: what the gait follows.
+            step: its duration (N,) [s].
+        """
+        reference, time = self.reference, step[:, None] / self._natural
+        stride = state.activity[:, None, None] * reference.strides(state.command)
+        size = np.linalg.norm(stride, axis=-1)
+        missing = np.nan_to_num(self.commanded - self._feet(measured))  # NaN: noisy angles of a leg that can't close
+        now = (missing[..., :2] * stride).sum(axis=-1) / np.maximum(size, 1e-9)
+        self.behind += np.minimum(time / _FILTER, 1.0) * (now - self.behind)
+        part = reference.feet.swing_part(state.phase)
+        met = (
+            (part > _FIRST) & (part < _LAST) & (self.behind > BEHIND * self._length) & (size > _SHORTEST * self._length)
+        )
+        raised = np.minimum(self.lift + _RISES * self._length * time, reference.touch_clearance)
+        self.lift = np.where(met, raised, np.where(part < 0.0, self.lift * np.exp(-time / _FALLS), self.lift))
+        self.commanded = self._feet(target)
+
+    def _feet(self, angles: Array) -> Array:
+        robot = self.reference.robot
+        return np.asarray(robot.leg_geometry.foot_position(angles[:, robot.leg_motor_index]))

@@ -1,0 +1,141 @@
+"""Lift by touch: feet that meet something in their swing are lifted further, and forget it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.configuration import from_mapping
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.task.commands import CommandState
+from surefoot.task.config import TaskConfig, load_task
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.foot_references import FollowingReference
+from surefoot.task.touch import TouchLift
+from surefoot.world.sim_world import SimWorld
+
+GO2 = RobotDescription.load("go2")
+LENGTH, NATURAL = 0.426, (0.426 / 9.81) ** 0.5
+FRONT_LEFT, FRONT_RIGHT = (GO2.leg_names.index(name) for name in ("front_left", "front_right"))
+STEP = np.array([0.016])
+
+
+def lifting_task(most: float = 0.3, clearance: float = 0.25) -> TaskConfig:
+    """Return the task `terrain` of a Go2 that lifts feet further by so many lengths of the leg at most."""
+    reference = {"touch_clearance": most, "foot": {"clearance": clearance}}
+    return from_mapping(TaskConfig, {"reference": reference}, base=load_task("terrain", "go2")[0])
+
+
+@pytest.fixture
+def reference() -> FollowingReference:
+    made = lifting_task().gait(GO2).reference
+    assert isinstance(made, FollowingReference)
+    return made
+
+
+def walking(phase: float, forward: float = 0.5) -> CommandState:
+    """Return a robot that walks ahead; the left front foot swings from .6 to 1, the right one from .1 to .5."""
+    return CommandState(np.array([[forward, 0.0, 0.0]]), np.ones(1), np.array([phase]))
+
+
+def angles(reference: FollowingReference, ahead: float = 0.0) -> np.ndarray:
+    """Return motor angles (1, M) of feet some way [m] ahead of the reference's places."""
+    return GO2.to_motors(GO2.leg_geometry.foot_pose(reference.places + np.array([ahead, 0.0, 0.0]))[None])
+
+
+def hold_behind(reference: FollowingReference, behind: float, steps: int, **changes: float) -> TouchLift:
+    """Return what robots do in whose swing feet are so far [m] behind their commands for some control steps."""
+    touch = TouchLift(reference, 1)
+    for _ in range(steps + 1):
+        touch.update(angles(reference, behind), angles(reference), walking(0.8, **changes), STEP)
+    return touch
+
+
+def test_a_foot_that_is_held_back_is_lifted_further(reference):
+    # A low-pass filter of .2 sqrt(l / g), in steps of 16 ms: what is missing shrinks by a share of .384 in each.
+    share = 0.016 / (0.2 * NATURAL)
+    seen = [hold_behind(reference, 0.08, steps) for steps in range(1, 5)]
+    assert [float(touch.behind[0, FRONT_LEFT]) for touch in seen] == pytest.approx(
+        [0.08 * (1 - (1 - share) ** steps) for steps in range(1, 5)]
+    )
+    # .12 l is .051 m; passed in the third step. The lift grows by 1.7 l in sqrt(l / g), up to .3 l.
+    rise = 1.7 * LENGTH * 0.016 / NATURAL
+    assert [float(touch.lift[0, FRONT_LEFT]) for touch in seen] == pytest.approx([0.0, rise - rise, rise, 2 * rise])
+    assert hold_behind(reference, 0.08, 40).lift[0, FRONT_LEFT] == pytest.approx(0.3 * LENGTH)
+    assert not seen[-1].lift[0, FRONT_RIGHT].any()  # it stands
+    assert not hold_behind(reference, 0.04, 40).lift.any()  # soft legs lag
+
+
+def test_what_is_behind_counts_in_the_direction_of_the_stride(reference):
+    assert hold_behind(reference, -0.08, 40, forward=-0.3).lift[0, FRONT_LEFT] > 0.0
+    assert not hold_behind(reference, 0.08, 40, forward=-0.3).lift.any()
+    assert not hold_behind(reference, 0.08, 40, forward=0.0).lift.any()  # on the spot nothing is met
+
+
+def test_actuators_have_a_control_step_to_follow(reference):
+    touch = TouchLift(reference, 1)
+    for k in range(20):
+        touch.update(angles(reference, 0.01 * k), angles(reference, 0.01 * (k - 1)), walking(0.8), STEP)
+    assert touch.behind[0, FRONT_LEFT] == pytest.approx(0.0, abs=1e-5)
+
+
+def test_the_lift_is_forgotten_in_stance(reference):
+    touch = hold_behind(reference, 0.08, 40)
+    for _ in range(10):
+        touch.update(angles(reference), angles(reference), walking(0.3), STEP)
+    assert touch.lift[0, FRONT_LEFT] == pytest.approx(0.3 * LENGTH * np.exp(-0.16 / (15 * NATURAL)))
+    touch.reset(np.arange(1))
+    assert not touch.lift.any()
+    assert not touch.behind.any()
+
+
+def test_the_reference_has_the_lift_soon_and_gives_it_back_at_the_end(reference):
+    legs, heights = GO2.leg_geometry, []
+    for phase in (0.3, 0.6 + 0.4 * 0.1, 0.8, 1.0 - 1e-9):
+        pair = []
+        for lift in (np.zeros((1, 4)), np.full((1, 4), 0.1)):
+            foot = legs.foot_position(legs.to_motors(reference.pose(0.0, replace(walking(phase), lift=lift))))
+            pair.append(foot[0, FRONT_LEFT, 2])
+        heights.append(pair[1] - pair[0])
+    assert heights == pytest.approx([0.0, 0.05, 0.1, 0.0], abs=1e-6)
+
+
+def test_a_lift_out_of_reach_is_refused():
+    with pytest.raises(SurefootError, match=r"a stride of front_right is out of the leg's reach; change .*clearance"):
+        lifting_task(0.5).gait(GO2)
+
+
+def on(ground: str, steps: int) -> LocomotionEnv:
+    """Return robots after some control steps of the reference alone."""
+    task = lifting_task(clearance=0.12)
+    task = replace(task, randomize={}, terrain=replace(task.terrain, sizes={}, shares={}, ground=ground))
+    env = LocomotionEnv(task, 4, SimWorld, seed=3, threads=1)
+    action = env.gait.action(np.zeros((4, len(env.gait.action_names))))
+    for _ in range(steps):
+        env.step(action)
+    return env
+
+
+def test_robots_meet_steps_and_go_on_exactly_from_a_state():
+    env = on("stairs:0.1", 250)
+    action = np.zeros((4, len(env.gait.action_names)))
+    state = env.get_state()
+    first = [env.step(action)[0] for _ in range(20)]
+    assert env.touch is not None
+    assert env.touch.lift.any()
+    env.set_state(state)
+    np.testing.assert_array_equal([env.step(action)[0] for _ in range(20)], first)
+
+
+def test_robots_meet_nothing_on_level_ground():
+    env = on("flat", 250)
+    assert env.touch is not None
+    assert not env.touch.lift.any()
+
+
+def test_a_gait_without_lift_by_touch_has_none():
+    gait = lifting_task(0.0).gait(GO2)
+    assert TouchLift.of(gait.reference, 1) is None
