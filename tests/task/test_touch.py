@@ -103,9 +103,35 @@ def test_the_reference_has_the_lift_soon_and_gives_it_back_at_the_end(reference)
     assert heights == pytest.approx([0.0, 0.05, 0.1, 0.0], abs=1e-6)
 
 
-def test_a_lift_out_of_reach_is_refused():
-    with pytest.raises(SurefootError, match=r"a stride of front_right is out of the leg's reach; change .*clearance"):
-        lifting_task(0.5).gait(GO2)
+def test_feet_that_are_lifted_come_back_to_their_leg(reference):
+    lift = np.full((1, 4), 0.3 * LENGTH)
+    beside = []
+    for phase in (0.65, 0.95):
+        state = replace(walking(phase), command=np.array([[0.0, 0.3, 0.0]]))
+        pair = [reference.pose(0.0, one) for one in (state, replace(state, lift=lift), replace(state, lift=lift / 3))]
+        feet = [GO2.leg_geometry.foot_position(GO2.leg_geometry.to_motors(pose))[0, FRONT_LEFT, 1] for pose in pair]
+        beside.append((np.array(feet) - reference.places[FRONT_LEFT, 1]) / 0.01)
+    for (free, high, low), share in zip(beside, (0.125 / 0.2, 0.125 / 0.25), strict=True):
+        assert abs(free) > 1.0
+        assert high == pytest.approx((1 - share) * free, abs=1e-3)
+        assert low == pytest.approx((1 - share / 3) * free, abs=1e-3)
+
+
+def test_every_stride_of_a_high_lift_is_in_reach():
+    made = lifting_task(0.44).gait(GO2).reference
+    count = 500
+    random = np.random.default_rng(0)
+    state = CommandState(
+        random.uniform(made.limits.low, made.limits.high, (count, 3)), np.ones(count), random.uniform(size=count)
+    )
+    assert np.isfinite(made.pose(0.0, replace(state, lift=random.uniform(0, 0.44 * LENGTH, (count, 4))))).all()
+
+
+def test_feet_are_not_lifted_to_their_motors():
+    with pytest.raises(
+        SurefootError, match=r"lifts feet by 0\.192 m, up to their motors: .* less than height, 0\.298 m"
+    ):
+        lifting_task(0.45).gait(GO2)
 
 
 def on(ground: str, steps: int) -> LocomotionEnv:

@@ -207,6 +207,11 @@ class FollowingReference:
 
     def __post_init__(self) -> None:
         """Check that legs reach every stride."""
+        if self.touch_clearance and np.any(self.feet.clearance + self.touch_clearance >= self.feet.height):
+            raise SurefootError(
+                f"reference.touch_clearance lifts feet by {self.touch_clearance:.3f} m, up to their motors: with "
+                f"clearance it must be less than height, {float(np.min(self.feet.height)):.3f} m"
+            )
         legs, resting = self.robot.leg_geometry, self._resting()
         _, aside, below = legs.foot_position(resting).T
         axis = below - legs.foot_in_plane(resting)[:, 1]
@@ -295,8 +300,11 @@ class FollowingReference:
             _, share = self._on_the_spot(state.command)
             lifted = np.where(bump > 0.0, bump * (1.0 + self.clearance_rise * share[:, None]), bump)
             bump = lifted - self.height_rise * share[:, None] * self.feet.height
-        if state.lift is not None:
-            bump = bump + state.lift * self._raised(state.phase)
+        if self.touch_clearance and state.lift is not None:
+            raised = self._raised(state.phase)
+            bump = bump + state.lift * raised
+            # High feet are not in reach of legs far to their side.
+            step[..., 1] *= 1.0 - raised * state.lift / self.touch_clearance
         if state.lift_off is not None and state.landing is not None:
             step = step + self._beside(state.phase, state.lift_off, state.landing)
             step = step / np.maximum(1.0, self.reached(step))[..., None]

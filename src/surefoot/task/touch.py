@@ -76,13 +76,12 @@ class TouchLift:
         reference, time = self.reference, step[:, None] / self._natural
         stride = state.activity[:, None, None] * reference.strides(state.command)
         size = np.linalg.norm(stride, axis=-1)
-        missing = np.nan_to_num(self.commanded - self._feet(measured))  # NaN: noisy angles of a leg that can't close
+        missing = np.nan_to_num(self.commanded - self._feet(measured))  # NaN: a leg that can't close
         now = (missing[..., :2] * stride).sum(axis=-1) / np.maximum(size, 1e-9)
         self.behind += np.minimum(time / _FILTER, 1.0) * (now - self.behind)
         part = reference.feet.swing_part(state.phase)
-        met = (
-            (part > _FIRST) & (part < _LAST) & (self.behind > BEHIND * self._length) & (size > _SHORTEST * self._length)
-        )
+        swings = (part > _FIRST) & (part < _LAST) & (size > _SHORTEST * self._length)
+        met = swings & (self.behind > BEHIND * self._length)
         raised = np.minimum(self.lift + _RISES * self._length * time, reference.touch_clearance)
         self.lift = np.where(met, raised, np.where(part < 0.0, self.lift * np.exp(-time / _FALLS), self.lift))
         self.commanded = self._feet(target)
