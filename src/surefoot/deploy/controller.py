@@ -85,22 +85,18 @@ class Controller:
             motor_angle=state.motor_angle[None],
             motor_velocity=state.motor_velocity[None],
         )
-        if self._filter is not None:
-            yaw = readings.roll_pitch_yaw[:, 2]
-            if self._history is None:
-                self._filter.reset(np.arange(1), yaw)
-                if self._touch is not None:
-                    self._touch.reset(np.arange(1))
-            else:
-                step = np.array([self.contract.control_step * (missed + 1)])
-                self._filter.advance(self.command[None], step, yaw)
-                if self._touch is not None:
-                    self._touch.update(self.target[None], readings.motor_angle, self._filter.state, step)
         heights = None if self.heights is None else self.heights[None]
-        if self._footholds is not None and self._filter is not None and heights is not None:
-            if self._history is None:
-                self._footholds.reset(np.arange(1))
-            else:
+        if self._filter is not None and self._history is None:
+            self._filter.reset(np.arange(1), readings.roll_pitch_yaw[:, 2])
+            for part in (self._footholds, self._touch):
+                if part is not None:
+                    part.reset(np.arange(1))
+        elif self._filter is not None:
+            step = np.array([self.contract.control_step * (missed + 1)])
+            self._filter.advance(self.command[None], step, readings.roll_pitch_yaw[:, 2])
+            if self._touch is not None:
+                self._touch.update(self.target[None], readings.motor_angle, self._filter.state, step)
+            if self._footholds is not None and heights is not None:
                 self._footholds.choose(heights, self._filter.state, readings)
         inputs = ObservationInputs(
             readings, self.gait.reference, self.feedback[None], self._state(), self.gait.memory, heights

@@ -387,15 +387,14 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         owners: dict[str, Any] = {"": self, "pushes_": self.pusher, "randomizer_": self.randomizer}
         if self.source is not None:
             owners |= {"source_": self.source, "commands_": self.commands}
-        if self.curriculum is not None:
-            owners["terrain_"] = self.curriculum
-        if self.scanner is not None:
-            owners["scan_"] = self.scanner
-        if self.footholds is not None:
-            owners["footholds_"] = self.footholds
-        if self.touch is not None:
-            owners["touch_"] = self.touch
-        return {f"{prefix}{name}": getattr(owner, name) for prefix, owner in owners.items() for name in owner.arrays}
+        owners |= {"terrain_": self.curriculum, "scan_": self.scanner}
+        owners |= {"footholds_": self.footholds, "touch_": self.touch}
+        return {
+            f"{prefix}{name}": getattr(owner, name)
+            for prefix, owner in owners.items()
+            if owner is not None
+            for name in owner.arrays
+        }
 
     def _streams(self) -> dict[str, list[np.random.Generator]]:
         drawn = {} if self.source is None else {"command_streams": self.source.streams}

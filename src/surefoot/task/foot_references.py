@@ -359,7 +359,8 @@ class FollowingReference:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the `ReferenceConfig` that makes it again, as JSON values."""
-        gains = {name: getattr(self, name) for name in FOLLOWING[:3]}
-        others = (*FOLLOWING[3:], "acceleration_feedforward", "weight_feedforward")
-        gains |= {name: value for name in others if (value := getattr(self, name))}
+        always = ("stride_gain", "frequency_rise", "turn_gain")
+        names = (*FOLLOWING, "acceleration_feedforward", "weight_feedforward")
+        values = {name: getattr(self, name) for name in names}
+        gains = {name: value for name, value in values.items() if value or name in always}
         return {**self.feet.to_dict(), "kind": "follow", **gains}

@@ -1,7 +1,7 @@
 """Feet that meet something in their swing are lifted further, until they have met nothing for some strides.
 
-A swinging foot that stays far behind its command has met a step or a stone. Motor angles tell, so that no sensor at the
-foot is needed.
+A swinging foot that stays far behind its command has met a step or a stone. That is computed from motor angles: feet
+need no sensors.
 """
 
 from __future__ import annotations
