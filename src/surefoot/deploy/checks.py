@@ -168,8 +168,9 @@ def _names_error(what: str, names: Sequence[str], nominal: Sequence[str], source
 def _grid_error(contract: Contract, robot: RobotDescription) -> str | None:
     """Return how the grid of a policy's map differs from the one of the robot's observation."""
     grid = contract.height_map
-    if (grid is not None) != any(part.name == "height_scan" for part in contract.observation):
-        return "height_map is the grid of the observation height_scan; it must have both or neither"
+    sees = any(part.name == "height_scan" for part in contract.observation)
+    if (grid is not None) != (sees or bool((contract.reference or {}).get("foothold_radius"))):
+        return "height_map is the grid of the observation height_scan and of footholds; it must be there with them alone"
     if grid is None:
         return None
     for what, places, expected in zip(("ahead", "left"), (grid.ahead, grid.left), MAP.scale(robot), strict=True):

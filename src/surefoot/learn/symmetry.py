@@ -22,9 +22,9 @@ from surefoot.task.observation import PARTS
 
 _FLIPPED = (
     *("roll", "roll_rate", "yaw", "yaw_rate", "velocity_y", "gravity_y", "push_y", "imu_bias.roll"),
-    *("command_sideways", "command_yaw_rate", "heading_error"),
+    *("command_sideways", "command_yaw_rate", "heading_error", "foothold_y"),
 )
-"""Columns that change their sign in the mirror; all others keep it."""
+"""Columns, or their names before a point, that change their sign in the mirror; all others keep it."""
 _ANGLE_COLUMNS = ("angle", "speed", "joint", "last_joint")
 """Prefixes of the motors' columns that have the sign of the motor's angle."""
 _PHASE = ("phase_sin", "phase_cos")
@@ -84,7 +84,7 @@ def mirror_columns(
             f"symmetry: column {error} has no counterpart; legs must be called left and right"
         ) from None
     flipped = {*_FLIPPED, *more_flipped, *(_PHASE if half_period else ())}
-    sign = [-1.0 if name in flipped else 1.0 for name in columns]
+    sign = [-1.0 if flipped & {name, name.partition(".")[0]} else 1.0 for name in columns]
     for place, name in enumerate(columns):
         prefix, _, motor = name.partition(".")
         if motor in motors and prefix in _ANGLE_COLUMNS:

@@ -127,11 +127,15 @@ class TaskConfig:
         check_bounds(self)
         check_reward(self.reward, self.reward_limits)
         check_ranges(self.randomize)
-        sees = self.reference.kind == "follow" and "height_scan" in self.observations
-        if self.reference.foothold_radius and not sees:
+        if self.reference.foothold_radius and self.reference.kind != "follow":
             raise SurefootError(
-                "reference.foothold_radius is not 0; it needs the observation height_scan and reference.kind follow"
+                f"reference.foothold_radius is not 0 and reference.kind is {self.reference.kind}; it must be follow"
             )
+
+    @property
+    def sees(self) -> bool:
+        """Whether a map of the ground's heights is needed: the policy observes it, or footholds are chosen on it."""
+        return "height_scan" in self.observations or bool(self.reference.foothold_radius)
 
     def gait(self, robot: RobotDescription) -> HybridGait:
         """Return the gait: reference and bounds of the feedback, which the robot must allow.

@@ -103,7 +103,7 @@ def contract_from_task(
         figures=dict(figures or {}),
         commands=task.commands.limits(robot),
         height_map=HeightMap(*MAP.scale(robot), age=scan.delay * float(task.nominal(robot).control_step[0]))
-        if "height_scan" in task.observations
+        if task.sees
         else None,
         plugins=used_plugins(task.reward, task.observations),
         version=__version__,
@@ -123,7 +123,7 @@ def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, 
 def _task_mapping(task: TaskConfig) -> dict[str, Any]:
     """Return the part of a task that the contract does not state itself."""
     data = {name: value for name, value in to_mapping(task).items() if name not in _STATED}
-    if "height_scan" in task.observations:
+    if task.sees:
         del data["terrain"]["scan"]["delay"]
     data["params"] = {name: value for name, value in data["params"].items() if name not in ASSUMED_PARAMS}
     data["commands"] = {name: value for name, value in data["commands"].items() if name not in _LIMITS}

@@ -122,7 +122,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.heading_streams = generators(seed, "heading", self.num_envs if task.terrain.heading else 0)
         self.ground = config.ground
         self.scanner: HeightScanner | None = None
-        if "height_scan" in task.observations:
+        if task.sees:
             self.scanner = HeightScanner(task.terrain.scan, self.robot, self.num_envs, seed)
         self.world: Simulation = self._make_world(self.robot, self.num_envs, self.nominal, seed, config)
         self.pusher = Pusher(task.pushes, self.num_envs, seed, self.robot.weight)

@@ -300,14 +300,17 @@ class FollowingReference:
             _, share = self._on_the_spot(state.command)
             lifted = np.where(bump > 0.0, bump * (1.0 + self.clearance_rise * share[:, None]), bump)
             bump = lifted - self.height_rise * share[:, None] * self.feet.height
+        lifted = np.zeros_like(bump)
         if self.touch_clearance and state.lift is not None:
-            raised = self._raised(state.phase)
-            bump = bump + state.lift * raised
-            # High feet are not in reach of legs far to their side.
-            step[..., 1] *= 1.0 - raised * state.lift / self.touch_clearance
+            raised = self._raised(state.phase) * state.lift
+            bump, lifted = bump + raised, raised / self.touch_clearance
         if state.lift_off is not None and state.landing is not None:
-            step = step + self._beside(state.phase, state.lift_off, state.landing)
+            beside = self._beside(state.phase, state.lift_off, state.landing)
+            # High feet are not in reach of legs far to their side.
+            beside[..., 1] *= np.maximum(1.0 - 2.0 * lifted, 0.0)
+            step = step + beside
             step = step / np.maximum(1.0, self.reached(step))[..., None]
+        step[..., 1] *= 1.0 - lifted
         foot = np.concatenate([step, (active * bump)[..., None]], axis=-1) + self.places
         return self.robot.leg_geometry.foot_pose(foot)
 

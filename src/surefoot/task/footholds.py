@@ -1,7 +1,8 @@
-"""Where the feet of a `FollowingReference` land on a map of heights: beside gaps, edges and walls.
+"""Where the feet of a `FollowingReference` land on a map of heights: beside holes.
 
-While a foot swings, the place where its stride would end is looked up on the map. If a foot can't stand there, it
-lands on the nearest place where it can, within a radius. In stance it keeps that place.
+While a foot swings, the place where its stride would end is looked up on the map. If there is a hole, it lands on the
+nearest place beside it, within a radius. In stance it keeps that place. A hole is what a morphological closing of the
+map (a dilation, then an erosion) raises; steps, slopes and hollows that are wide stay as they are.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ from surefoot.task.reference import Reference
 from surefoot.task.touch import TouchLift
 from surefoot.world.interface import Readings
 
-LEVEL = 0.15
-"""A place is even if its neighbours on the map are no higher or lower than this, in lengths of the straight leg."""
-DEEP = 0.55
-"""Greatest depth below a foot of the reference at which a foothold is looked for, in the same."""
+HOLE = 0.5
+"""Depth of a hole, from what is around it, in lengths of the straight leg."""
+_WIDTH = 9
+"""Points that a hole is less wide than: a foot can step over it."""
+DEEP = 1.0
+"""Depth below a foot of the reference from which ground is no foothold, however wide it is, in lengths of the leg."""
 _CHOSEN = 0.75
 """Part of the swing after which the foothold stays."""
 _LEARNS = 0.3
@@ -56,7 +59,7 @@ class Footholds:
         """Of the places looked at from the end of a stride (K, 2) [m]."""
         self._under = robot.leg_mounts + reference.places
         """Feet below the legs' mounts, from the base's origin (L, 3) [m]."""
-        self._even, self._deepest = LEVEL * length, self._under[:, 2].min() - DEEP * length
+        self._hole, self._deepest = HOLE * length, self._under[:, 2].min() - DEEP * length
         self.lift_off, self.landing, self.missed = np.zeros((3, num_envs, len(self._under), 2))
         """How far feet stood beside the places of their strides when they lifted off, how far they land beside them,
         and how far from there feedback and soft legs have let them land: forward and to the left (N, L, 2) [m]."""
@@ -85,7 +88,7 @@ class Footholds:
         swings = part > 0.0
         rest = (1.0 - part) * (1.0 - feet.duty_factor) / reference.frequency(command)[:, None]
         ends = self._under[:, :2] + 0.5 * state.activity[:, None, None] * reference.strides(command)
-        self._learn(self.swung & ~swings, ends, readings)
+        self._learn(self.swung & ~swings, ends, self._feet(readings))
         keeps = _KEEPS * (self.swung & swings)
         self.swung = swings
         # The base goes on until the foot lands.
@@ -101,24 +104,29 @@ class Footholds:
         self.lift_off = np.where(swings[..., None], self.lift_off, self.landing)
         self.landing = np.where(chooses[..., None], best, self.landing)
 
-    def _learn(self, lands: NDArray[np.bool_], ends: Array, readings: Readings) -> None:
-        """Take from feet that land (N, L) how far they are from the ends of their strides (N, L, 2) and `landing`."""
+    def _feet(self, readings: Readings) -> Array:
+        """Return where feet are from the base's origin, forward and to the left of an upright base (N, L, 2) [m]."""
         legs, mounts = self.reference.robot.leg_geometry, self.reference.robot.leg_mounts
         angles = readings.motor_angle[:, self.reference.robot.leg_motor_index]
         foot = np.asarray(legs.foot_position(angles)) + mounts
         roll, pitch, _ = readings.roll_pitch_yaw.T[..., None]
         x, y, z = np.moveaxis(foot, -1, 0)
         y, z = y * np.cos(roll) - z * np.sin(roll), y * np.sin(roll) + z * np.cos(roll)
-        places = np.stack([x * np.cos(pitch) + z * np.sin(pitch), y], axis=-1)
+        return np.stack([x * np.cos(pitch) + z * np.sin(pitch), y], axis=-1)
+
+    def _learn(self, lands: NDArray[np.bool_], ends: Array, feet: Array) -> None:
+        """Take from feet (N, L, 2) that land (N, L) how far they are from the ends of their strides and `landing`."""
         self.landed += lands
         share = lands * np.maximum(_LEARNS, 1.0 / np.maximum(self.landed, 1.0))
-        self.missed += share[..., None] * (places - ends - self.landing - self.missed)
+        self.missed += share[..., None] * (feet - ends - self.landing - self.missed)
 
     def _bad(self, heights: Array) -> Array:
-        """Return 1 for points of maps where a foot can't stand, else 0, (N, X, Y)."""
+        """Return 1 for points of maps that are holes or beside them, else 0, (N, X, Y)."""
         grid = heights.reshape(len(heights), *self._shape)
-        uneven = (grid + _second_highest(-grid) > self._even) | (_second_highest(grid) - grid > self._even)
-        return (uneven | (grid < self._deepest)).astype(float)
+        closed = _spread(_spread(grid, _WIDTH, np.maximum), _WIDTH, np.minimum)
+        holes = (closed - grid > self._hole) | (grid < self._deepest)
+        # One alone may be an error of the map.
+        return (_spread(holes.astype(float), 3, np.add) > 1.0).astype(float)
 
 
 def followed_state(
@@ -133,12 +141,13 @@ def followed_state(
     return state if touch is None else replace(state, lift=touch.lift.copy())
 
 
-def _second_highest(grid: Array) -> Array:
-    """Return the second highest of each point of grids (N, X, Y) and those around it: one may be a hole of a map."""
-    wide = np.pad(grid, ((0, 0), (1, 1), (1, 1)), mode="edge")
-    highest, second = np.full((2, *grid.shape), -np.inf)
-    for i, j in np.ndindex(3, 3):
-        other = wide[:, i : i + grid.shape[1], j : j + grid.shape[2]]
-        second = np.maximum(second, np.minimum(highest, other))
-        highest = np.maximum(highest, other)
-    return second
+def _spread(grid: Array, width: int, combine: np.ufunc) -> Array:
+    """Return the combined numbers of squares of `width` points around each point of grids (N, X, Y).
+
+    Beyond the border its numbers go on. With np.maximum this is a dilation, with np.minimum an erosion.
+    """
+    for axis in (1, 2):
+        reach, count = width // 2, grid.shape[axis]
+        wide = np.pad(grid, [(reach, reach) if k == axis else (0, 0) for k in range(3)], mode="edge")
+        grid = combine.reduce([wide.take(range(k, k + count), axis) for k in range(width)])
+    return grid

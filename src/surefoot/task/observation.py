@@ -76,6 +76,15 @@ def _command(inputs: ObservationInputs) -> Array:
     return inputs.commands.command
 
 
+def _footholds(inputs: ObservationInputs) -> Array:
+    """Return how far feet land beside the places of their strides, in `foothold_radius`: x, then y (N, 2 L)."""
+    radius = getattr(inputs.reference, "foothold_radius", 0.0)
+    if inputs.commands is None or inputs.commands.landing is None or not radius:
+        raise SurefootError("observation 'footholds' needs reference.foothold_radius; it is 0 here")
+    landing = inputs.commands.landing / radius
+    return np.concatenate([landing[..., 0], landing[..., 1]], axis=1)
+
+
 def _heights(inputs: ObservationInputs) -> Array:
     """Return the heights of the ground (N, K); there must be a map."""
     if inputs.heights is None:
@@ -108,6 +117,12 @@ PARTS: dict[str, Part] = {
     ),
     "height_scan": Part(
         "m", "heading, from the base's origin: x forward, y left, z up", lambda _: MAP.columns(), _heights
+    ),
+    "footholds": Part(
+        "foothold_radius",
+        "heading: x forward, y left",
+        lambda robot: [f"foothold_{axis}.{leg}" for axis in "xy" for leg in robot.leg_names],
+        _footholds,
     ),
     "last_action": Part(
         "rad",
