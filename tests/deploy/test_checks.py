@@ -249,7 +249,10 @@ def test_the_grid_of_a_policys_map_is_that_of_the_robot():
     grid = seeing.height_map
     assert grid is not None
     for change, message in (
-        (None, "height_map is the grid of the observation height_scan; it must have both or neither"),
+        (
+            None,
+            "height_map is the grid of the observation height_scan and of footholds; it must be there with them alone",
+        ),
         (replace(grid, ahead=grid.ahead[1:]), "the 18 places ahead of its map are not the 19 of minitaur here"),
         (
             replace(grid, left=tuple(1.1 * place for place in grid.left)),

@@ -31,6 +31,11 @@ def test_mirrored_columns_worked_by_hand():
     assert source.tolist() == [0, 1, 3, 2, 4]
     assert sign.tolist() == [-1, 1, 1, 1, 1]
     assert mirror_columns(names, half_period=True)[1].tolist() == [-1, 1, 1, 1, -1]
+    source, sign = mirror_columns(
+        ["foothold_x.front_left", "foothold_x.front_right", "foothold_y.front_left", "foothold_y.front_right"]
+    )
+    assert source.tolist() == [1, 0, 3, 2]
+    assert sign.tolist() == [1, 1, -1, -1]
 
 
 def test_a_column_without_counterpart_is_refused():
@@ -70,7 +75,7 @@ def test_a_reference_that_is_not_symmetric_is_refused():
 def trot_env() -> LocomotionEnv:
     task = replace(
         load_task("trot")[0],
-        observations=tuple(name for name in PARTS if name != "command"),
+        observations=tuple(name for name in PARTS if name not in ("command", "footholds")),
         history=2,
         randomize=load_ranges("table1"),
         pushes=PushConfig(enabled=True),
@@ -109,7 +114,9 @@ def test_a_mirrored_robot_moves_as_the_mirror_image():
     # The second robot gets the mirrored actions half a period later: all that it sees must be the mirror image.
     task = replace(
         load_task("trot")[0],
-        observations=tuple(name for name in PARTS if name not in ("reference_phase", "command", "height_scan")),
+        observations=tuple(
+            name for name in PARTS if name not in ("reference_phase", "command", "height_scan", "footholds")
+        ),
         start_linear_speed=0.0,
         start_angular_speed=0.0,
         pushes=PushConfig(),

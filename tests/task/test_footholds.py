@@ -70,9 +70,9 @@ def test_feet_keep_to_their_strides_on_level_ground(reference):
     np.testing.assert_array_equal(reference.pose(0.0, with_places), reference.pose(0.0, state))
 
 
-def test_a_foot_lands_on_the_nearest_even_place_beside_a_gap(reference):
+def test_a_foot_lands_on_the_nearest_place_beside_a_gap(reference):
     heights, row = level_map(), row_under(reference, FRONT_LEFT)
-    # Four points low, one more on either side is an edge: three points back is even, four ahead.
+    # Four points low, and one more on either side is too near: three points back is a foothold, four ahead.
     heights[row - 1 : row + 3] = -1.3
     feet = Footholds(reference, 1)
     feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
@@ -96,9 +96,26 @@ def test_a_single_hole_of_the_map_is_no_gap(reference):
     assert not feet.landing.any()
 
 
-def test_ground_that_is_even_but_too_deep_is_no_foothold(reference):
+def test_feet_are_set_on_the_edges_of_steps(reference):
+    # A step every three points, .35 of a leg high: closing the map changes nothing but at its border.
+    heights = level_map() + 0.149 * (np.arange(len(MAP.ahead)) // 6)[:, None]
+    for stairs in (heights, heights[::-1]):
+        feet = Footholds(reference, 1)
+        feet.choose(stairs.reshape(1, -1), on_the_spot(0.8), standing(reference))
+        assert not feet.landing.any()
+
+
+def test_a_hollow_that_is_wider_than_a_foot_can_step_is_no_hole(reference):
     heights, row = level_map(), row_under(reference, FRONT_LEFT)
-    heights[row - 2 :] = -0.3 - 0.6 * 0.426
+    heights[row - 3 : row + 4] -= 0.2
+    feet = Footholds(reference, 1)
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
+    assert not feet.landing.any()
+
+
+def test_wide_ground_that_is_too_deep_is_no_foothold(reference):
+    heights, row = level_map(), row_under(reference, FRONT_LEFT)
+    heights[row - 2 :] = -0.3 - 1.05 * 0.426
     feet = Footholds(reference, 1)
     feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
     assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx([-4 * SPACING, 0.0])
@@ -139,6 +156,33 @@ def test_steps_stay_within_the_legs_reach(reference):
     assert np.isfinite(poses).all()
 
 
+def test_steps_of_feet_that_are_lifted_by_touch_stay_within_the_legs_reach():
+    task = load_task("terrain-seeing", "go2")[0]
+    reference, rng = task.gait(GO2).reference, np.random.default_rng(0)
+    assert isinstance(reference, FollowingReference)
+    turn = rng.uniform(0, 2 * np.pi, (2, 4000, 4))
+    beside = rng.uniform(0, reference.foothold_radius, turn.shape)[..., None] * np.stack(
+        [np.cos(turn), np.sin(turn)], -1
+    )
+    lift = rng.uniform(0, reference.touch_clearance, (4000, 4))
+    command = rng.uniform(-1, 1, (4000, 3)) * [0.6, 0.2, 0.5]
+    poses = reference.pose(0.0, CommandState(command, np.ones(4000), rng.uniform(size=4000), *beside, lift))
+    assert np.isfinite(poses).all()
+
+
+def test_a_policy_observes_where_feet_land(reference):
+    task = replace(seeing_task(), observations=("roll", "footholds"))
+    env = LocomotionEnv(task, 1, SimWorld, seed=0, threads=1)
+    assert env.observer.columns[1:] == [f"foothold_{axis}.{leg}" for axis in "xy" for leg in GO2.leg_names]
+    assert env.footholds is not None
+    env.footholds.landing[0, FRONT_LEFT] = [0.213, -0.0426]
+    observation = env.step(np.zeros((1, len(env.gait.action_names))))[0]
+    assert observation[0, 1 + FRONT_LEFT] == pytest.approx(1.0)  # half a leg: the radius
+    assert observation[0, 1 + len(GO2.legs) + FRONT_LEFT] == pytest.approx(-0.2)
+    with pytest.raises(SurefootError, match=r"'footholds' needs reference.foothold_radius; it is 0"):
+        LocomotionEnv(replace(task, reference=replace(task.reference, foothold_radius=0.0)), 1, SimWorld, threads=1)
+
+
 def test_a_robot_that_sees_goes_on_exactly_from_a_state():
     task = replace(seeing_task(), terrain=replace(seeing_task().terrain, sizes={}, shares={}, ground="gaps:0.1"))
     env = LocomotionEnv(task, 2, SimWorld, seed=3, threads=1)
@@ -174,6 +218,7 @@ def test_legs_without_abduction_land_ahead_or_behind():
     assert not feet.landing[..., 1].any()
 
 
-def test_footholds_need_a_map():
-    with pytest.raises(SurefootError, match=r"foothold_radius is not 0; it needs the observation height_scan"):
-        replace(seeing_task(), observations=("roll", "pitch"))
+def test_footholds_need_a_reference_that_follows_commands():
+    task = seeing_task()
+    with pytest.raises(SurefootError, match=r"foothold_radius is not 0 and reference.kind is foot; it must be follow"):
+        replace(task, reference=replace(task.reference, kind="foot"))

@@ -170,7 +170,9 @@ def _grid_error(contract: Contract, robot: RobotDescription) -> str | None:
     grid = contract.height_map
     sees = any(part.name == "height_scan" for part in contract.observation)
     if (grid is not None) != (sees or bool((contract.reference or {}).get("foothold_radius"))):
-        return "height_map is the grid of the observation height_scan and of footholds; it must be there with them alone"
+        return (
+            "height_map is the grid of the observation height_scan and of footholds; it must be there with them alone"
+        )
     if grid is None:
         return None
     for what, places, expected in zip(("ahead", "left"), (grid.ahead, grid.left), MAP.scale(robot), strict=True):

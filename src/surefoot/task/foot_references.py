@@ -228,6 +228,11 @@ class FollowingReference:
         object.__setattr__(self, "_extent", extent)
         if self.foothold_radius:
             object.__setattr__(self, "_reach", self._find_reach())
+            if self.touch_clearance and not np.isfinite(self.pose(0.0, self._beside_extremes())).all():
+                raise SurefootError(
+                    "reference.foothold_radius and reference.touch_clearance together lead feet out of the legs' "
+                    "reach; make one of them less"
+                )
 
     def _find_reach(self) -> float:
         """Return how far ahead [m] all feet reach from their places, in an ellipse, when they are lowest."""
@@ -254,6 +259,18 @@ class FollowingReference:
         phase = np.tile(np.arange(_PHASES) / _PHASES, len(corners))
         lift = np.full((len(phase), len(self.feet.legs)), self.touch_clearance)
         return CommandState(np.repeat(corners, _PHASES, axis=0), np.ones(len(phase)), phase, lift=lift)
+
+    def _beside_extremes(self) -> CommandState:
+        """Return the states of `_extremes` with feet lifted by all heights, and footholds all around their places."""
+        states = self._extremes()
+        turns, lifts, radii = np.arange(8) / 8, np.linspace(0.0, 1.0, 6), np.linspace(0.25, 1.0, 4)
+        turn, lift, radius, k = (
+            grid.ravel() for grid in np.meshgrid(turns, lifts, radii, np.arange(len(states.phase)), indexing="ij")
+        )
+        way = np.stack([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)], axis=-1)
+        beside = np.repeat((self.foothold_radius * radius[:, None] * way)[:, None], len(self.feet.legs), axis=1)
+        height = np.repeat(self.touch_clearance * lift[:, None], len(self.feet.legs), axis=1)
+        return CommandState(states.command[k], states.activity[k], states.phase[k], beside, beside, height)
 
     @property
     def period(self) -> float:
@@ -300,17 +317,17 @@ class FollowingReference:
             _, share = self._on_the_spot(state.command)
             lifted = np.where(bump > 0.0, bump * (1.0 + self.clearance_rise * share[:, None]), bump)
             bump = lifted - self.height_rise * share[:, None] * self.feet.height
-        lifted = np.zeros_like(bump)
+        high = np.zeros_like(bump)
         if self.touch_clearance and state.lift is not None:
             raised = self._raised(state.phase) * state.lift
-            bump, lifted = bump + raised, raised / self.touch_clearance
+            bump, high = bump + raised, raised / self.touch_clearance
         if state.lift_off is not None and state.landing is not None:
             beside = self._beside(state.phase, state.lift_off, state.landing)
-            # High feet are not in reach of legs far to their side.
-            beside[..., 1] *= np.maximum(1.0 - 2.0 * lifted, 0.0)
+            # High feet are not in reach of legs far to their side, and near the axis of abduction of none.
+            beside[..., 1] *= np.maximum(1.0 - 2.0 * high, 0.0)
             step = step + beside
             step = step / np.maximum(1.0, self.reached(step))[..., None]
-        step[..., 1] *= 1.0 - lifted
+        step[..., 1] *= 1.0 - high
         foot = np.concatenate([step, (active * bump)[..., None]], axis=-1) + self.places
         return self.robot.leg_geometry.foot_pose(foot)
 

@@ -20,9 +20,9 @@ from surefoot.task.reference import Reference
 from surefoot.task.touch import TouchLift
 from surefoot.world.interface import Readings
 
-HOLE = 0.5
+HOLE = 0.35
 """Depth of a hole, from what is around it, in lengths of the straight leg."""
-_WIDTH = 9
+_WIDTH = 7
 """Points that a hole is less wide than: a foot can step over it."""
 DEEP = 1.0
 """Depth below a foot of the reference from which ground is no foothold, however wide it is, in lengths of the leg."""
