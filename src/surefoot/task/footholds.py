@@ -42,7 +42,7 @@ class Footholds:
         num_envs: robots.
     """
 
-    arrays = ("lift_off", "landing", "missed", "landed", "swung")
+    arrays = ("lift_off", "landing", "missed", "landed", "swung", "careful", "error")
     """Names of the arrays that change over time."""
 
     def __init__(self, reference: FollowingReference, num_envs: int) -> None:
@@ -67,6 +67,11 @@ class Footholds:
         """How often feet have landed (N, L)."""
         self.swung = np.zeros(self.landed.shape, np.bool_)
         """Whether they were swinging (N, L)."""
+        self.careful = np.zeros(self.landed.shape, np.bool_)
+        """Whether there are holes within the radius of where they land (N, L)."""
+        self.error = np.zeros(num_envs)
+        """Sum of the squared distances of feet that landed in the last control step, near holes, from where they are
+        expected to (N,) [m^2]."""
 
     @classmethod
     def of(cls, reference: Reference, num_envs: int) -> Footholds | None:
@@ -77,7 +82,7 @@ class Footholds:
 
     def reset(self, rows: NDArray[np.int64]) -> None:
         """Let robots stand on the places of their strides."""
-        for array in (self.lift_off, self.landing, self.missed, self.landed, self.swung):
+        for array in (self.lift_off, self.landing, self.missed, self.landed, self.swung, self.careful, self.error):
             array[rows] = 0
 
     def choose(self, heights: Array, state: CommandState, readings: Readings) -> None:
@@ -98,11 +103,13 @@ class Footholds:
         i, j = np.moveaxis(np.clip(places, 0, np.array(self._shape) - 1), -1, 0)
         change = self._offsets - self.landing[:, :, None]
         cost = (self._offsets**2).sum(-1) + keeps[..., None] * (change**2).sum(-1)
-        cost = cost + bad[np.arange(len(bad))[:, None, None], i, j]
+        holes = bad[np.arange(len(bad))[:, None, None], i, j]
+        cost = cost + holes
         best = self._offsets[np.argmin(cost, axis=-1)]
         chooses = swings & (part < _CHOSEN)
         self.lift_off = np.where(swings[..., None], self.lift_off, self.landing)
         self.landing = np.where(chooses[..., None], best, self.landing)
+        self.careful = np.where(chooses, holes.any(axis=-1), self.careful)
 
     def _feet(self, readings: Readings) -> Array:
         """Return where feet are from the base's origin, forward and to the left of an upright base (N, L, 2) [m]."""
@@ -118,7 +125,9 @@ class Footholds:
         """Take from feet (N, L, 2) that land (N, L) how far they are from the ends of their strides and `landing`."""
         self.landed += lands
         share = lands * np.maximum(_LEARNS, 1.0 / np.maximum(self.landed, 1.0))
-        self.missed += share[..., None] * (feet - ends - self.landing - self.missed)
+        away = feet - ends - self.landing - self.missed
+        self.error = (lands * self.careful * (self.landed > 1) * (away**2).sum(axis=-1)).sum(axis=1)
+        self.missed += share[..., None] * away
 
     def _bad(self, heights: Array) -> Array:
         """Return 1 for points of maps that are holes or beside them, else 0, (N, X, Y)."""
