@@ -7,6 +7,7 @@ map (a dilation, then an erosion) raises; steps, slopes and hollows that are wid
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -131,11 +132,11 @@ class Footholds:
 
     def _bad(self, heights: Array) -> Array:
         """Return 1 for points of maps that are holes or beside them, else 0, (N, X, Y)."""
-        grid = heights.reshape(len(heights), *self._shape)
-        closed = _spread(_spread(grid, _WIDTH, np.maximum), _WIDTH, np.minimum)
+        # The median leaves out points that are wrong or not known.
+        grid = _spread(heights.reshape(len(heights), *self._shape), 3, _median)
+        closed = _spread(_spread(grid, _WIDTH, np.maximum.reduce), _WIDTH, np.minimum.reduce)
         holes = (closed - grid > self._hole) | (grid < self._deepest)
-        # One alone may be an error of the map.
-        return (_spread(holes.astype(float), 3, np.add) > 1.0).astype(float)
+        return _spread(holes, 3, np.logical_or.reduce).astype(float)
 
 
 def followed_state(
@@ -150,13 +151,19 @@ def followed_state(
     return state if touch is None else replace(state, lift=touch.lift.copy())
 
 
-def _spread(grid: Array, width: int, combine: np.ufunc) -> Array:
-    """Return the combined numbers of squares of `width` points around each point of grids (N, X, Y).
+def _spread(grid: Array, width: int, combine: Callable[[Array], Array]) -> Array:
+    """Return grids (N, X, Y) of which each point combines those around it: of a row of `width` points, then of columns.
 
-    Beyond the border its numbers go on. With np.maximum this is a dilation, with np.minimum an erosion.
+    Beyond the border its numbers go on. With maxima this is a dilation, with minima an erosion.
     """
     for axis in (1, 2):
         reach, count = width // 2, grid.shape[axis]
         wide = np.pad(grid, [(reach, reach) if k == axis else (0, 0) for k in range(3)], mode="edge")
-        grid = combine.reduce([wide.take(range(k, k + count), axis) for k in range(width)])
+        grid = combine(np.stack([wide.take(range(k, k + count), axis) for k in range(width)]))
     return grid
+
+
+def _median(numbers: Array) -> Array:
+    """Return the medians of three numbers (3, ...)."""
+    low, high = np.minimum(numbers[0], numbers[1]), np.maximum(numbers[0], numbers[1])
+    return np.asarray(np.maximum(low, np.minimum(high, numbers[2])))
