@@ -46,7 +46,7 @@ Place = Annotated[float, Within(-10, 10)]
 
 @dataclass(frozen=True)
 class HeightMap:
-    """The grid of the observation `height_scan`, in the heading frame at the base's origin: x forward, y left, z up."""
+    """The grid of the map of heights, in the heading frame at the base's origin: x forward, y left, z up."""
 
     ahead: tuple[Place, ...]
     """Places of its points ahead [m], rising."""
@@ -128,7 +128,7 @@ class Contract:
     commands: CommandLimits | None = None
     """Limits of the commands that the policy follows; None: it follows none."""
     height_map: HeightMap | None = None
-    """The map of heights that the policy sees; None: it sees none."""
+    """The map of heights that the policy observes, or on which footholds are chosen; None: it needs none."""
     plugins: tuple[PluginRecord, ...] = ()
     """Plug-ins whose terms it uses. The observations must be there to run it, the reward terms need not."""
     version: str = ""

@@ -2,11 +2,12 @@
 
 While a foot swings, the place where its stride would end is looked up on the map. If there is a hole, it lands on the
 nearest place beside it, within a radius. In stance it keeps that place. A hole is what a morphological closing of the
-map (a dilation, then an erosion) raises; steps, slopes and hollows that are wide stay as they are.
+map (a dilation, then an erosion) raises: gaps, and no steps, slopes or wide hollows.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -134,9 +135,9 @@ class Footholds:
         """Return 1 for points of maps that are holes or beside them, else 0, (N, X, Y)."""
         # The median leaves out points that are wrong or not known.
         grid = _spread(heights.reshape(len(heights), *self._shape), 3, _median)
-        closed = _spread(_spread(grid, _WIDTH, np.maximum.reduce), _WIDTH, np.minimum.reduce)
+        closed = _spread(_spread(grid, _WIDTH, _greatest), _WIDTH, _least)
         holes = (closed - grid > self._hole) | (grid < self._deepest)
-        return _spread(holes, 3, np.logical_or.reduce).astype(float)
+        return _spread(holes.astype(float), 3, _greatest)
 
 
 def followed_state(
@@ -151,19 +152,29 @@ def followed_state(
     return state if touch is None else replace(state, lift=touch.lift.copy())
 
 
-def _spread(grid: Array, width: int, combine: Callable[[Array], Array]) -> Array:
+def _spread(grid: Array, width: int, combine: Callable[[list[Array]], Array]) -> Array:
     """Return grids (N, X, Y) of which each point combines those around it: of a row of `width` points, then of columns.
 
-    Beyond the border its numbers go on. With maxima this is a dilation, with minima an erosion.
+    Beyond the border its numbers go on.
     """
     for axis in (1, 2):
         reach, count = width // 2, grid.shape[axis]
         wide = np.pad(grid, [(reach, reach) if k == axis else (0, 0) for k in range(3)], mode="edge")
-        grid = combine(np.stack([wide.take(range(k, k + count), axis) for k in range(width)]))
+        grid = combine([wide[(slice(None),) * axis + (slice(k, k + count),)] for k in range(width)])
     return grid
 
 
-def _median(numbers: Array) -> Array:
-    """Return the medians of three numbers (3, ...)."""
-    low, high = np.minimum(numbers[0], numbers[1]), np.maximum(numbers[0], numbers[1])
-    return np.asarray(np.maximum(low, np.minimum(high, numbers[2])))
+def _greatest(parts: list[Array]) -> Array:
+    """Return the greatest number of each place: a dilation."""
+    return functools.reduce(np.maximum, parts)
+
+
+def _least(parts: list[Array]) -> Array:
+    """Return the least number of each place: an erosion."""
+    return functools.reduce(np.minimum, parts)
+
+
+def _median(parts: list[Array]) -> Array:
+    """Return the median of each place of three numbers."""
+    one, two, three = parts
+    return np.asarray(np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), three)))
