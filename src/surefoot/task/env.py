@@ -319,7 +319,6 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             heading_error=zero[:, 0] if self.commands is None else self.commands.heading_error,
             last_stride_error=self.stride_error,
             stride=_STRIDE if period is None else period,
-            foothold_error=zero[:, 0] if self.footholds is None else self.footholds.error,
         )
 
     def _episode_figures(self, ended: NDArray[np.bool_]) -> dict[str, Array]:

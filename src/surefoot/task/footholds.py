@@ -44,7 +44,7 @@ class Footholds:
         num_envs: robots.
     """
 
-    arrays = ("lift_off", "landing", "missed", "landed", "swung", "careful", "error")
+    arrays = ("lift_off", "landing", "missed", "landed", "swung")
     """Names of the arrays that change over time."""
 
     def __init__(self, reference: FollowingReference, num_envs: int) -> None:
@@ -69,11 +69,6 @@ class Footholds:
         """How often feet have landed (N, L)."""
         self.swung = np.zeros(self.landed.shape, np.bool_)
         """Whether they were swinging (N, L)."""
-        self.careful = np.zeros(self.landed.shape, np.bool_)
-        """Whether there are holes within the radius of where they land (N, L)."""
-        self.error = np.zeros(num_envs)
-        """Sum of the squared distances of feet that landed in the last control step, near holes, from where they are
-        expected to (N,) [m^2]."""
 
     @classmethod
     def of(cls, reference: Reference, num_envs: int) -> Footholds | None:
@@ -84,7 +79,7 @@ class Footholds:
 
     def reset(self, rows: NDArray[np.int64]) -> None:
         """Let robots stand on the places of their strides."""
-        for array in (self.lift_off, self.landing, self.missed, self.landed, self.swung, self.careful, self.error):
+        for array in (self.lift_off, self.landing, self.missed, self.landed, self.swung):
             array[rows] = 0
 
     def choose(self, heights: Array, state: CommandState, readings: Readings) -> None:
@@ -105,13 +100,11 @@ class Footholds:
         i, j = np.moveaxis(np.clip(places, 0, np.array(self._shape) - 1), -1, 0)
         change = self._offsets - self.landing[:, :, None]
         cost = (self._offsets**2).sum(-1) + keeps[..., None] * (change**2).sum(-1)
-        holes = bad[np.arange(len(bad))[:, None, None], i, j]
-        cost = cost + holes
+        cost = cost + bad[np.arange(len(bad))[:, None, None], i, j]
         best = self._offsets[np.argmin(cost, axis=-1)]
         chooses = swings & (part < _CHOSEN)
         self.lift_off = np.where(swings[..., None], self.lift_off, self.landing)
         self.landing = np.where(chooses[..., None], best, self.landing)
-        self.careful = np.where(chooses, holes.any(axis=-1), self.careful)
 
     def _feet(self, readings: Readings) -> Array:
         """Return where feet are from the base's origin, forward and to the left of an upright base (N, L, 2) [m]."""
@@ -127,9 +120,7 @@ class Footholds:
         """Take from feet (N, L, 2) that land (N, L) how far they are from the ends of their strides and `landing`."""
         self.landed += lands
         share = lands * np.maximum(_LEARNS, 1.0 / np.maximum(self.landed, 1.0))
-        away = feet - ends - self.landing - self.missed
-        self.error = (lands * self.careful * (self.landed > 1) * (away**2).sum(axis=-1)).sum(axis=1)
-        self.missed += share[..., None] * away
+        self.missed += share[..., None] * (feet - ends - self.landing - self.missed)
 
     def _bad(self, heights: Array) -> Array:
         """Return 1 for points of maps that are holes or beside them, else 0, (N, X, Y)."""

@@ -104,8 +104,6 @@ class StepMotion:
     """`stride_error` at the end of the step before (N, 3)."""
     stride: Array | float
     """Duration of a stride [s], a number or (N,)."""
-    foothold_error: Array
-    """See `Footholds.error`, of the step before (N,) [m^2]; 0 without footholds."""
 
     @cached_property
     def _rates(self) -> tuple[Array, Array]:
@@ -215,12 +213,6 @@ TERMS: dict[str, Term] = {
             / (m.duration * m.scales.weight * m.scales.speed)
         ),
         "R I^2 at servo rate; squares, since the hottest motor ends a run",
-    ),
-    "foothold_error": Term(
-        "squared distances of feet that land near holes from where they are expected to, l^2",
-        lambda m: m.foothold_error / m.scales.length**2,
-        "as DTC (Jenelten et al. 2024) rewards feet that land on planned footholds",
-        is_sum=True,
     ),
     "feedback": Term("mean of squares", lambda m: (m.action**2).mean(axis=1), "keeps the network's part small"),
     "feedback_change": Term(
