@@ -251,7 +251,7 @@ def test_the_grid_of_a_policys_map_is_that_of_the_robot():
     for change, message in (
         (
             None,
-            "height_map is the grid of the observation height_scan and of footholds; it must be there with them alone",
+            "height_map is the grid of height_scan or of footholds; it must be there with one of these, and only then",
         ),
         (replace(grid, ahead=grid.ahead[1:]), "the 18 places ahead of its map are not the 19 of minitaur here"),
         (

@@ -97,7 +97,7 @@ def test_a_single_hole_of_the_map_is_no_gap(reference):
 
 
 def test_feet_are_set_on_the_edges_of_steps(reference):
-    # A step every three points, .35 of a leg high: closing the map changes nothing but at its border.
+    # A step of .15 m every six points, up and down.
     heights = level_map() + 0.149 * (np.arange(len(MAP.ahead)) // 6)[:, None]
     for stairs in (heights, heights[::-1]):
         feet = Footholds(reference, 1)
@@ -170,7 +170,15 @@ def test_steps_of_feet_that_are_lifted_by_touch_stay_within_the_legs_reach():
     assert np.isfinite(poses).all()
 
 
-def test_a_policy_observes_where_feet_land(reference):
+def test_a_reference_whose_feet_are_lifted_out_of_reach_is_refused(monkeypatch):
+    task = load_task("terrain-seeing", "go2")[0]
+    # No leg reaches a whole length ahead of its place, where nothing keeps it within its reach.
+    monkeypatch.setattr(FollowingReference, "reached", lambda self, step: np.zeros(step.shape[:-1]))
+    with pytest.raises(SurefootError, match=r"foothold_radius and reference.touch_clearance together lead feet out"):
+        replace(task, reference=replace(task.reference, foothold_radius=1.0)).gait(GO2)
+
+
+def test_a_policy_observes_where_feet_land():
     task = replace(seeing_task(), observations=("roll", "footholds"))
     env = LocomotionEnv(task, 1, SimWorld, seed=0, threads=1)
     assert env.observer.columns[1:] == [f"foothold_{axis}.{leg}" for axis in "xy" for leg in GO2.leg_names]

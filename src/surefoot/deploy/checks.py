@@ -171,7 +171,7 @@ def _grid_error(contract: Contract, robot: RobotDescription) -> str | None:
     sees = any(part.name == "height_scan" for part in contract.observation)
     if (grid is not None) != (sees or bool((contract.reference or {}).get("foothold_radius"))):
         return (
-            "height_map is the grid of the observation height_scan and of footholds; it must be there with them alone"
+            "height_map is the grid of height_scan or of footholds; it must be there with one of these, and only then"
         )
     if grid is None:
         return None
