@@ -54,9 +54,10 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
                 raise SurefootError(
                     f"'{part.name}' is in {units[0]} for the policy and in {units[1]} here; they must be the same"
                 )
-        if (error := _grid_error(contract, robot)) is not None:
+        task = task_from_contract(contract, robot)
+        if (error := _grid_error(contract, robot, task.sees)) is not None:
             raise SurefootError(error)
-        task_from_contract(contract, robot).gait(robot)
+        task.gait(robot)
         if len(contract.rest) != len(robot.coordinates):
             raise SurefootError(f"rest has {len(contract.rest)} numbers; {robot.name} has {choices(robot.coordinates)}")
         for (name, (low, high)), unit, value in zip(
@@ -165,11 +166,10 @@ def _names_error(what: str, names: Sequence[str], nominal: Sequence[str], source
     return None
 
 
-def _grid_error(contract: Contract, robot: RobotDescription) -> str | None:
-    """Return how the grid of a policy's map differs from the one of the robot's observation."""
+def _grid_error(contract: Contract, robot: RobotDescription, sees: bool) -> str | None:
+    """Return how the grid of a policy's map, which it has if it `sees`, differs from the robot's own."""
     grid = contract.height_map
-    sees = any(part.name == "height_scan" for part in contract.observation)
-    if (grid is not None) != (sees or bool((contract.reference or {}).get("foothold_radius"))):
+    if (grid is not None) != sees:
         return (
             "height_map is the grid of height_scan or of footholds; it must be there with one of these, and only then"
         )

@@ -90,7 +90,7 @@ class Footholds:
         swings = part > 0.0
         rest = (1.0 - part) * (1.0 - feet.duty_factor) / reference.frequency(command)[:, None]
         ends = self._under[:, :2] + 0.5 * state.activity[:, None, None] * reference.strides(command)
-        self._learn(self.swung & ~swings, ends, self._feet(readings))
+        self._learn(self.swung & ~swings, ends, readings)
         keeps = _KEEPS * (self.swung & swings)
         self.swung = swings
         # The base goes on until the foot lands.
@@ -106,29 +106,26 @@ class Footholds:
         self.lift_off = np.where(swings[..., None], self.lift_off, self.landing)
         self.landing = np.where(chooses[..., None], best, self.landing)
 
-    def _feet(self, readings: Readings) -> Array:
-        """Return where feet are from the base's origin, forward and to the left of an upright base (N, L, 2) [m]."""
+    def _learn(self, lands: NDArray[np.bool_], ends: Array, readings: Readings) -> None:
+        """Take from feet that land (N, L) how far they are from the ends of their strides (N, L, 2) and `landing`."""
         legs, mounts = self.reference.robot.leg_geometry, self.reference.robot.leg_mounts
         angles = readings.motor_angle[:, self.reference.robot.leg_motor_index]
         foot = np.asarray(legs.foot_position(angles)) + mounts
         roll, pitch, _ = readings.roll_pitch_yaw.T[..., None]
         x, y, z = np.moveaxis(foot, -1, 0)
         y, z = y * np.cos(roll) - z * np.sin(roll), y * np.sin(roll) + z * np.cos(roll)
-        return np.stack([x * np.cos(pitch) + z * np.sin(pitch), y], axis=-1)
-
-    def _learn(self, lands: NDArray[np.bool_], ends: Array, feet: Array) -> None:
-        """Take from feet (N, L, 2) that land (N, L) how far they are from the ends of their strides and `landing`."""
+        places = np.stack([x * np.cos(pitch) + z * np.sin(pitch), y], axis=-1)
         self.landed += lands
         share = lands * np.maximum(_LEARNS, 1.0 / np.maximum(self.landed, 1.0))
-        self.missed += share[..., None] * (feet - ends - self.landing - self.missed)
+        self.missed += share[..., None] * (places - ends - self.landing - self.missed)
 
-    def _bad(self, heights: Array) -> Array:
-        """Return 1 for points of maps that are holes or beside them, else 0, (N, X, Y)."""
+    def _bad(self, heights: Array) -> NDArray[np.bool_]:
+        """Return whether points of maps are holes or beside them (N, X, Y)."""
         # The median leaves out points that are wrong or not known.
         grid = _spread(heights.reshape(len(heights), *self._shape), 3, _median)
         closed = _spread(_spread(grid, _WIDTH, _greatest), _WIDTH, _least)
         holes = (closed - grid > self._hole) | (grid < self._deepest)
-        return _spread(holes.astype(float), 3, _greatest)
+        return _spread(holes.astype(float), 3, _greatest) > 0.0
 
 
 def followed_state(

@@ -13,6 +13,7 @@ from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.commands import CommandState
+from surefoot.task.foot_references import FollowingReference
 from surefoot.task.height_scan import MAP
 from surefoot.task.reference import Reference
 from surefoot.world.interface import Readings
@@ -78,11 +79,10 @@ def _command(inputs: ObservationInputs) -> Array:
 
 def _footholds(inputs: ObservationInputs) -> Array:
     """Return how far feet land beside the places of their strides, in `foothold_radius`: x, then y (N, 2 L)."""
-    radius = getattr(inputs.reference, "foothold_radius", 0.0)
-    if inputs.commands is None or inputs.commands.landing is None or not radius:
+    reference, state = inputs.reference, inputs.commands
+    if not isinstance(reference, FollowingReference) or state is None or state.landing is None:
         raise SurefootError("observation 'footholds' needs reference.foothold_radius; it is 0 here")
-    landing = inputs.commands.landing / radius
-    return np.concatenate([landing[..., 0], landing[..., 1]], axis=1)
+    return np.concatenate(np.moveaxis(state.landing / reference.foothold_radius, -1, 0), axis=1)
 
 
 def _heights(inputs: ObservationInputs) -> Array:
