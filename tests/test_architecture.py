@@ -23,7 +23,7 @@ ALLOWED: dict[str, set[str]] = {
     "deploy": {
         *("robot", "policy", "world.interface"),
         *("task.contract_mapping", "task.commands", "task.observation", "task.gait"),
-        *("task.footholds", "task.height_scan", "task.touch", "task.trace", "task.partial_trace"),
+        *("task.follower", "task.height_scan", "task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot", "task.height_scan"},
     "firmware": {"deploy", "robot"},

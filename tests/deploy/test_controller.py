@@ -73,8 +73,9 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
             assert controller.set_command(env.source.command[0]) == ""
         if env.scanner is not None:
             controller.heights = env.scanner.heights[0]
-        adapted |= env.footholds is not None and env.footholds.landing.any()
-        adapted |= env.touch is not None and env.touch.lift.any()
+        if env.follower is not None:
+            adapted |= env.follower.footholds is not None and env.follower.footholds.landing.any()
+            adapted |= env.follower.touch is not None and env.follower.touch.lift.any()
         observed = controller.observe(moment, state)
         assert observed == pytest.approx(observation, abs=1e-6)
         target = controller.compute_target(moment, observed)

@@ -38,6 +38,9 @@ def reference() -> FollowingReference:
     return made
 
 
+STEP = np.array([0.016])
+
+
 def on_the_spot(phase: float) -> CommandState:
     """Return a robot that steps on the spot; the left front foot swings from .6 to 1."""
     return CommandState(np.zeros((1, 3)), np.ones(1), np.array([phase]))
@@ -63,9 +66,9 @@ def row_under(reference: FollowingReference, leg: int) -> int:
 
 def test_feet_keep_to_their_strides_on_level_ground(reference):
     feet = Footholds(reference, 1)
-    feet.choose(level_map().reshape(1, -1), on_the_spot(0.8), standing(reference))
+    feet.choose(level_map().reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
     assert not feet.landing.any()
-    state = on_the_spot(0.8)
+    state = on_the_spot(0.65)
     with_places = replace(state, lift_off=feet.lift_off, landing=feet.landing)
     np.testing.assert_array_equal(reference.pose(0.0, with_places), reference.pose(0.0, state))
 
@@ -75,15 +78,15 @@ def test_a_foot_lands_on_the_nearest_place_beside_a_gap(reference):
     # Four points low, and one more on either side is too near: three points back is a foothold, four ahead.
     heights[row - 1 : row + 3] = -1.3
     feet = Footholds(reference, 1)
-    feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
     assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx([-3 * SPACING, 0.0])
     assert not feet.landing[0, FRONT_RIGHT].any()  # it stands
     # Late in its swing a foot keeps its place, and in stance.
     for phase in (0.95, 0.0, 0.3):
-        feet.choose(level_map().reshape(1, -1), on_the_spot(phase), standing(reference))
+        feet.choose(level_map().reshape(1, -1), on_the_spot(phase), standing(reference), STEP)
         assert feet.landing[0, FRONT_LEFT, 0] == pytest.approx(-3 * SPACING)
     # It lifts off there, and goes back to its stride.
-    feet.choose(level_map().reshape(1, -1), on_the_spot(0.7), standing(reference))
+    feet.choose(level_map().reshape(1, -1), on_the_spot(0.7), standing(reference), STEP)
     assert feet.lift_off[0, FRONT_LEFT, 0] == pytest.approx(-3 * SPACING)
     assert feet.landing[0, FRONT_LEFT, 0] == 0.0
 
@@ -92,7 +95,7 @@ def test_a_single_hole_of_the_map_is_no_gap(reference):
     heights, row = level_map(), row_under(reference, FRONT_LEFT)
     heights[row + 1, 8] = -1.3
     feet = Footholds(reference, 1)
-    feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
     assert not feet.landing.any()
 
 
@@ -101,23 +104,81 @@ def test_feet_are_set_on_the_edges_of_steps(reference):
     heights = level_map() + 0.149 * (np.arange(len(MAP.ahead)) // 6)[:, None]
     for stairs in (heights, heights[::-1]):
         feet = Footholds(reference, 1)
-        feet.choose(stairs.reshape(1, -1), on_the_spot(0.8), standing(reference))
+        feet.choose(stairs.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
         assert not feet.landing.any()
 
 
 def test_a_hollow_that_is_wider_than_a_foot_can_step_is_no_hole(reference):
     heights, row = level_map(), row_under(reference, FRONT_LEFT)
-    heights[row - 3 : row + 4] -= 0.2
+    heights[row - 4 : row + 5] -= 0.2
     feet = Footholds(reference, 1)
-    feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
     assert not feet.landing.any()
+
+
+def test_a_slanting_step_that_goes_out_of_the_map_is_no_hole(reference):
+    # Down to the right, whatever the angle; nothing beyond the border is known.
+    x, y = np.meshgrid(*(np.array(places) for places in MAP.scale(GO2)), indexing="ij")
+    for angle in np.radians([0.0, 20.0, 45.0, 70.0, 90.0]):
+        for edge in (-0.2, 0.0, 0.2):
+            heights = np.where(x * np.sin(angle) + y * np.cos(angle) > edge, -0.3, -0.5)
+            feet = Footholds(reference, 1)
+            feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
+            assert not feet.landing.any()
+            assert feet.over_holes[0] == 0.0
+
+
+def test_stairs_that_meet_in_a_corner_are_no_hole(reference):
+    # Steps of .2 m rise ahead to the left and ahead to the right: between them is a valley, where the robot stands.
+    x, y = np.meshgrid(*(np.array(places) for places in MAP.scale(GO2)), indexing="ij")
+    heights = -0.3 + 0.2 * np.maximum(np.floor((np.maximum(x + y, x - y) - 0.3) / 0.3) + 1.0, 0.0)
+    feet = Footholds(reference, 1)
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
+    assert feet.over_holes[0] == 0.0
+
+
+def test_points_that_are_not_known_in_a_corner_of_the_map_are_no_hole(reference):
+    heights = level_map()
+    heights[0, 0] = heights[-1, -1] = heights[0, -1] = 1.0
+    feet = Footholds(reference, 1)
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
+    assert feet.over_holes[0] == 0.0
+
+
+def test_the_gait_over_holes_begins_soon_and_ends_later(reference):
+    # In 1 and 3 sqrt(l / g).
+    feet, gap = Footholds(reference, 1), level_map()
+    gap[13:17] = -1.3
+    natural = (0.426 / 9.81) ** 0.5
+    feet.choose(gap.reshape(1, -1), on_the_spot(0.1), standing(reference), STEP)
+    assert feet.over_holes[0] == pytest.approx(0.016 / natural)
+    for _ in range(20):
+        feet.choose(gap.reshape(1, -1), on_the_spot(0.1), standing(reference), STEP)
+    assert feet.over_holes[0] == 1.0
+    feet.choose(level_map().reshape(1, -1), on_the_spot(0.1), standing(reference), STEP)
+    assert feet.over_holes[0] == pytest.approx(1.0 - 0.016 / (3.0 * natural))
+
+
+def test_feet_learn_what_they_miss_over_holes_only_there():
+    task = load_task("terrain-seeing", "go2")[0]
+    reference = task.gait(GO2).reference
+    assert isinstance(reference, FollowingReference)
+    assert reference.over_holes is not None
+    gap = level_map()
+    gap[-3:-1] = -1.3
+    for over_holes, missed in ((0.5, 0.0), (1.0, 2 * SPACING)):
+        feet, level = Footholds(reference, 1), gap.reshape(1, -1)
+        for phase in (0.95, 0.02):
+            feet.over_holes[:] = over_holes
+            feet.choose(level, on_the_spot(phase), standing(reference.over_holes, ahead=2 * SPACING), STEP)
+        assert feet.missed[0, FRONT_LEFT].tolist() == pytest.approx([missed, 0.0], abs=1e-6)
 
 
 def test_wide_ground_that_is_too_deep_is_no_foothold(reference):
     heights, row = level_map(), row_under(reference, FRONT_LEFT)
-    heights[row - 2 :] = -0.3 - 1.05 * 0.426
+    heights[row - 2 :] = -0.3 - 1.15 * 0.426
     feet = Footholds(reference, 1)
-    feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
     assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx([-4 * SPACING, 0.0])
 
 
@@ -136,13 +197,13 @@ def test_feet_go_from_where_they_lift_off_to_where_they_land(reference):
 def test_what_feet_miss_their_places_by_counts_from_the_first_landing(reference):
     feet, level = Footholds(reference, 1), level_map().reshape(1, -1)
     for phase in (0.95, 0.02):
-        feet.choose(level, on_the_spot(phase), standing(reference, ahead=2 * SPACING))
+        feet.choose(level, on_the_spot(phase), standing(reference, ahead=2 * SPACING), STEP)
     assert feet.missed[0, FRONT_LEFT].tolist() == pytest.approx([2 * SPACING, 0.0], abs=1e-6)
     assert not feet.missed[0, FRONT_RIGHT].any()  # it has not landed
     # From now on the map is looked at where the foot does land.
     heights, row = level_map(), row_under(reference, FRONT_LEFT)
     heights[row + 3 :] = -1.3
-    feet.choose(heights.reshape(1, -1), on_the_spot(0.8), standing(reference))
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
     assert feet.landing[0, FRONT_LEFT, 0] == pytest.approx(-SPACING)
     feet.reset(np.arange(1))
     assert not feet.missed.any()
@@ -182,8 +243,9 @@ def test_a_policy_observes_where_feet_land():
     task = replace(seeing_task(), observations=("roll", "footholds"))
     env = LocomotionEnv(task, 1, SimWorld, seed=0, threads=1)
     assert env.observer.columns[1:] == [f"foothold_{axis}.{leg}" for axis in "xy" for leg in GO2.leg_names]
-    assert env.footholds is not None
-    env.footholds.landing[0, FRONT_LEFT] = [0.213, -0.0426]
+    assert env.follower is not None
+    assert env.follower.footholds is not None
+    env.follower.footholds.landing[0, FRONT_LEFT] = [0.213, -0.0426]
     observation = env.step(np.zeros((1, len(env.gait.action_names))))[0]
     assert observation[0, 1 + FRONT_LEFT] == pytest.approx(1.0)  # half a leg: the radius
     assert observation[0, 1 + len(GO2.legs) + FRONT_LEFT] == pytest.approx(-0.2)
@@ -198,8 +260,9 @@ def test_a_robot_that_sees_goes_on_exactly_from_a_state():
     for _ in range(30):
         env.step(action)
     assert_resumes_exactly(env, [action] * 40)
-    assert env.footholds is not None
-    assert env.footholds.landed.any()
+    assert env.follower is not None
+    assert env.follower.footholds is not None
+    assert env.follower.footholds.landed.any()
 
 
 def test_legs_without_abduction_land_ahead_or_behind():
@@ -221,7 +284,7 @@ def test_legs_without_abduction_land_ahead_or_behind():
     heights = heights.reshape(1, -1)
     feet, motors = Footholds(reference, 1), robot.resting_angles[None]
     zero = np.zeros((1, 3))
-    feet.choose(heights, on_the_spot(0.9), Readings(np.zeros(1), zero, zero, motors, np.zeros_like(motors)))
+    feet.choose(heights, on_the_spot(0.7), Readings(np.zeros(1), zero, zero, motors, np.zeros_like(motors)), STEP)
     assert feet.landing[..., 0].any()
     assert not feet.landing[..., 1].any()
 

@@ -55,6 +55,15 @@ def hold_behind(reference: FollowingReference, behind: float, steps: int, **chan
     return touch
 
 
+def test_over_holes_no_foot_is_lifted_further(reference):
+    # It goes to footholds far beside its stride, and is behind without having met anything.
+    touch = TouchLift(reference, 1)
+    for _ in range(11):
+        state = replace(walking(0.8), over_holes=np.array([0.1]))
+        touch.update(angles(reference, 0.2), angles(reference), state, STEP)
+    assert not touch.lift.any()
+
+
 def test_a_foot_that_is_held_back_is_lifted_further(reference):
     # A low-pass filter of .2 sqrt(l / g), in steps of 16 ms: what is missing shrinks by a share of .384 in each.
     share = 0.016 / (0.2 * NATURAL)
@@ -150,14 +159,16 @@ def test_robots_meet_steps_and_go_on_exactly_from_a_state():
     env = on("stairs:0.1", 250)
     action = np.zeros((4, len(env.gait.action_names)))
     assert_resumes_exactly(env, [action] * 20)
-    assert env.touch is not None
-    assert env.touch.lift.any()
+    assert env.follower is not None
+    assert env.follower.touch is not None
+    assert env.follower.touch.lift.any()
 
 
 def test_robots_meet_nothing_on_level_ground():
     env = on("flat", 250)
-    assert env.touch is not None
-    assert not env.touch.lift.any()
+    assert env.follower is not None
+    assert env.follower.touch is not None
+    assert not env.follower.touch.lift.any()
 
 
 def test_a_gait_without_lift_by_touch_has_none():

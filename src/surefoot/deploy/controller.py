@@ -14,11 +14,10 @@ from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import STAND
-from surefoot.task.commands import CommandFilter, CommandState
+from surefoot.task.commands import CommandState
 from surefoot.task.contract_mapping import task_from_contract
-from surefoot.task.footholds import Footholds, followed_state
+from surefoot.task.follower import Follower
 from surefoot.task.observation import ObservationInputs, Observer
-from surefoot.task.touch import TouchLift
 from surefoot.world.interface import Readings
 
 
@@ -43,9 +42,7 @@ class Controller:
         self.heights: Array | None = None
         """Heights of the ground (K,) [m] on the grid of the contract's map, for a policy that sees them."""
         self._history: NDArray[np.float32] | None = None
-        self._filter = None if limits is None else CommandFilter.from_reference(self.gait.reference, limits, robot, 1)
-        self._footholds = Footholds.of(self.gait.reference, 1)
-        self._touch = TouchLift.of(self.gait.reference, 1)
+        self._follower = None if limits is None else Follower(self.gait.reference, limits, robot, 1)
 
     def reset(self) -> None:
         """Start a new episode, with the command to stand."""
@@ -65,7 +62,7 @@ class Controller:
         return clamped
 
     def _state(self) -> CommandState | None:
-        return followed_state(self._filter, self._footholds, self._touch)
+        return None if self._follower is None else self._follower.state
 
     def observe(self, moment: float, state: State, missed: int = 0) -> NDArray[np.float32]:
         """Return the policy's input (1, O * history), the newest observation first.
@@ -86,18 +83,11 @@ class Controller:
             motor_velocity=state.motor_velocity[None],
         )
         heights = None if self.heights is None else self.heights[None]
-        if self._filter is not None and self._history is None:
-            self._filter.reset(np.arange(1), readings.roll_pitch_yaw[:, 2])
-            for part in (self._footholds, self._touch):
-                if part is not None:
-                    part.reset(np.arange(1))
-        elif self._filter is not None:
+        if self._follower is not None and self._history is None:
+            self._follower.reset(np.arange(1), readings.roll_pitch_yaw[:, 2])
+        elif self._follower is not None:
             step = np.array([self.contract.control_step * (missed + 1)])
-            self._filter.advance(self.command[None], step, readings.roll_pitch_yaw[:, 2])
-            if self._touch is not None:
-                self._touch.update(self.target[None], readings.motor_angle, self._filter.state, step)
-            if self._footholds is not None and heights is not None:
-                self._footholds.choose(heights, self._filter.state, readings)
+            self._follower.advance(self.command[None], step, readings, self.target[None], heights)
         inputs = ObservationInputs(
             readings, self.gait.reference, self.feedback[None], self._state(), self.gait.memory, heights
         )

@@ -278,6 +278,10 @@ class CommandState:
     """How far beside them they land, likewise; they keep that in stance."""
     lift: Array | None = None
     """How much further feet are lifted in their swings (N, L) [m], see `TouchLift`."""
+    over_holes: Array | None = None
+    """Share of the gait over holes (N,), 0 to 1, see `Footholds`."""
+    balance: Array | None = None
+    """What is added to its poses (N, C, L), see `Balance`."""
 
 
 class CommandFilter:
@@ -290,14 +294,14 @@ class CommandFilter:
         limits: of the commands.
         natural_period: sqrt(l / g) of the legs [s].
         num_envs: robots.
-        frequency: gives the gait's frequency [Hz] (N,) for commands (N, 3).
+        frequency: gives the gait's frequency [Hz] (N,) for commands (N, 3) and the share of the gait over holes (N,).
     """
 
     arrays = ("filtered_command", "correction", "heading_error", "activity", "phase", "heading")
     """Names of the arrays that change over time."""
 
     def __init__(
-        self, limits: CommandLimits, natural_period: float, num_envs: int, frequency: Callable[[Array], Array]
+        self, limits: CommandLimits, natural_period: float, num_envs: int, frequency: Callable[..., Array]
     ) -> None:
         self.limits, self._frequency = limits, frequency
         self._start_rate = 1.0 / (_START_TIME * natural_period)
@@ -319,7 +323,7 @@ class CommandFilter:
         """Return the filter of a robot's reference gait: its own `frequency`, if it follows commands."""
         own = getattr(reference, "frequency", None)
 
-        def fixed(command: Array) -> Array:
+        def fixed(command: Array, over_holes: Array | None) -> Array:
             return np.full(len(command), 1.0 / reference.period if reference.period else 0.0)
 
         natural = float(np.sqrt(robot.leg_geometry.length / GRAVITY))
@@ -331,15 +335,22 @@ class CommandFilter:
             array[rows] = 0.0
         self.heading[rows] = yaw[rows]
 
-    def advance(self, target: Array, step: Array, yaw: Array) -> None:
-        """Go on by a control step of `step` (N,) [s] with commands `target` (N, 3) and the IMU's `yaw` (N,) [rad]."""
+    def advance(self, target: Array, step: Array, yaw: Array, over_holes: Array | None = None) -> None:
+        """Go on by a control step.
+
+        Args:
+            target: commands (N, 3).
+            step: its duration (N,) [s].
+            yaw: of the IMU (N,) [rad].
+            over_holes: share of the gait over holes (N,).
+        """
         limits = self.limits
         change = np.array(limits.acceleration) * step[:, None]
         self.filtered_command += np.clip(target - self.filtered_command, -change, change)
         walks = ~limits.stands(target) | ~limits.stands(self.filtered_command)
         change = self._start_rate * step
         self.activity += np.clip(walks - self.activity, -change, change)
-        self.phase = (self.phase + self._frequency(self.filtered_command) * step) % 1.0
+        self.phase = (self.phase + self._frequency(self.filtered_command, over_holes) * step) % 1.0
         self.heading += self.filtered_command[:, 2] * step
         error = (self.heading - yaw + np.pi) % (2 * np.pi) - np.pi
         limit = np.where(walks, MAX_HEADING_ERROR, MAX_STANDING_HEADING_ERROR)

@@ -127,10 +127,11 @@ class TaskConfig:
         check_bounds(self)
         check_reward(self.reward, self.reward_limits)
         check_ranges(self.randomize)
-        if self.reference.foothold_radius and self.reference.kind != "follow":
-            raise SurefootError(
-                f"reference.foothold_radius is not 0 and reference.kind is {self.reference.kind}; it must be follow"
-            )
+        kind = self.reference.kind
+        if self.reference.foothold_radius and kind != "follow":
+            raise SurefootError(f"reference.foothold_radius is not 0 and reference.kind is {kind}; it must be follow")
+        if self.reference.over_holes is not None and not self.reference.foothold_radius:
+            raise SurefootError("reference.over_holes is given and foothold_radius is 0; holes are found for footholds")
 
     @property
     def sees(self) -> bool:

@@ -19,13 +19,12 @@ from surefoot.rotations import in_heading_frame
 from surefoot.seeding import generators
 from surefoot.task.commands import CommandFilter, CommandGenerator, CommandState
 from surefoot.task.config import TaskConfig
-from surefoot.task.footholds import Footholds, followed_state
+from surefoot.task.follower import Follower
 from surefoot.task.height_scan import AROUND, HeightScanner, scan_heights
 from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
 from surefoot.task.reward import Scales, StepMotion, base_height, base_rates, base_tilt, step_reward
 from surefoot.task.terrain import TerrainCurriculum
-from surefoot.task.touch import TouchLift
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
@@ -128,12 +127,10 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.pusher = Pusher(task.pushes, self.num_envs, seed, self.robot.weight)
         self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed, task.randomize_ramp)
         self.source: CommandGenerator | None = None
-        self.commands: CommandFilter | None = None
+        self.follower: Follower | None = None
         if limits := task.commands.limits(self.robot):
             self.source = self._given_source or task.commands.make_generator(limits, self.num_envs, seed)
-            self.commands = CommandFilter.from_reference(self.gait.reference, limits, self.robot, self.num_envs)
-        self.footholds = Footholds.of(self.gait.reference, self.num_envs)
-        self.touch = TouchLift.of(self.gait.reference, self.num_envs)
+            self.follower = Follower(self.gait.reference, limits, self.robot, self.num_envs)
         self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)
         self.returns = np.zeros(self.num_envs)
@@ -164,12 +161,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.start_position[rows] = self.truth.base_position_world[rows]
         if self.scanner is not None:
             self.scanner.reset(rows, self.ground, self.truth.base_position_world, self.truth.roll_pitch_yaw[:, 2])
-        if self.source is not None and self.commands is not None:
+        if self.source is not None and self.follower is not None:
             self.source.reset(rows)
-            self.commands.reset(rows, self.readings.roll_pitch_yaw[:, 2])
-        for part in (self.footholds, self.touch):
-            if part is not None:
-                part.reset(rows)
+            self.follower.reset(rows, self.readings.roll_pitch_yaw[:, 2])
         if self.task.pushes.enabled:
             self.pusher.reset(rows)
             self.world.push(self.pusher.force)
@@ -193,9 +187,14 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         )
 
     @property
+    def commands(self) -> CommandFilter | None:
+        """The commands that are followed, of a task with commands."""
+        return None if self.follower is None else self.follower.commands
+
+    @property
     def command_state(self) -> CommandState | None:
         """What the gait follows now, of a task with commands."""
-        return followed_state(self.commands, self.footholds, self.touch)
+        return None if self.follower is None else self.follower.state
 
     def _observation(self) -> NDArray[np.float32]:
         return self.history.reshape(self.num_envs, -1).astype(np.float32)
@@ -232,21 +231,18 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         diverged = self.truth.diverged
         motion = self._motion(before, last)
         reward, self.reward_terms = step_reward(task.reward, task.reward_limits, motion)
-        if self.source is not None and self.commands is not None:
+        if self.scanner is not None:
+            self.scanner.update(self.ground, self.truth.base_position_world, self.truth.roll_pitch_yaw[:, 2])
+        if self.source is not None and self.follower is not None:
             self.command_error, self.stride_error = motion.command_error, motion.stride_error
             if self.curriculum is not None:
                 velocity = motion.command_error[:, :2] + motion.command[:, :2]
                 duration = motion.duration * ~(self.over | diverged)
                 self.curriculum.record(self.source.command[:, :2], velocity, before.roll_pitch_yaw[:, 2], duration)
             self.source.update(self.readings.time)
-            self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
-            if self.touch is not None:
-                angles, step = self.readings.motor_angle, world.params.control_step
-                self.touch.update(self.target, angles, self.commands.state, step)
-        if self.scanner is not None:
-            self.scanner.update(self.ground, self.truth.base_position_world, self.truth.roll_pitch_yaw[:, 2])
-            if self.footholds is not None and self.commands is not None:
-                self.footholds.choose(self.scanner.heights, self.commands.state, self.readings)
+            heights = None if self.scanner is None else self.scanner.heights
+            step = world.params.control_step
+            self.follower.advance(self.source.command, step, self.readings, self.target, heights)
         for part in (reward, self.command_error, self.stride_error, *self.reward_terms.values()):
             part[diverged | self.over] = 0.0
         self.reward = reward
@@ -385,11 +381,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         owners: dict[str, Any] = {"": self, "pushes_": self.pusher, "randomizer_": self.randomizer}
-        if self.source is not None:
-            owners |= {"source_": self.source, "commands_": self.commands}
-        owners |= {"terrain_": self.curriculum, "scan_": self.scanner}
-        owners |= {"footholds_": self.footholds, "touch_": self.touch}
-        return {
+        owners |= {"source_": self.source, "terrain_": self.curriculum, "scan_": self.scanner}
+        followed = {} if self.follower is None else self.follower.arrays
+        return followed | {
             f"{prefix}{name}": getattr(owner, name)
             for prefix, owner in owners.items()
             if owner is not None

@@ -12,17 +12,18 @@ spot; a robot that stands keeps them on the ground.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import CommandLimits
 from surefoot.robot.leg import Legs
+from surefoot.task.balance_gains import BalanceConfig
 from surefoot.task.commands import MAX_HEADING_ERROR, CommandState
 
 QUANTITIES = ("stroke", "clearance", "duty_factor", "phase", "height", "offset", "depth")
@@ -200,10 +201,15 @@ class FollowingReference:
     """Square of the time [s^2] by which commands lead along the acceleration of the pose."""
     weight_feedforward: float = 0.0
     """Angle by which commands lead, over the lever arm of the weight [rad/m]."""
+    balance: BalanceConfig = field(default_factory=BalanceConfig)
+    """Gains of the feedback of attitude and speed, of a gait over holes; see `Balance`."""
+    over_holes: FollowingReference | None = None
+    """The gait while the map of heights has holes, see `Footholds`."""
     places: Array = field(init=False, repr=False)
     """Feet below the legs' mounts, (L, 3) [m] from the mounts; z is the height."""
     _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
     _reach: float = field(init=False, repr=False, compare=False, default=0.0)
+    _space: Array = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Check that legs reach every stride."""
@@ -212,6 +218,7 @@ class FollowingReference:
                 f"reference.touch_clearance lifts feet by {self.touch_clearance:.3f} m, up to their motors: with "
                 f"clearance it must be less than height, {float(np.min(self.feet.height)):.3f} m"
             )
+        object.__setattr__(self, "_space", np.array(list(self.robot.leg_space.values())).T[..., None])
         legs, resting = self.robot.leg_geometry, self._resting()
         _, aside, below = legs.foot_position(resting).T
         axis = below - legs.foot_in_plane(resting)[:, 1]
@@ -301,14 +308,27 @@ class FollowingReference:
         length = np.linalg.norm(stride, axis=-1, keepdims=True)
         return np.asarray(stride * np.minimum(1.0, self.feet.stroke[:, None] / np.maximum(length, 1e-9)))
 
-    def frequency(self, command: Array) -> Array:
-        """Return the frequency (N,) [Hz] at commands (N, 3)."""
+    def frequency(self, command: Array, over_holes: Array | None = None) -> Array:
+        """Return the frequency (N,) [Hz] at commands (N, 3) and the share of the gait over holes (N,)."""
         _, share = self._on_the_spot(command)
-        return np.asarray(self.feet.frequency * (1.0 + self.frequency_rise * share))
+        own = np.asarray(self.feet.frequency * (1.0 + self.frequency_rise * share))
+        if over_holes is None or self.over_holes is None:
+            return own
+        return np.asarray(own + over_holes * (self.over_holes.frequency(command) - own))
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
         """Return the poses (N, C, L) at the state's commands and phases; the times (N,) are not used."""
         assert state is not None
+        pose = self._own_pose(state)
+        if self.over_holes is None or state.over_holes is None or not state.over_holes.any():
+            return pose
+        other = self.over_holes._own_pose(replace(state, lift=None))
+        if state.balance is not None:
+            other = np.clip(other + state.balance, *self._space)
+        return np.asarray(pose + state.over_holes[:, None, None] * (other - pose))
+
+    def _own_pose(self, state: CommandState) -> Array:
+        """Return the poses (N, C, L) without those of the gait over holes."""
         along, bump = self.feet.curve(state.phase)
         active = state.activity[:, None]
         step = (active * along)[..., None] * self.strides(state.command)
@@ -344,6 +364,10 @@ class FollowingReference:
     def reached(self, step: Array) -> Array:
         """Return how much of their reach feet take (...), that are beside their places by steps (..., 2) [m]."""
         return np.asarray(np.hypot(step[..., 0], step[..., 1] / _ASIDE) / self._reach)
+
+    def swings(self, state: CommandState) -> NDArray[np.bool_]:
+        """Return whether legs are in swing (N, L)."""
+        return np.asarray((self.feet.swing_part(state.phase) > 0.0) & (state.activity[:, None] > 0.5))
 
     def load(self, state: CommandState) -> Array:
         """Return the share of the weight that each leg carries (N, L), of legs in stance alike."""
@@ -381,5 +405,10 @@ class FollowingReference:
         always = ("stride_gain", "frequency_rise", "turn_gain")
         names = (*FOLLOWING, "acceleration_feedforward", "weight_feedforward")
         values = {name: getattr(self, name) for name in names}
-        gains = {name: value for name, value in values.items() if value or name in always}
+        gains: dict[str, Any] = {name: value for name, value in values.items() if value or name in always}
+        if self.over_holes is not None:
+            other = self.over_holes
+            foot = other.feet.to_dict()["foot"]
+            numbers = {name: getattr(other, name) for name in ("stride_gain", "frequency_rise")}
+            gains["over_holes"] = {"foot": foot, **numbers, "balance": asdict(other.balance)}
         return {**self.feet.to_dict(), "kind": "follow", **gains}

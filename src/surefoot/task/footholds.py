@@ -9,30 +9,37 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.task.commands import CommandFilter, CommandState
+from surefoot.robot import GRAVITY
+from surefoot.task.commands import CommandState
 from surefoot.task.foot_references import FollowingReference
 from surefoot.task.height_scan import MAP
 from surefoot.task.reference import Reference
-from surefoot.task.touch import TouchLift
 from surefoot.world.interface import Readings
 
 HOLE = 0.35
 """Depth of a hole, from what is around it, in lengths of the straight leg."""
-_WIDTH = 7
+_WIDTH = 9
 """Points that a hole is less wide than: a foot can step over it."""
-DEEP = 1.0
-"""Depth below a foot of the reference from which ground is no foothold, however wide it is, in lengths of the leg."""
-_CHOSEN = 0.75
+DEEP = 1.1
+"""Depth below where a robot stands from which ground is no foothold, however wide it is, in lengths of the leg."""
+_CHOSEN = 0.3
 """Part of the swing after which the foothold stays."""
+_FOOTPRINT, _STANDS = 0.6, 0.7
+"""Distance from the base's origin up to which a robot stands, in lengths of the leg, and the quantile of the heights
+there that is its level: stones are more of it than the ground between them."""
+_LEAST_HOLE = 30
+"""Points that holes have, with those beside them, for which a gait over holes begins."""
+_ENTERS, _LEAVES = 1.0, 3.0
+"""Times in which it begins and ends [sqrt(l / g)]."""
 _LEARNS = 0.3
 """Share of what a landing changes in the mean of what feet have missed their places by."""
-_KEEPS = 0.25
+_KEEPS = 1.0
 """Weight of the distance from the place chosen before in this swing, over that from the stride's own end."""
 
 
@@ -44,11 +51,12 @@ class Footholds:
         num_envs: robots.
     """
 
-    arrays = ("lift_off", "landing", "missed", "landed", "swung")
+    arrays = ("lift_off", "landing", "missed", "landed", "swung", "over_holes")
     """Names of the arrays that change over time."""
 
     def __init__(self, reference: FollowingReference, num_envs: int) -> None:
-        self.reference, robot = reference, reference.robot
+        self.reference, robot = reference.over_holes or reference, reference.robot
+        self._changes = reference.over_holes is not None
         ahead, left = (np.array(places) for places in MAP.scale(robot))
         self._shape, self._corner = (len(ahead), len(left)), np.array([ahead[0], left[0]])
         length = robot.leg_geometry.length
@@ -61,7 +69,9 @@ class Footholds:
         """Of the places looked at from the end of a stride (K, 2) [m]."""
         self._under = robot.leg_mounts + reference.places
         """Feet below the legs' mounts, from the base's origin (L, 3) [m]."""
-        self._hole, self._deepest = HOLE * length, self._under[:, 2].min() - DEEP * length
+        near = [np.flatnonzero(np.abs(np.array(places)) <= _FOOTPRINT * length) for places in (ahead, left)]
+        self._footprint = tuple(slice(places[0], places[-1] + 1) for places in near)
+        self._hole, self._deep = HOLE * length, DEEP * length
         self.lift_off, self.landing, self.missed = np.zeros((3, num_envs, len(self._under), 2))
         """How far feet stood beside the places of their strides when they lifted off, how far they land beside them,
         and how far from there feedback and soft legs have let them land: forward and to the left (N, L, 2) [m]."""
@@ -69,6 +79,9 @@ class Footholds:
         """How often feet have landed (N, L)."""
         self.swung = np.zeros(self.landed.shape, np.bool_)
         """Whether they were swinging (N, L)."""
+        self.over_holes = np.zeros(num_envs)
+        """Share of the gait over holes (N,)."""
+        self._time = float(np.sqrt(length / GRAVITY))
 
     @classmethod
     def of(cls, reference: Reference, num_envs: int) -> Footholds | None:
@@ -79,18 +92,29 @@ class Footholds:
 
     def reset(self, rows: NDArray[np.int64]) -> None:
         """Let robots stand on the places of their strides."""
-        for array in (self.lift_off, self.landing, self.missed, self.landed, self.swung):
-            array[rows] = 0
+        for name in self.arrays:
+            getattr(self, name)[rows] = 0
 
-    def choose(self, heights: Array, state: CommandState, readings: Readings) -> None:
-        """Choose footholds on maps of heights (N, P) [m], those of the grid `MAP`, for what the gait follows now."""
+    def choose(self, heights: Array, state: CommandState, readings: Readings, step: Array) -> None:
+        """Choose footholds for what the gait follows now.
+
+        Args:
+            heights: maps (N, P) [m], those of the grid `MAP`.
+            state: commands and phases.
+            readings: what robots measure.
+            step: duration of the control step (N,) [s].
+        """
         reference, bad = self.reference, self._bad(heights)
+        holes = bad.sum(axis=(1, 2)) >= _LEAST_HOLE
+        change = step / (np.where(holes, _ENTERS, _LEAVES) * self._time)
+        self.over_holes = np.clip(self.over_holes + np.where(holes, change, -change), 0.0, 1.0)
         feet, command = reference.feet, state.command
         part = feet.swing_part(state.phase)
         swings = part > 0.0
         rest = (1.0 - part) * (1.0 - feet.duty_factor) / reference.frequency(command)[:, None]
         ends = self._under[:, :2] + 0.5 * state.activity[:, None, None] * reference.strides(command)
-        self._learn(self.swung & ~swings, ends, readings)
+        own = (self.over_holes == 1.0)[:, None] if self._changes else True  # not what the other gait misses
+        self._learn(self.swung & ~swings & own, ends, readings)
         keeps = _KEEPS * (self.swung & swings)
         self.swung = swings
         # The base goes on until the foot lands.
@@ -123,33 +147,43 @@ class Footholds:
         """Return whether points of maps are holes or beside them (N, X, Y)."""
         # The median leaves out points that are wrong or not known.
         grid = _spread(heights.reshape(len(heights), *self._shape), 3, _median)
-        closed = _spread(_spread(grid, _WIDTH, _greatest), _WIDTH, _least)
-        holes = (closed - grid > self._hole) | (grid < self._deepest)
+        closed = np.maximum(_closing(grid, 1), _closing(grid, 2))
+        # Stairs that meet in a corner are a valley, but not below where a robot stands.
+        rows, columns = self._footprint
+        level = np.quantile(grid[:, rows, columns], _STANDS, axis=(1, 2))[:, None, None]
+        holes = (closed - grid > self._hole) & (grid < level - 0.5 * self._hole) | (grid < level - self._deep)
         return _spread(holes.astype(float), 3, _greatest) > 0.0
-
-
-def followed_state(
-    commands: CommandFilter | None, footholds: Footholds | None, touch: TouchLift | None
-) -> CommandState | None:
-    """Return what a gait follows now: commands, phase, footholds and lift, if it has any; None without commands."""
-    if commands is None:
-        return None
-    state = commands.state
-    if footholds is not None:
-        state = replace(state, lift_off=footholds.lift_off.copy(), landing=footholds.landing.copy())
-    return state if touch is None else replace(state, lift=touch.lift.copy())
 
 
 def _spread(grid: Array, width: int, combine: Callable[[list[Array]], Array]) -> Array:
     """Return grids (N, X, Y) of which each point combines those around it: of a row of `width` points, then of columns.
 
-    Beyond the border its numbers go on.
+    Beyond the border are its mirrored numbers, so that a median leaves out single ones there too.
     """
     for axis in (1, 2):
-        reach, count = width // 2, grid.shape[axis]
-        wide = np.pad(grid, [(reach, reach) if k == axis else (0, 0) for k in range(3)], mode="edge")
-        grid = combine([wide[(slice(None),) * axis + (slice(k, k + count),)] for k in range(width)])
+        grid = _along(grid, axis, width, combine, "reflect")
     return grid
+
+
+def _along(
+    grid: Array, axis: int, width: int, combine: Callable[[list[Array]], Array], border: Literal["reflect", "edge"]
+) -> Array:
+    """Return grids (N, X, Y) of which each point combines `width` points along an axis."""
+    reach, count = width // 2, grid.shape[axis]
+    wide = np.pad(grid, [(reach, reach) if k == axis else (0, 0) for k in range(3)], mode=border)
+    return combine([wide[(slice(None),) * axis + (slice(k, k + count),)] for k in range(width)])
+
+
+def _closing(grid: Array, axis: int) -> Array:
+    """Return the closing of grids (N, X, Y) along an axis: what is lower than both sides is raised to the lower one.
+
+    Along one axis, as a slanting edge of a step that goes out of the map is none of its valleys then. Beyond the border
+    its numbers go on.
+    """
+    reach = _WIDTH // 2
+    wide = np.pad(grid, [(reach, reach) if k == axis else (0, 0) for k in range(3)], mode="edge")
+    closed = _along(_along(wide, axis, _WIDTH, _greatest, "edge"), axis, _WIDTH, _least, "edge")
+    return closed[(slice(None),) * axis + (slice(reach, -reach),)]
 
 
 def _greatest(parts: list[Array]) -> Array:

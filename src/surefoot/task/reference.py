@@ -8,7 +8,7 @@ Tan et al. 2018, eq. 3: a(t, o) = reference(t) + feedback(o).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,6 +22,7 @@ from surefoot.files import check_readable
 from surefoot.npz import read_npz
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.commands import CommandLimits
+from surefoot.task.balance_gains import BalanceConfig
 from surefoot.task.commands import CommandState
 from surefoot.task.foot_references import FOLLOWING, LENGTHS, FollowingReference, FootReference
 
@@ -67,6 +68,23 @@ class FootConfig:
 
 
 @dataclass(frozen=True)
+class OverHolesConfig:
+    """A gait over holes: feet land where the reference has them, without feedback of a policy.
+
+    Units are those of the reference.
+    """
+
+    foot: FootConfig = field(default_factory=FootConfig)
+    """Paths of the feet."""
+    stride_gain: Annotated[float, Within(0, 3)] = 1.15
+    """Stride over that of a foot that does not slip."""
+    frequency_rise: Annotated[float, Within(0, 3)] = 0.0
+    """Frequency gained at the longest stride, over the frequency on the spot."""
+    balance: BalanceConfig = field(default_factory=BalanceConfig)
+    """Feedback of attitude and speed on the legs' poses."""
+
+
+@dataclass(frozen=True)
 class ReferenceConfig:
     """The open loop part of the gait."""
 
@@ -108,6 +126,9 @@ class ReferenceConfig:
     weight_feedforward: Annotated[float, Within(0, 100)] = 0.0
     """Angle by which commands of legs in stance lead, over the lever arm of the weight [rad/m], for kind follow:
     m g / k_p makes up for what the weight bends actuators."""
+    over_holes: OverHolesConfig | None = None
+    """The gait while the map of heights has holes, for kind follow with `foothold_radius`; the same one, if not
+    given."""
     relative: bool = False
     """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi,
     `velocity_feedforward` the actuators' k_d / k_p, `acceleration_feedforward` rotors' inertia over k_p, and
@@ -248,7 +269,13 @@ def make_reference(
             ahead = {"acceleration_feedforward": inertia / kp, "weight_feedforward": robot.weight / kp}
             ahead |= dict.fromkeys(("foothold_radius", "touch_clearance"), robot.leg_geometry.length)
         gains |= {name: unit * getattr(config, name) for name, unit in ahead.items()}
-        return FollowingReference(robot, _foot_reference(config, robot, params), commands, **gains)
+        other = None
+        if config.over_holes is not None:
+            over = config.over_holes
+            feet = _foot_reference(replace(config, foot=over.foot), robot, params)
+            own = {"stride_gain": over.stride_gain, "frequency_rise": over.frequency_rise, "touch_clearance": 0.0}
+            other = FollowingReference(robot, feet, commands, balance=over.balance, **(gains | own))
+        return FollowingReference(robot, _foot_reference(config, robot, params), commands, over_holes=other, **gains)
     waves = {"abduction": config.abduction, "swing": config.swing, "extension": config.extension}
     if config.kind == "none":
         waves = dict.fromkeys(waves, WaveConfig())

@@ -82,6 +82,9 @@ class TouchLift:
         part = reference.feet.swing_part(state.phase)
         swings = (part > _FIRST) & (part < _LAST) & (size > _SHORTEST * self._length)
         met = swings & (self.behind > BEHIND * self._length)
+        if state.over_holes is not None:
+            # A foot on its way to a foothold far beside its stride is behind without having met anything.
+            met &= state.over_holes[:, None] == 0.0
         raised = np.minimum(self.lift + _RISES * self._length * time, reference.touch_clearance)
         self.lift = np.where(met, raised, np.where(part < 0.0, self.lift * np.exp(-time / _FALLS), self.lift))
         self.commanded = self._feet(target)
