@@ -19,7 +19,7 @@ STEP = np.array([0.1])
 
 def make_filter(frequency: float = 2.0) -> CommandFilter:
     """Return the filter of one robot that stands, with a natural period of .2 s: a start takes .3 s."""
-    command_filter = CommandFilter(LIMITS, 0.2, 1, lambda command: np.full(len(command), frequency))
+    command_filter = CommandFilter(LIMITS, 0.2, 1, lambda command, over_holes: np.full(len(command), frequency))
     command_filter.reset(np.arange(1), np.zeros(1))
     return command_filter
 

@@ -67,7 +67,7 @@ class Footholds:
         offsets = np.stack(np.meshgrid(steps, aside, indexing="ij"), -1).reshape(-1, 2)
         self._offsets = offsets[np.linalg.norm(offsets, axis=1) <= radius + 1e-9]
         """Of the places looked at from the end of a stride (K, 2) [m]."""
-        self._under = robot.leg_mounts + reference.places
+        self._under = robot.leg_mounts + self.reference.places
         """Feet below the legs' mounts, from the base's origin (L, 3) [m]."""
         near = [np.flatnonzero(np.abs(np.array(places)) <= _FOOTPRINT * length) for places in (ahead, left)]
         self._footprint = tuple(slice(places[0], places[-1] + 1) for places in near)
