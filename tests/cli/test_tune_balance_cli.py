@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,10 @@ def test_tune_balance_writes_a_task_that_can_be_trained(tmp_path: Path):
     assert done.returncode == 0, done.stderr
     assert "gaps:0.25 0.00" in done.stdout
     assert "wrote mine-balance.yaml" in done.stdout
-    before, after = (load_task(str(tmp_path / name))[0].reference for name in ("mine.yaml", "mine-balance.yaml"))
+    (task, train), (tuned, kept) = (load_task(str(tmp_path / name)) for name in ("mine.yaml", "mine-balance.yaml"))
+    assert kept == train
+    assert replace(tuned, name=task.name, reference=task.reference) == task
+    before, after = task.reference, tuned.reference
     assert before.over_holes is not None
     assert after.over_holes is not None
     assert after.over_holes.balance != before.over_holes.balance

@@ -11,9 +11,9 @@ import yaml
 
 from surefoot.cli.helpers.options import check_suffix
 from surefoot.cli.helpers.parsing import parse
-from surefoot.configuration import to_mapping
 from surefoot.files import atomic_write
 from surefoot.progress import ProgressBar
+from surefoot.studies.handcrafted import task_mapping
 from surefoot.studies.tune_balance import BalanceTuneConfig, BalanceTuner
 from surefoot.task.config import load_task
 
@@ -22,7 +22,7 @@ from surefoot.task.config import load_task
 class TuneBalanceCommand(BalanceTuneConfig):
     """Tune the balance of a task's gait over holes on gaps and stones, with CMA-ES and without a policy.
 
-    The file that is written is a task: `surefoot train FILE` learns feedback on top of it.
+    The file that is written is a task: `surefoot train FILE --start-from RUN` gives a policy its gait over holes.
     """
 
     task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")] = "terrain-seeing"
@@ -40,7 +40,7 @@ def main(argv: list[str]) -> int:
     command = parse(TuneBalanceCommand, argv, "surefoot tune-balance")
     check_suffix("task", command.out, ".yaml")
     config = BalanceTuneConfig(**{item.name: getattr(command, item.name) for item in fields(BalanceTuneConfig)})
-    task, _ = load_task(command.task, command.robot)
+    task, train = load_task(command.task, command.robot)
     from surefoot.world.sim_world import SimWorld
 
     tuner = BalanceTuner(config, task, SimWorld)
@@ -48,7 +48,7 @@ def main(argv: list[str]) -> int:
     with ProgressBar(f"{config.generations} generations") as bar:
         for generation in range(config.generations):
             shares = tuner.step()
-            atomic_write(path, yaml.safe_dump(to_mapping(tuner.task), sort_keys=False))
+            atomic_write(path, yaml.safe_dump({**task_mapping(tuner.task, path), "train": train}, sort_keys=False))
             bar.advance((generation + 1) / config.generations)
     kept = ", ".join(f"{tuner.grounds[kind]} {share:.2f}" for kind, share in shares.items() if kind != "cost")
     print(f"share of robots that kept up, last generation: {kept}\nwrote {path}")

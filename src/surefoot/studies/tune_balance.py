@@ -7,6 +7,7 @@ few parameters, and no noise on the feet: over gaps feet must land where the ref
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 from typing import Annotated, Any
 
 import numpy as np
@@ -14,11 +15,14 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.configuration import Seed, Threads, Within
 from surefoot.errors import SurefootError, choices
+from surefoot.evaluation.policy_table import prepare_task
+from surefoot.evaluation.rollout import run_to_end
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.seeding import generator
 from surefoot.studies.handcrafted import OpenLoop
 from surefoot.task.balance_gains import BalanceConfig, PhaseGains
+from surefoot.task.commanded_way import has_kept_up
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -69,13 +73,7 @@ class BalanceTuneConfig:
 
 def gains_vector(gains: BalanceConfig) -> Array:
     """Return gains in the order of `GAINS` (K,)."""
-    return np.array([_find(gains, name) for name in GAINS])
-
-
-def _find(gains: Any, name: str) -> Any:
-    for part in name.split("."):
-        gains = getattr(gains, part)
-    return gains
+    return np.array(attrgetter(*GAINS)(gains))
 
 
 def gains_config(values: Array) -> BalanceConfig:
@@ -113,14 +111,8 @@ class BalanceTuner:
             )
         self.config, self.start, self.robot = config, task, RobotDescription.load(task.robot)
         limits = {key: getattr(task.commands, key) for key in COMMANDS}
-        commands = CommandConfig(
-            **limits,
-            relative=task.commands.relative,
-            acceleration=task.commands.acceleration,
-            heading_gain=task.commands.heading_gain,
-            each=((config.speed, 0.0, 0.0),),
-        )
-        step = float(task.nominal(self.robot).control_step[0])
+        commands = CommandConfig(**limits, relative=task.commands.relative, each=((config.speed, 0.0, 0.0),))
+        base = prepare_task(task, commands, config.duration, self.robot)
         share = config.difficulty
         self.grounds = {
             kind: f"{kind}:{nearest_size(kind, (1.0 - share) * low + share * high):.4g}"
@@ -133,13 +125,6 @@ class BalanceTuner:
         import cma
 
         self._search = cma.CMAEvolutionStrategy(gains_vector(over_holes.balance), config.sigma, options)
-        base = replace(
-            task,
-            commands=commands,
-            randomize={},
-            pushes=replace(task.pushes, enabled=False),
-            max_steps=max(round(config.duration / step), 1),
-        )
         count = (config.population + 1) * config.robots
         self._envs = {
             kind: LocomotionEnv(
@@ -187,23 +172,19 @@ class BalanceTuner:
 
     def _run(self, env: LocomotionEnv, gains: BalanceConfig) -> tuple[Array, Array]:
         """Return the costs of all candidates (C,), and the shares of their robots that kept up."""
-        config, feedback = self.config, OpenLoop(len(env.gait.action_names))
-        observation, _ = env.reset(seed=self.config.seed + self.generation)
+        config, policy = self.config, OpenLoop(len(env.gait.action_names))
+        observation, _ = env.reset(seed=config.seed + self.generation)
         assert env.follower is not None
         assert env.follower.balance is not None
         env.follower.balance.gains = gains
-        fell, energy = np.zeros(env.num_envs, np.bool_), np.zeros(env.num_envs)
-        for _ in range(env.task.max_steps):
-            going = ~env.over
-            observation, _, ended, _, _ = env.step(env.gait.action(feedback.feedback(observation)))
-            energy += np.where(going, np.nan_to_num(env.truth.energy), 0.0)
-            fell |= ended
-            if env.over.all():
-                break
+        runs = run_to_end(lambda rows: env.gait.action(policy.feedback(rows)), env, observation)
+        balanced = runs.balanced.to_numpy()
         way = np.linalg.norm((env.truth.base_position_world - env.start_position)[:, :2], axis=1)
         way = np.nan_to_num(way) / (_START * config.speed * config.duration)
+        energy = runs.power.to_numpy() * runs.steps.to_numpy() * env.world.params.control_step
         spent = energy / (self.robot.weight * config.speed * config.duration)
-        cost = 1.0 - np.clip(way, 0.0, 1.0) + _FALL_COST * fell + np.maximum(way - _OVERRUN, 0.0) + _POWER_COST * spent
-        kept = (way > 0.7) & (way < 1.25) & ~fell
+        cost = 1.0 - np.clip(way, 0.0, 1.0) + _FALL_COST * ~balanced
+        cost += np.maximum(way - _OVERRUN, 0.0) + _POWER_COST * spent
+        kept = has_kept_up(np.ones(len(way)), way, balanced)
         costs, shares = (part.reshape(-1, config.robots).mean(axis=1) for part in (cost, kept.astype(float)))
         return costs, shares

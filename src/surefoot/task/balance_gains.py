@@ -46,7 +46,3 @@ class BalanceConfig:
     """Abduction of left legs per mean roll, less that of right ones."""
     slow_speed_swing: Gain = 0.0
     """Swing of all legs per mean speed error: robots that are too slow lean into their way."""
-
-    def __bool__(self) -> bool:
-        """Return whether any gain is not 0."""
-        return self != BalanceConfig()

@@ -67,12 +67,13 @@ class Follower:
         """
         over_holes = None if self.footholds is None else self.footholds.over_holes
         self.commands.advance(command, step, readings.roll_pitch_yaw[:, 2], over_holes)
+        state = replace(self.commands.state, over_holes=over_holes)
         if self.touch is not None:
-            self.touch.update(target, readings.motor_angle, self.state, step)
+            self.touch.update(target, readings.motor_angle, state, step)
         if self.balance is not None:
-            self.balance.update(readings, self.commands.state, step)
+            self.balance.update(readings, state, step)
         if self.footholds is not None and heights is not None:
-            self.footholds.choose(heights, self.commands.state, readings, step)
+            self.footholds.choose(heights, state, readings, step)
 
     @property
     def state(self) -> CommandState:

@@ -1,8 +1,8 @@
 """Where the feet of a `FollowingReference` land on a map of heights: beside holes.
 
-While a foot swings, the place where its stride would end is looked up on the map. If there is a hole, it lands on the
-nearest place beside it, within a radius. In stance it keeps that place. A hole is what a morphological closing of the
-map (a dilation, then an erosion) raises: gaps, and no steps, slopes or wide hollows.
+When a foot begins to swing, the place where its stride would end is looked up on the map. If there is a hole, it lands
+on the nearest place beside it, within a radius. In stance it keeps that place. A hole is what a morphological closing
+(a dilation, then an erosion) along the map's rows or columns raises: gaps, and no steps, slopes or wide hollows.
 """
 
 from __future__ import annotations
@@ -161,17 +161,8 @@ def _spread(grid: Array, width: int, combine: Callable[[list[Array]], Array]) ->
     Beyond the border are its mirrored numbers, so that a median leaves out single ones there too.
     """
     for axis in (1, 2):
-        grid = _along(grid, axis, width, combine, "reflect")
+        grid = _along(_wider(grid, axis, width // 2, "reflect"), axis, width, combine)
     return grid
-
-
-def _along(
-    grid: Array, axis: int, width: int, combine: Callable[[list[Array]], Array], border: Literal["reflect", "edge"]
-) -> Array:
-    """Return grids (N, X, Y) of which each point combines `width` points along an axis."""
-    reach, count = width // 2, grid.shape[axis]
-    wide = np.pad(grid, [(reach, reach) if k == axis else (0, 0) for k in range(3)], mode=border)
-    return combine([wide[(slice(None),) * axis + (slice(k, k + count),)] for k in range(width)])
 
 
 def _closing(grid: Array, axis: int) -> Array:
@@ -180,10 +171,19 @@ def _closing(grid: Array, axis: int) -> Array:
     Along one axis, as a slanting edge of a step that goes out of the map is none of its valleys then. Beyond the border
     its numbers go on.
     """
-    reach = _WIDTH // 2
-    wide = np.pad(grid, [(reach, reach) if k == axis else (0, 0) for k in range(3)], mode="edge")
-    closed = _along(_along(wide, axis, _WIDTH, _greatest, "edge"), axis, _WIDTH, _least, "edge")
-    return closed[(slice(None),) * axis + (slice(reach, -reach),)]
+    wide = _wider(grid, axis, 2 * (_WIDTH // 2), "edge")
+    return _along(_along(wide, axis, _WIDTH, _greatest), axis, _WIDTH, _least)
+
+
+def _wider(grid: Array, axis: int, border: int, mode: Literal["reflect", "edge"]) -> Array:
+    """Return grids (N, X, Y) with a border at both ends of an axis."""
+    return np.pad(grid, [(border, border) if k == axis else (0, 0) for k in range(3)], mode=mode)
+
+
+def _along(grid: Array, axis: int, width: int, combine: Callable[[list[Array]], Array]) -> Array:
+    """Return the combinations of `width` points along an axis of grids, as many as are within them."""
+    count = grid.shape[axis] - width + 1
+    return combine([grid[(slice(None),) * axis + (slice(k, k + count),)] for k in range(width)])
 
 
 def _greatest(parts: list[Array]) -> Array:
