@@ -14,6 +14,7 @@ from rich.console import Console
 
 from surefoot.api.episodes import draw_episode, film
 from surefoot.configuration import to_mapping
+from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.progress import ProgressBar
 from surefoot.world.registry import find_world
@@ -40,6 +41,11 @@ def check_config(config: TrainConfig) -> None:
     LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
     if config.start_from is not None:
         RunFolder.open(Path(config.start_from))
+    elif config.task.reference.over_holes is not None:
+        raise SurefootError(
+            "reference.over_holes is given, and start_from is not: what learns is the gait over holes; name the run "
+            "whose policy walks elsewhere: --start-from RUN"
+        )
 
 
 def start_note(config: TrainConfig) -> str | None:

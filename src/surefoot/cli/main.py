@@ -26,7 +26,6 @@ COMMANDS = {
     "search": ("surefoot.cli.search", "train many times with searched settings, and see what emerges"),
     "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
     "tune": ("surefoot.cli.tune", "find a handcrafted gait for a robot and a speed"),
-    "tune-balance": ("surefoot.cli.tune_balance", "find gains that balance a gait on terrain"),
     "identify": ("surefoot.cli.identify", "experiments on a robot, and how well the simulator repeats them"),
     "trace": ("surefoot.cli.trace", "make traces of logs that others recorded"),
     "replay": ("surefoot.cli.replay", "replay a recorded run in simulation, and compare"),

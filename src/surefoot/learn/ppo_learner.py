@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
+from rsl_rl.modules import MLP
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import nn
@@ -23,12 +24,14 @@ from torch import nn
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.symmetry import MirrorSamples
+from surefoot.learn.two_gaits import TwoGaits, with_first_gait, without_gait_over_holes
 from surefoot.policy.export import export_policy
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv, SimulationFactory
 from surefoot.task.gait import HybridGait
 from surefoot.task.height_scan import AROUND, MAP
+from surefoot.task.observation import OVER_HOLES
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,10 @@ class PpoLearner:
         return self.update_count * self.config.samples_per_update
 
     @property
+    def _has_two_gaits(self) -> bool:
+        return self.config.task.reference.over_holes is not None
+
+    @property
     def policy(self) -> MLPModel:
         """The policy network."""
         return self.algorithm.get_policy()
@@ -114,6 +121,14 @@ class PpoLearner:
         # The first policy acts near the middle of the bounds for any observation.
         with torch.no_grad():
             actor.mlp[-1].weight.mul_(0.1)
+        if self._has_two_gaits:
+            first = MLP(actor.obs_dim, actions, ppo.policy_hidden, ppo.activation)
+            # Inputs are normalized as the first network knows them; its normalizer divides new ones by 1 + eps.
+            normalizer = actor.obs_normalizer
+            normalizer.until = 0
+            actor.mlp = TwoGaits(
+                first, actor.mlp, self.env.observer.columns.index(OVER_HOLES), 1.0 / (1.0 + normalizer.eps)
+            )
         storage = RolloutStorage("rl", self.config.num_envs, self.config.steps_per_update, obs, [actions], "cpu")
         symmetry = None
         if ppo.symmetry:
@@ -259,6 +274,10 @@ class PpoLearner:
             true = [[(_TRUE, name) for name in env.privileged_columns] for env in (self.env, other)]
             inputs["critic"] = (own + true[0], former + true[1])
         networks, critic = self.algorithm.save(), algorithm["critic_state_dict"]
+        own_actor = networks["actor_state_dict"]
+        adds_gait = self._has_two_gaits and other.task.reference.over_holes is None
+        if adds_gait:
+            networks["actor_state_dict"] = without_gait_over_holes(own_actor)
         for network, (new, old) in inputs.items():
             key = f"{network}_state_dict"
             moved = _move_inputs(algorithm[key], networks[key], new, old, critic, inputs["critic"][1])
@@ -266,6 +285,9 @@ class PpoLearner:
         if other.gait.action_names == self.env.gait.action_names:
             actor = _scale_output(algorithm["actor_state_dict"], other.gait, self.env.gait)
             algorithm = {**algorithm, "actor_state_dict": actor}
+        if adds_gait:
+            both = with_first_gait(own_actor, algorithm["actor_state_dict"])
+            algorithm = {**algorithm, "actor_state_dict": both}
         try:
             self.algorithm.load(algorithm, {"actor": True, "critic": True}, strict=True)
         except RuntimeError as error:
@@ -315,14 +337,17 @@ def _scale_output(actor: Mapping[str, torch.Tensor], old: HybridGait, new: Hybri
     half, wide = 0.5 * (old.high - old.low), 0.5 * (new.high - new.low)
     scale = np.divide(half, wide, out=np.ones_like(half), where=wide > 0)
     shift = np.divide(old.low + half - new.low - wide, wide, out=np.zeros_like(half), where=wide > 0)
-    last = max(int(name.split(".")[1]) for name in actor if name.startswith("mlp."))
-    weight, bias = f"mlp.{last}.weight", f"mlp.{last}.bias"
-    factor = torch.from_numpy(scale).float()
-    return {
-        **actor,
-        weight: actor[weight] * factor[:, None],
-        bias: actor[bias] * factor + torch.from_numpy(shift).float(),
-    }
+    factor, offset = torch.from_numpy(scale).float(), torch.from_numpy(shift).float()
+    last: dict[str, int] = {}
+    for name in actor:
+        if name.startswith("mlp.") and name.endswith(".weight"):
+            network, number, _ = name.rsplit(".", 2)
+            last[network] = max(int(number), last.get(network, 0))
+    scaled = dict(actor)
+    for network, layer in last.items():
+        weight, bias = f"{network}.{layer}.weight", f"{network}.{layer}.bias"
+        scaled |= {weight: actor[weight] * factor[:, None], bias: actor[bias] * factor + offset}
+    return scaled
 
 
 _Input = tuple[int, str]
@@ -364,7 +389,7 @@ def _move_inputs(
     moved = dict(network)
     for key, start in fresh.items():
         normalizes = key.startswith("obs_normalizer") and start.dim() == 2
-        if not (normalizes or key == "mlp.0.weight") or network[key].shape != (len(start), len(old)):
+        if not (normalizes or key.endswith(".0.weight")) or network[key].shape != (len(start), len(old)):
             continue
         moved[key] = start.clone() if normalizes else torch.zeros_like(start)
         if normalizes:

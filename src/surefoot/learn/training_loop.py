@@ -105,10 +105,16 @@ class TrainingLoop:
                 pushes=former.pushes,
                 terrain=former.terrain,
                 feedback=former.feedback,
+                reward=former.reward,
             )
             env = LocomotionEnv(task, 1, make_world, threads=1)
             env.reset()
-            self.learner.load_networks(other.load()["learner"]["algorithm"], env)
+            state = other.load()
+            algorithm = state["learner"]["algorithm"]
+            if task.reference.over_holes is None and config.task.reference.over_holes is not None:
+                # The network that does not learn any more is the one that the other run's file has.
+                algorithm = {**algorithm, "actor_state_dict": state["best_actor"] or algorithm["actor_state_dict"]}
+            self.learner.load_networks(algorithm, env)
         self.best: Evaluation | None = None
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0

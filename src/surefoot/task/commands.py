@@ -280,8 +280,6 @@ class CommandState:
     """How much further feet are lifted in their swings (N, L) [m], see `TouchLift`."""
     over_holes: Array | None = None
     """Share of the gait over holes (N,), 0 to 1, see `Footholds`."""
-    balance: Array | None = None
-    """What is added to its poses (N, C, L), see `Balance`."""
 
 
 class CommandFilter:

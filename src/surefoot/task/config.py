@@ -16,7 +16,7 @@ from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges, check_ranges, resolve_table
 from surefoot.task.commands import CommandConfig
 from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
-from surefoot.task.observation import IMU_AND_MOTORS_12D
+from surefoot.task.observation import IMU_AND_MOTORS_12D, OVER_HOLES
 from surefoot.task.pushes import PushConfig
 from surefoot.task.reference import ReferenceConfig, make_reference
 from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
@@ -130,8 +130,15 @@ class TaskConfig:
         kind = self.reference.kind
         if self.reference.foothold_radius and kind != "follow":
             raise SurefootError(f"reference.foothold_radius is not 0 and reference.kind is {kind}; it must be follow")
+        if "foothold_error" in self.reward and not self.reference.foothold_radius:
+            raise SurefootError("reward.foothold_error needs footholds, and reference.foothold_radius is 0")
         if self.reference.over_holes is not None and not self.reference.foothold_radius:
             raise SurefootError("reference.over_holes is given and foothold_radius is 0; holes are found for footholds")
+        if self.reference.over_holes is not None and OVER_HOLES not in self.observations:
+            raise SurefootError(
+                f"reference.over_holes is given and observations lack {OVER_HOLES}; the policy has a network for each "
+                "gait"
+            )
 
     @property
     def sees(self) -> bool:

@@ -21,6 +21,7 @@ from surefoot.task.commands import CommandFilter, CommandGenerator, CommandState
 from surefoot.task.config import TaskConfig
 from surefoot.task.follower import Follower
 from surefoot.task.height_scan import AROUND, HeightScanner, scan_heights
+from surefoot.task.landings import Landings
 from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
 from surefoot.task.reward import Scales, StepMotion, base_height, base_rates, base_tilt, step_reward
@@ -131,6 +132,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if limits := task.commands.limits(self.robot):
             self.source = self._given_source or task.commands.make_generator(limits, self.num_envs, seed)
             self.follower = Follower(self.gait.reference, limits, self.robot, self.num_envs)
+        self.landings = Landings(self.robot, self.num_envs) if "foothold_error" in task.reward else None
         self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)
         self.returns = np.zeros(self.num_envs)
@@ -164,6 +166,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self.source is not None and self.follower is not None:
             self.source.reset(rows)
             self.follower.reset(rows, self.readings.roll_pitch_yaw[:, 2])
+        if self.landings is not None:
+            self.landings.reset(rows)
         if self.task.pushes.enabled:
             self.pusher.reset(rows)
             self.world.push(self.pusher.force)
@@ -243,6 +247,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             heights = None if self.scanner is None else self.scanner.heights
             step = world.params.control_step
             self.follower.advance(self.source.command, step, self.readings, self.target, heights)
+            if self.landings is not None and self.follower.footholds is not None:
+                self.landings.plan(self.truth, self.follower.footholds, self.follower.commands.state)
         for part in (reward, self.command_error, self.stride_error, *self.reward_terms.values()):
             part[diverged | self.over] = 0.0
         self.reward = reward
@@ -301,6 +307,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     def _motion(self, before: Truth, last_feedback: Array) -> StepMotion:
         """Return the motion of the control step that just ended, which began with a truth and the feedback before."""
         zero, period = np.zeros((self.num_envs, 3)), self.gait.reference.period
+        missed = zero[:, 0]
+        if self.landings is not None and self.follower is not None and self.follower.footholds is not None:
+            missed = self.landings.judge(self.truth, self.follower.footholds, self.follower.commands.state)
         return StepMotion(
             scales=self._scales,
             duration=self.world.params.control_step,
@@ -315,6 +324,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             heading_error=zero[:, 0] if self.commands is None else self.commands.heading_error,
             last_stride_error=self.stride_error,
             stride=_STRIDE if period is None else period,
+            foothold_error=missed,
         )
 
     def _episode_figures(self, ended: NDArray[np.bool_]) -> dict[str, Array]:
@@ -382,6 +392,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     def _arrays(self) -> dict[str, NDArray[Any]]:
         owners: dict[str, Any] = {"": self, "pushes_": self.pusher, "randomizer_": self.randomizer}
         owners |= {"source_": self.source, "terrain_": self.curriculum, "scan_": self.scanner}
+        owners |= {"landings_": self.landings}
         followed = {} if self.follower is None else self.follower.arrays
         return followed | {
             f"{prefix}{name}": getattr(owner, name)

@@ -1,4 +1,4 @@
-"""What the gaits of robots follow, the same in simulation and on the robot: commands, footholds, touch and balance."""
+"""What the gaits of robots follow, the same in simulation and on the robot: commands, footholds and touch."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import CommandLimits
-from surefoot.task.balance import Balance
 from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.footholds import Footholds
 from surefoot.task.reference import Reference
@@ -33,12 +32,11 @@ class Follower:
         self.commands = CommandFilter.from_reference(reference, limits, robot, num_envs)
         self.footholds = Footholds.of(reference, num_envs)
         self.touch = TouchLift.of(reference, num_envs)
-        self.balance = Balance.of(reference, num_envs)
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays that change over time, by name."""
-        parts = {"commands": self.commands, "footholds": self.footholds, "touch": self.touch, "balance": self.balance}
+        parts = {"commands": self.commands, "footholds": self.footholds, "touch": self.touch}
         return {
             f"{prefix}_{name}": getattr(part, name)
             for prefix, part in parts.items()
@@ -49,7 +47,7 @@ class Follower:
     def reset(self, rows: NDArray[np.int64], yaw: Array) -> None:
         """Let robots stand, whose IMU says `yaw` (N,) [rad]."""
         self.commands.reset(rows, yaw)
-        for part in (self.footholds, self.touch, self.balance):
+        for part in (self.footholds, self.touch):
             if part is not None:
                 part.reset(rows)
 
@@ -70,14 +68,12 @@ class Follower:
         state = replace(self.commands.state, over_holes=over_holes)
         if self.touch is not None:
             self.touch.update(target, readings.motor_angle, state, step)
-        if self.balance is not None:
-            self.balance.update(readings, state, step)
         if self.footholds is not None and heights is not None:
             self.footholds.choose(heights, state, readings, step)
 
     @property
     def state(self) -> CommandState:
-        """Commands, phase, footholds, lift and balance that the gait follows now; the arrays are copies."""
+        """Commands, phase, footholds and lift that the gait follows now; the arrays are copies."""
         state = self.commands.state
         if self.footholds is not None:
             feet = self.footholds
@@ -87,6 +83,4 @@ class Follower:
                 landing=feet.landing.copy(),
                 over_holes=feet.over_holes.copy(),
             )
-        if self.touch is not None:
-            state = replace(state, lift=self.touch.lift.copy())
-        return state if self.balance is None else replace(state, balance=self.balance.pose.copy())
+        return state if self.touch is None else replace(state, lift=self.touch.lift.copy())

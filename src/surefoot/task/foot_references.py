@@ -12,7 +12,7 @@ spot; a robot that stands keeps them on the ground.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import CommandLimits
 from surefoot.robot.leg import Legs
-from surefoot.task.balance_gains import BalanceConfig
 from surefoot.task.commands import MAX_HEADING_ERROR, CommandState
 
 QUANTITIES = ("stroke", "clearance", "duty_factor", "phase", "height", "offset", "depth")
@@ -201,15 +200,12 @@ class FollowingReference:
     """Square of the time [s^2] by which commands lead along the acceleration of the pose."""
     weight_feedforward: float = 0.0
     """Angle by which commands lead, over the lever arm of the weight [rad/m]."""
-    balance: BalanceConfig = field(default_factory=BalanceConfig)
-    """Gains of the feedback of attitude and speed, of a gait over holes; see `Balance`."""
     over_holes: FollowingReference | None = None
     """The gait while the map of heights has holes, see `Footholds`."""
     places: Array = field(init=False, repr=False)
     """Feet below the legs' mounts, (L, 3) [m] from the mounts; z is the height."""
     _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
     _reach: float = field(init=False, repr=False, compare=False, default=0.0)
-    _space: Array = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Check that legs reach every stride."""
@@ -218,7 +214,6 @@ class FollowingReference:
                 f"reference.touch_clearance lifts feet by {self.touch_clearance:.3f} m, up to their motors: with "
                 f"clearance it must be less than height, {float(np.min(self.feet.height)):.3f} m"
             )
-        object.__setattr__(self, "_space", np.array(list(self.robot.leg_space.values())).T[..., None])
         legs, resting = self.robot.leg_geometry, self._resting()
         _, aside, below = legs.foot_position(resting).T
         axis = below - legs.foot_in_plane(resting)[:, 1]
@@ -323,8 +318,6 @@ class FollowingReference:
         if self.over_holes is None or state.over_holes is None or not state.over_holes.any():
             return pose
         other = self.over_holes._own_pose(replace(state, lift=None))
-        if state.balance is not None:
-            other = np.clip(other + state.balance, *self._space)
         return np.asarray(pose + state.over_holes[:, None, None] * (other - pose))
 
     def _own_pose(self, state: CommandState) -> Array:
@@ -410,5 +403,5 @@ class FollowingReference:
             other = self.over_holes
             foot = other.feet.to_dict()["foot"]
             numbers = {name: getattr(other, name) for name in ("stride_gain", "frequency_rise")}
-            gains["over_holes"] = {"foot": foot, **numbers, "balance": asdict(other.balance)}
+            gains["over_holes"] = {"foot": foot, **numbers}
         return {**self.feet.to_dict(), "kind": "follow", **gains}

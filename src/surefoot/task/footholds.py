@@ -28,7 +28,7 @@ _WIDTH = 9
 """Points that a hole is less wide than: a foot can step over it."""
 DEEP = 1.1
 """Depth below where a robot stands from which ground is no foothold, however wide it is, in lengths of the leg."""
-_CHOSEN = 0.3
+CHOSEN = 0.3
 """Part of the swing after which the foothold stays."""
 _FOOTPRINT, _STANDS = 0.6, 0.7
 """Distance from the base's origin up to which a robot stands, in lengths of the leg, and the quantile of the heights
@@ -108,27 +108,43 @@ class Footholds:
         holes = bad.sum(axis=(1, 2)) >= _LEAST_HOLE
         change = step / (np.where(holes, _ENTERS, _LEAVES) * self._time)
         self.over_holes = np.clip(self.over_holes + np.where(holes, change, -change), 0.0, 1.0)
-        feet, command = reference.feet, state.command
-        part = feet.swing_part(state.phase)
+        part = reference.feet.swing_part(state.phase)
         swings = part > 0.0
-        rest = (1.0 - part) * (1.0 - feet.duty_factor) / reference.frequency(command)[:, None]
-        ends = self._under[:, :2] + 0.5 * state.activity[:, None, None] * reference.strides(command)
-        own = (self.over_holes == 1.0)[:, None] if self._changes else True  # not what the other gait misses
-        self._learn(self.swung & ~swings & own, ends, readings)
+        ends = self._stride_ends(state)
+        self._learn(self.swung & ~swings & self.follows[:, None], ends, readings)
         keeps = _KEEPS * (self.swung & swings)
         self.swung = swings
-        # The base goes on until the foot lands.
-        ends += self.missed
-        ends += np.where(swings, rest, 0.0)[..., None] * command[:, None, :2]
+        ends += self._ahead(state)
         places = np.rint((ends[:, :, None] + self._offsets - self._corner) / self._spacing).astype(np.int64)
         i, j = np.moveaxis(np.clip(places, 0, np.array(self._shape) - 1), -1, 0)
         change = self._offsets - self.landing[:, :, None]
         cost = (self._offsets**2).sum(-1) + keeps[..., None] * (change**2).sum(-1)
         cost = cost + bad[np.arange(len(bad))[:, None, None], i, j]
         best = self._offsets[np.argmin(cost, axis=-1)]
-        chooses = swings & (part < _CHOSEN)
+        chooses = swings & (part < CHOSEN)
         self.lift_off = np.where(swings[..., None], self.lift_off, self.landing)
         self.landing = np.where(chooses[..., None], best, self.landing)
+
+    @property
+    def follows(self) -> NDArray[np.bool_]:
+        """Whether feet go to their footholds (N,), not as another gait has them."""
+        return self.over_holes == 1.0 if self._changes else np.ones(len(self.over_holes), np.bool_)
+
+    def landing_places(self, state: CommandState) -> Array:
+        """Return where feet will land in the heading frame, from the base's origin now (N, L, 2) [m]."""
+        return self._stride_ends(state) + self._ahead(state) + self.landing
+
+    def _stride_ends(self, state: CommandState) -> Array:
+        """Return where strides end, from the base's origin (N, L, 2) [m]."""
+        step = 0.5 * state.activity[:, None, None] * self.reference.strides(state.command)
+        return np.asarray(self._under[:, :2] + step)
+
+    def _ahead(self, state: CommandState) -> Array:
+        """Return what there is beside (N, L, 2) [m]: what feet miss, and how far the base goes until they land."""
+        feet, command = self.reference.feet, state.command
+        part = feet.swing_part(state.phase)
+        rest = (1.0 - part) * (1.0 - feet.duty_factor) / self.reference.frequency(command)[:, None]
+        return np.asarray(self.missed + np.where(part > 0.0, rest, 0.0)[..., None] * command[:, None, :2])
 
     def _learn(self, lands: NDArray[np.bool_], ends: Array, readings: Readings) -> None:
         """Take from feet that land (N, L) how far they are from the ends of their strides (N, L, 2) and `landing`."""

@@ -65,8 +65,7 @@ class HybridGait:
 
     Feedback is in leg space, C numbers a leg, or, with `action` joint, an angle for each of the M motors. With `action`
     angle there is no reference and no leg space: feedback is the motors' angles themselves, within the joints' limits.
-    Over holes a reference with `over_holes` goes without feedback. `memory` numbers more move nothing; the next
-    observation has them. A = C L or M, and these.
+    `memory` numbers more move nothing; the next observation has them. A = C L or M, and these.
 
     Args:
         robot: legs, their order and range.
@@ -92,7 +91,6 @@ class HybridGait:
         self._leading = _leading(reference)
         self._accelerating: FollowingReference | None = None
         self._carrying: FollowingReference | None = None
-        self._over_holes = isinstance(reference, FollowingReference) and reference.over_holes is not None
         if isinstance(reference, FollowingReference) and reference.acceleration_feedforward:
             self._accelerating = reference
         if isinstance(reference, FollowingReference) and reference.weight_feedforward:
@@ -176,8 +174,6 @@ class HybridGait:
             return feedback
         pose = self.reference.pose(time, state)
         joint = self.action_kind == "joint"
-        if state is not None and state.over_holes is not None and self._over_holes:
-            feedback = feedback * (1.0 - state.over_holes)[:, None]
         if not joint:
             pose = pose + feedback.reshape(len(feedback), *self._shape)
         if self._leading is not None:

@@ -85,6 +85,13 @@ def _footholds(inputs: ObservationInputs) -> Array:
     return np.concatenate(np.moveaxis(state.landing / reference.foothold_radius, -1, 0), axis=1)
 
 
+def _over_holes(inputs: ObservationInputs) -> Array:
+    """Return the share of the gait over holes (N, 1), 0 to 1."""
+    if inputs.commands is None or inputs.commands.over_holes is None:
+        raise SurefootError("observation 'over_holes' needs reference.foothold_radius; it is 0 here")
+    return inputs.commands.over_holes[:, None]
+
+
 def _heights(inputs: ObservationInputs) -> Array:
     """Return the heights of the ground (N, K); there must be a map."""
     if inputs.heights is None:
@@ -99,6 +106,9 @@ def _motor_columns(prefix: str) -> Callable[[RobotDescription], list[str]]:
 def _angular_velocity(axis: int) -> Callable[[ObservationInputs], Array]:
     return lambda inputs: inputs.readings.angular_velocity_base[:, axis : axis + 1]
 
+
+OVER_HOLES = "over_holes"
+"""Name of an observation, and of its number."""
 
 PARTS: dict[str, Part] = {
     "roll": Part("rad", "base in world", lambda _: ["roll"], lambda m: m.readings.roll_pitch_yaw[:, 0:1]),
@@ -124,6 +134,7 @@ PARTS: dict[str, Part] = {
         lambda robot: [f"foothold_{axis}.{leg}" for axis in "xy" for leg in robot.leg_names],
         _footholds,
     ),
+    OVER_HOLES: Part("1", "share of the gait over holes", lambda _: [OVER_HOLES], _over_holes),
     "last_action": Part(
         "rad",
         "leg space",

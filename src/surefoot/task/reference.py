@@ -22,7 +22,6 @@ from surefoot.files import check_readable
 from surefoot.npz import read_npz
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.commands import CommandLimits
-from surefoot.task.balance_gains import BalanceConfig
 from surefoot.task.commands import CommandState
 from surefoot.task.foot_references import FOLLOWING, LENGTHS, FollowingReference, FootReference
 
@@ -69,10 +68,7 @@ class FootConfig:
 
 @dataclass(frozen=True)
 class OverHolesConfig:
-    """A gait over holes: feet land where the reference has them, without feedback of a policy.
-
-    Units are those of the reference.
-    """
+    """A gait over holes; units are those of the reference."""
 
     foot: FootConfig = field(default_factory=FootConfig)
     """Paths of the feet."""
@@ -80,8 +76,6 @@ class OverHolesConfig:
     """Stride over that of a foot that does not slip."""
     frequency_rise: Annotated[float, Within(0, 3)] = 0.0
     """Frequency gained at the longest stride, over the frequency on the spot."""
-    balance: BalanceConfig = field(default_factory=BalanceConfig)
-    """Feedback of attitude and speed on the legs' poses."""
 
 
 @dataclass(frozen=True)
@@ -274,7 +268,7 @@ def make_reference(
             over = config.over_holes
             feet = _foot_reference(replace(config, foot=over.foot), robot, params)
             own = {"stride_gain": over.stride_gain, "frequency_rise": over.frequency_rise, "touch_clearance": 0.0}
-            other = FollowingReference(robot, feet, commands, balance=over.balance, **(gains | own))
+            other = FollowingReference(robot, feet, commands, **(gains | own))
         return FollowingReference(robot, _foot_reference(config, robot, params), commands, over_holes=other, **gains)
     waves = {"abduction": config.abduction, "swing": config.swing, "extension": config.extension}
     if config.kind == "none":

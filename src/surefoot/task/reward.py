@@ -104,6 +104,8 @@ class StepMotion:
     """`stride_error` at the end of the step before (N, 3)."""
     stride: Array | float
     """Duration of a stride [s], a number or (N,)."""
+    foothold_error: Array
+    """What feet count that have landed beside their footholds (N,), see `Landings`."""
 
     @cached_property
     def _rates(self) -> tuple[Array, Array]:
@@ -213,6 +215,12 @@ TERMS: dict[str, Term] = {
             / (m.duration * m.scales.weight * m.scales.speed)
         ),
         "R I^2 at servo rate; squares, since the hottest motor ends a run",
+    ),
+    "foothold_error": Term(
+        "square of the distance of each landing from its foothold, (l / 12)^2, at most 4",
+        lambda m: m.foothold_error,
+        "as in Jenelten et al. 2024, DTC: Deep Tracking Control",
+        is_sum=True,
     ),
     "feedback": Term("mean of squares", lambda m: (m.action**2).mean(axis=1), "keeps the network's part small"),
     "feedback_change": Term(

@@ -39,8 +39,8 @@ class TerrainConfig:
     """What all robots stand on: flat, KIND:SIZE, such as stairs:0.10, or the path of a map (.npz, .png)."""
     sizes: Sizes = field(default_factory=dict)
     """Kinds of a field's tiles, with the sizes of difficulty 0 and 1; robots then stand on tiles, not on `ground`."""
-    shares: Annotated[dict[str, float], Within(0, 1e6, above=True)] = field(default_factory=dict)
-    """Shares of the kinds in the field; 1, if not given."""
+    shares: Annotated[dict[str, float], Within(0, 1e6)] = field(default_factory=dict)
+    """Shares of the kinds in the field; 1, if not given, and 0 for those that are not there."""
     levels: Annotated[int, Within(1, 50)] = 10
     """Levels of difficulty, from 0 to 1: rows of tiles."""
     columns: Annotated[int, Within(1, 100)] = 12
@@ -74,9 +74,12 @@ class TerrainConfig:
                 raise SurefootError(
                     f"terrain.shares.{name} is not a kind of terrain.sizes; {suggest(name, self.sizes)}"
                 )
-        if self.sizes and not len(self.sizes) <= self.columns <= MAX_TILES // self.levels:
+        kinds = sum(self.shares.get(name, 1.0) > 0.0 for name in self.sizes)
+        if self.sizes and not kinds:
+            raise SurefootError("terrain.shares are all 0; one must be more")
+        if self.sizes and not kinds <= self.columns <= MAX_TILES // self.levels:
             raise SurefootError(
-                f"terrain.columns is {self.columns}; it must be {len(self.sizes)}, the kinds, to "
+                f"terrain.columns is {self.columns}; it must be {kinds}, the kinds, to "
                 f"{MAX_TILES // self.levels}, {MAX_TILES} tiles"
             )
         if self.start_level >= self.levels and self.sizes:

@@ -309,9 +309,9 @@ def make_field(
 
     Args:
         sizes: of the easiest and of the most difficult tile, by kind; a kind's `flat` has none.
-        shares: of the columns, by kind; 1, if not given.
+        shares: of the columns, by kind; 1, if not given; one or more over 0.
         levels: rows.
-        columns: of the field; every kind has one or more.
+        columns: of the field.
         tile: side of a tile [m].
         seed: of kinds that are drawn.
     """

@@ -1,0 +1,82 @@
+"""How far from their footholds feet land: what the reward term `foothold_error` counts, in simulation alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.robot import RobotDescription
+from surefoot.rotations import quat_matrix
+from surefoot.task.commands import CommandState
+from surefoot.task.footholds import CHOSEN, Footholds
+from surefoot.world.interface import Truth
+
+_AIRBORNE = 4
+"""Control steps without contact after which a contact is a landing."""
+_LANDS = 0.7
+"""Part of the swing after which a contact is one."""
+_GOES = 0.5
+"""Share of full steps from which feet have footholds."""
+_LATE = 0.3
+"""Part of the cycle after which a foot that has not landed has missed the ground."""
+_UNIT = 1 / 12
+"""Distance that counts 1, in lengths l of the straight leg."""
+_MOST = 4.0
+"""The most that a landing counts, and what a foot does that has missed the ground."""
+
+
+class Landings:
+    """Places in the world where the feet of N robots with L legs are to land, and whether they did.
+
+    Args:
+        robot: the robot.
+        num_envs: robots.
+    """
+
+    arrays = ("places", "part", "airborne")
+    """Names of the arrays that change over time."""
+
+    def __init__(self, robot: RobotDescription, num_envs: int) -> None:
+        self.robot, shape = robot, (num_envs, len(robot.legs))
+        self.places = np.full((*shape, 2), np.nan)
+        """Of feet in the second part of their swing (N, L, 2) [m]; NaN for others."""
+        self.part = np.zeros(shape)
+        """Part of the swing at the end of the last control step (N, L), see `FootReference.swing_part`."""
+        self.airborne = np.zeros(shape)
+        """Control steps since the last contact (N, L)."""
+
+    def reset(self, rows: NDArray[np.int64]) -> None:
+        """Let robots stand."""
+        self.places[rows], self.part[rows], self.airborne[rows] = np.nan, 0.0, 0.0
+
+    def judge(self, truth: Truth, footholds: Footholds, state: CommandState) -> Array:
+        """Return what the landings of a control step count (N,).
+
+        Args:
+            truth: at its end.
+            footholds: on which feet should land.
+            state: what the gait followed in it.
+        """
+        feet = footholds.reference.feet
+        part, share = feet.swing_part(state.phase), feet.shares(state.phase)
+        touches, awaited = truth.foot_contact > 0, np.isfinite(self.places[..., 0])
+        lands = touches & awaited & (self.airborne >= _AIRBORNE) & ((part <= 0.0) | (part > _LANDS))
+        late = ~touches & awaited & (part <= 0.0) & (share > _LATE)
+        legs, mounts = self.robot.leg_geometry, self.robot.leg_mounts
+        foot = np.asarray(legs.foot_position(truth.motor_angle[:, self.robot.leg_motor_index])) + mounts
+        there = truth.base_position_world[:, None] + foot @ np.swapaxes(quat_matrix(truth.base_quat_world), 1, 2)
+        distance = np.linalg.norm(there[..., :2] - self.places, axis=-1) / (_UNIT * legs.length)
+        self.places[lands | late] = np.nan
+        self.airborne = np.where(touches, 0.0, self.airborne + 1.0)
+        return np.where(lands, np.fmin(distance**2, _MOST), _MOST * late).sum(axis=1)
+
+    def plan(self, truth: Truth, footholds: Footholds, state: CommandState) -> None:
+        """Take the footholds that feet have chosen now, with what the gait follows next."""
+        part = footholds.reference.feet.swing_part(state.phase)
+        chosen = (part >= CHOSEN) & (self.part < CHOSEN) & (footholds.follows & (state.activity > _GOES))[:, None]
+        yaw, places = truth.roll_pitch_yaw[:, 2:], footholds.landing_places(state)
+        cosine, sine, x, y = np.cos(yaw), np.sin(yaw), *np.moveaxis(places, -1, 0)
+        places = np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+        self.places = np.where(chosen[..., None], truth.base_position_world[:, None, :2] + places, self.places)
+        self.part = part
