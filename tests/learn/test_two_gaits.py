@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 from torch import nn
 
+from surefoot.api.training import check_config
+from surefoot.configuration import from_mapping, to_mapping
+from surefoot.errors import SurefootError
+from surefoot.learn.config import PPOConfig, TrainConfig
+from surefoot.learn.run_folder import RunFolder
+from surefoot.learn.training_loop import TrainingLoop
 from surefoot.learn.two_gaits import TwoGaits, with_first_gait, without_gait_over_holes
 from surefoot.policy.graph import Graph
 from surefoot.policy.network import INPUT
 from surefoot.policy.torch_graph import trace_module
+from surefoot.task.config import TaskConfig, load_task
+from surefoot.world.sim_world import SimWorld
 
 
 def both() -> TwoGaits:
@@ -59,3 +70,57 @@ def test_parameters_of_a_policy_of_one_gait_go_in_and_out(bias: float):
     assert {name: float(value) for name, value in without_gait_over_holes(joined).items()} == {
         name: float(value) for name, value in one.items()
     }
+
+
+def config(task: TaskConfig, start_from: Path | None = None) -> TrainConfig:
+    """Return a run of three small updates."""
+    ppo = PPOConfig(policy_hidden=(8, 8), value_hidden=(8,), minibatches=1, epochs=1, init_std=0.1)
+    counts = {"num_envs": 4, "steps_per_update": 4, "steps": 48, "evaluate_every": 16, "evaluation_episodes": 1}
+    start = None if start_from is None else str(start_from)
+    return TrainConfig(task, "small", ppo=ppo, threads=1, learning_threads=1, start_from=start, **counts)
+
+
+def run(config: TrainConfig, folder: Path) -> TrainingLoop:
+    loop = TrainingLoop(config, RunFolder.create(config, folder), SimWorld)
+    loop.run(lambda *_: None)
+    return loop
+
+
+def test_a_policy_of_one_gait_gets_one_over_holes_which_alone_learns(tmp_path: Path) -> None:
+    ground = {"terrain": {"sizes": {}, "shares": {}, "ground": "gaps:0.15"}, "max_steps": 50}
+    blind = replace(from_mapping(TaskConfig, ground, base=load_task("terrain", "go2")[0]))
+    blind = replace(blind, terrain=replace(blind.terrain, sizes={}, shares={}))
+    before = run(config(blind), tmp_path / "blind")
+    reference = {"foothold_radius": 0.5, "over_holes": {"foot": to_mapping(blind.reference.foot)}}
+    observations = [*blind.observations, "footholds", "over_holes"]
+    reward = {**blind.reward, "foothold_error": -0.1}
+    data = {"reference": reference, "observations": observations, "reward": reward}
+    task = from_mapping(TaskConfig, data, base=blind)
+    with pytest.raises(SurefootError, match=r"over_holes is given, and start_from is not: what learns"):
+        check_config(config(task))
+
+    def actions(loop: TrainingLoop, share: float, seen: dict[str, float]) -> np.ndarray:
+        columns, history = loop.learner.env.observer.columns, loop.config.task.history
+        row = np.array([share if name == "over_holes" else seen.get(name, 0.3) for name in columns], np.float32)
+        return loop.learner.act(np.tile(row, history)[None])
+
+    # The first gait is the policy that was evaluated best, which may not be the last one.
+    rng = np.random.default_rng(0)
+    seen = {name: float(rng.normal()) for name in before.learner.env.observer.columns}
+    before.learner.policy.load_state_dict(before.best_actor)
+    walks = actions(before, 0.0, seen)
+    seeing = TrainingLoop(config(task, before.folder.path), RunFolder.create(config(task), tmp_path), SimWorld)
+    np.testing.assert_allclose(actions(seeing, 0.0, seen), walks, atol=1e-5)
+    over = actions(seeing, 1.0, seen)
+    assert np.abs(over - walks).max() > 1e-3
+    follower = seeing.learner.env.follower
+    assert follower is not None
+    assert follower.footholds is not None
+    follower.footholds.over_holes[:] = 1.0  # as if there were holes
+    seeing.run(lambda *_: None)
+    np.testing.assert_allclose(actions(seeing, 0.0, seen), walks, atol=1e-5)
+    assert np.abs(actions(seeing, 1.0, seen) - over).max() > 1e-4
+    # A run goes on from it with both.
+    last = seeing.learner.policy.state_dict()
+    third = TrainingLoop(config(task, seeing.folder.path), RunFolder.create(config(task), tmp_path / "3"), SimWorld)
+    assert all(torch.equal(value, last[name]) for name, value in third.learner.policy.state_dict().items())

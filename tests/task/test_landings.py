@@ -104,4 +104,4 @@ def test_the_reward_needs_footholds():
     with pytest.raises(
         SurefootError, match=r"reward.foothold_error needs footholds, and reference.foothold_radius is 0"
     ):
-        replace(task, reference=replace(task.reference, foothold_radius=0.0))
+        LocomotionEnv(replace(task, reference=replace(task.reference, foothold_radius=0.0)), 1, SimWorld, threads=1)

@@ -53,6 +53,7 @@ def step_motion(
         heading_error=np.array([-0.3]),
         last_stride_error=np.array([[0.04, 0.0, -0.08]]),
         stride=0.4,
+        foothold_error=np.array([2.5]),
     )
 
 
@@ -75,6 +76,7 @@ EXPECTED = {
     "height": 0.01,  # ((.21 - .16) / .5)^2
     "torque": 0.02,  # 2 (5 / 50)^2
     "heat": math.sqrt(8),  # sqrt(8 * (200 W)^2) / 200 W
+    "foothold_error": 2.5,
     "feedback": 0.25,  # .5^2
     "feedback_change": 0.09,  # (.5 - .2)^2
 }

@@ -130,8 +130,6 @@ class TaskConfig:
         kind = self.reference.kind
         if self.reference.foothold_radius and kind != "follow":
             raise SurefootError(f"reference.foothold_radius is not 0 and reference.kind is {kind}; it must be follow")
-        if "foothold_error" in self.reward and not self.reference.foothold_radius:
-            raise SurefootError("reward.foothold_error needs footholds, and reference.foothold_radius is 0")
         if self.reference.over_holes is not None and not self.reference.foothold_radius:
             raise SurefootError("reference.over_holes is given and foothold_radius is 0; holes are found for footholds")
         if self.reference.over_holes is not None and OVER_HOLES not in self.observations:

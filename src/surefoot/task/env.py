@@ -132,7 +132,11 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if limits := task.commands.limits(self.robot):
             self.source = self._given_source or task.commands.make_generator(limits, self.num_envs, seed)
             self.follower = Follower(self.gait.reference, limits, self.robot, self.num_envs)
-        self.landings = Landings(self.robot, self.num_envs) if "foothold_error" in task.reward else None
+        self.landings: Landings | None = None
+        if "foothold_error" in task.reward:
+            if not task.reference.foothold_radius:
+                raise SurefootError("reward.foothold_error needs footholds, and reference.foothold_radius is 0")
+            self.landings = Landings(self.robot, self.num_envs)
         self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)
         self.returns = np.zeros(self.num_envs)
