@@ -161,11 +161,18 @@ def test_a_map_of_heights_is_late_and_has_its_errors():
         ({"sizes": {"stairs": (0.1, 0.2)}, "shares": {"slope": 1.0}}, "terrain.shares.slope is not a kind"),
         ({"sizes": {"stairs": (0.1, 0.2)}, "columns": 60}, "terrain.columns is 60; it must be 1, the kinds, to 40"),
         ({"sizes": {"stairs": (0.1, 0.2)}, "levels": 2}, "terrain.start_level is 2"),
+        ({"sizes": {"stairs": (0.1, 0.2)}, "shares": {"stairs": 0.0}}, "terrain.shares are all 0; one must be more"),
     ],
 )
 def test_a_field_that_does_not_fit_is_refused(values, message):
     with pytest.raises(SurefootError, match=message):
         TerrainConfig(**values)
+
+
+def test_kinds_of_share_0_are_left_out():
+    sizes = {"stairs": (0.1, 0.2), "slope": (5.0, 10.0), "gaps": (0.1, 0.2), "rough": (0.02, 0.05)}
+    config = TerrainConfig(sizes=sizes, shares={"stairs": 0.0, "gaps": 2.0, "rough": 0.0}, columns=3)
+    assert config.build(0).kinds == ("slope", "gaps", "gaps")
 
 
 def test_friction_by_place_is_drawn_for_patches_out_to_the_border():

@@ -75,7 +75,9 @@ def _changes(former: Any, now: Any, name: str) -> Iterator[str]:
         for key in former | now:
             yield from _changes(former.get(key), now.get(key), f"{name}.{key}")
     elif former != now:
-        before, after = ("not set" if value is None else value for value in (former, now))
+        before, after = (
+            "not set" if value is None else "given" if isinstance(value, dict) else value for value in (former, now)
+        )
         yield f"{name} {after} (was {before})"
 
 
