@@ -113,8 +113,8 @@ class TrainConfig:
     start_from: str | None = None
     """Folder of another run, whose networks as it left them are this run's first ones: the same layers and legs;
     everything else may differ. Observations, matched by name, and history may be added to, which changes no action.
-    Where bounds of the feedback differ, it stays what it was. With reference.over_holes, which the other run had not, its
-    policy as its file has it stays the one away from holes. With other ranges, pushes or terrain the value network
+    Where bounds of the feedback differ, it stays what it was. With reference.over_holes, which the other run had not,
+    its policy as its file has it stays the one away from holes. With other ranges, pushes or terrain the value network
     gets inputs for them, and loses those of former ones."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learning algorithm."""
