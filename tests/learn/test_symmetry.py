@@ -75,7 +75,7 @@ def test_a_reference_that_is_not_symmetric_is_refused():
 def trot_env() -> LocomotionEnv:
     task = replace(
         load_task("trot")[0],
-        observations=tuple(name for name in PARTS if name not in ("command", "footholds")),
+        observations=tuple(name for name in PARTS if name not in ("command", "footholds", "over_holes")),
         history=2,
         randomize=load_ranges("table1"),
         pushes=PushConfig(enabled=True),
@@ -115,7 +115,9 @@ def test_a_mirrored_robot_moves_as_the_mirror_image():
     task = replace(
         load_task("trot")[0],
         observations=tuple(
-            name for name in PARTS if name not in ("reference_phase", "command", "height_scan", "footholds")
+            name
+            for name in PARTS
+            if name not in ("reference_phase", "command", "height_scan", "footholds", "over_holes")
         ),
         start_linear_speed=0.0,
         start_angular_speed=0.0,
