@@ -70,6 +70,13 @@ def in_heading_frame(vector: Array, yaw: Array) -> Array:
     return np.stack([cos * x + sin * y, cos * y - sin * x, z], -1)
 
 
+def from_heading_frame(points: Array, yaw: Array) -> Array:
+    """Return points (N, K, 2) or (K, 2) of frames that stand upright and have yaw (N,) [rad] in the world (N, K, 2)."""
+    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x, y = np.moveaxis(points, -1, 0)
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+
 def quat_matrix(quat: ArrayLike) -> Array:
     """Return the rotations (..., 3, 3) of unit quaternions (..., 4)."""
     w, x, y, z = np.moveaxis(np.asarray(quat, float), -1, 0)

@@ -37,7 +37,7 @@ class Walk:
         self.reference = task.gait(GO2).reference
         made = Footholds.of(self.reference, 1)
         assert made is not None
-        self.footholds, self.landings = made, Landings(GO2, 1)
+        self.footholds, self.landings = made, Landings(made)
         env = LocomotionEnv(replace(task, terrain=replace(task.terrain, sizes={}, shares={})), 1, SimWorld, threads=1)
         half = 0.5 * yaw
         self.truth = replace(
@@ -59,16 +59,25 @@ class Walk:
         angle = GO2.to_motors(GO2.leg_geometry.foot_pose(foot)[None])
         return replace(self.truth, motor_angle=angle, foot_contact=np.ones((1, 4)))
 
+    def go(self, *parts: float) -> None:
+        """Let the front left foot's swing go on to parts of it."""
+        for part in parts:
+            self.landings.plan(self.truth, self.state(part))
+
+    def judge(self, truth: Truth, part: float) -> float:
+        """Return what landings count at a part of the front left foot's swing."""
+        self.go(part)
+        return float(self.landings.judge(truth)[0])
+
     def land(self, beside: tuple[float, float], landing: tuple[float, float]) -> float:
         """Return what a foot counts that was to land at `landing` beside its place [m], and does at `beside`."""
         self.footholds.landing[:] = landing
         air = replace(self.truth, foot_contact=np.zeros((1, 4)))
         for _ in range(5):
-            self.landings.judge(air, self.footholds, self.state(0.2))
-        self.landings.plan(self.truth, self.footholds, self.state(0.2))
-        self.landings.plan(self.truth, self.footholds, self.state(0.35))
+            self.judge(air, 0.2)
+        self.go(0.2, 0.35)
         # Both feet of the diagonal land.
-        return 0.5 * float(self.landings.judge(self.standing(beside), self.footholds, self.state(0.95))[0])
+        return 0.5 * self.judge(self.standing(beside), 0.95)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.2])
@@ -82,21 +91,19 @@ def test_a_landing_counts_the_square_of_its_distance(yaw: float):
 
 def test_a_foot_that_finds_no_ground_counts_most_and_once():
     walk = Walk()
-    walk.landings.plan(walk.truth, walk.footholds, walk.state(0.2))
-    walk.landings.plan(walk.truth, walk.footholds, walk.state(0.35))
+    walk.go(0.2, 0.35)
     air = replace(walk.truth, foot_contact=np.zeros((1, 4)))
     duty = float(walk.reference.feet.duty_factor[FRONT_LEFT])
-    late = walk.state(-duty / (1.0 - duty) + 0.35 / (1.0 - duty))  # .35 of a cycle after it should have landed
-    counts = [float(walk.landings.judge(air, walk.footholds, state)[0]) for state in (walk.state(0.9), late, late)]
+    late = (0.35 - duty) / (1.0 - duty)  # .35 of a cycle after it should have landed
+    counts = [walk.judge(air, part) for part in (0.9, late, late)]
     # Both feet of the diagonal swing.
     assert counts == [0.0, 8.0, 0.0]
 
 
 def test_feet_that_never_left_the_ground_do_not_land():
     walk = Walk()
-    walk.landings.plan(walk.truth, walk.footholds, walk.state(0.2))
-    walk.landings.plan(walk.truth, walk.footholds, walk.state(0.35))
-    assert walk.landings.judge(walk.standing((0.1, 0.0)), walk.footholds, walk.state(0.95))[0] == 0.0
+    walk.go(0.2, 0.35)
+    assert walk.judge(walk.standing((0.1, 0.0)), 0.95) == 0.0
 
 
 def test_the_reward_needs_footholds():

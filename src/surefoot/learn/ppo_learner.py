@@ -24,7 +24,7 @@ from torch import nn
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.symmetry import MirrorSamples
-from surefoot.learn.two_gaits import TwoGaits, with_first_gait, without_gait_over_holes
+from surefoot.learn.two_gaits import TwoGaits, with_first_gait
 from surefoot.policy.export import export_policy
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.contract_mapping import make_contract
@@ -250,7 +250,7 @@ class PpoLearner:
         network = nn.Sequential(self.policy.obs_normalizer, self.policy.mlp)
         return export_policy(network, contract, path, robot=self.env.robot.archive)
 
-    def load_networks(self, algorithm: dict[str, Any], other: LocomotionEnv) -> None:
+    def load_networks(self, algorithm: dict[str, Any], other: LocomotionEnv, best_actor: Mapping[str, Any]) -> None:
         """Load only the networks of another run's state, so that actions stay what they were.
 
         Args:
@@ -258,6 +258,8 @@ class PpoLearner:
             other: its environment. Inputs are matched by the names of observations and their age in control steps. New
                 ones get weights of 0, and the normalization of an input of that name, where one is known. What only
                 the value network observes may be missing. Bounds of the feedback may differ: the output is scaled.
+            best_actor: its policy that was evaluated best, if any: where this run alone has a gait over holes, that
+                one is the first gait, as it does not learn any more.
 
         Raises:
             SurefootError: networks of other layers or actions, or an observation that is not made any more.
@@ -274,20 +276,17 @@ class PpoLearner:
             true = [[(_TRUE, name) for name in env.privileged_columns] for env in (self.env, other)]
             inputs["critic"] = (own + true[0], former + true[1])
         networks, critic = self.algorithm.save(), algorithm["critic_state_dict"]
-        own_actor = networks["actor_state_dict"]
         adds_gait = self._has_two_gaits and other.task.reference.over_holes is None
+        actor = (best_actor if adds_gait else {}) or algorithm["actor_state_dict"]
+        if other.gait.action_names == self.env.gait.action_names:
+            actor = _scale_output(actor, other.gait, self.env.gait)
         if adds_gait:
-            networks["actor_state_dict"] = without_gait_over_holes(own_actor)
+            actor = with_first_gait(networks["actor_state_dict"], actor)
+        algorithm = {**algorithm, "actor_state_dict": actor}
         for network, (new, old) in inputs.items():
             key = f"{network}_state_dict"
             moved = _move_inputs(algorithm[key], networks[key], new, old, critic, inputs["critic"][1])
             algorithm = {**algorithm, key: moved}
-        if other.gait.action_names == self.env.gait.action_names:
-            actor = _scale_output(algorithm["actor_state_dict"], other.gait, self.env.gait)
-            algorithm = {**algorithm, "actor_state_dict": actor}
-        if adds_gait:
-            both = with_first_gait(own_actor, algorithm["actor_state_dict"])
-            algorithm = {**algorithm, "actor_state_dict": both}
         try:
             self.algorithm.load(algorithm, {"actor": True, "critic": True}, strict=True)
         except RuntimeError as error:

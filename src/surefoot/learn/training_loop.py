@@ -110,11 +110,7 @@ class TrainingLoop:
             env = LocomotionEnv(task, 1, make_world, threads=1)
             env.reset()
             state = other.load()
-            algorithm = state["learner"]["algorithm"]
-            if task.reference.over_holes is None and config.task.reference.over_holes is not None:
-                # The network that does not learn any more is the one that the other run's file has.
-                algorithm = {**algorithm, "actor_state_dict": state["best_actor"] or algorithm["actor_state_dict"]}
-            self.learner.load_networks(algorithm, env)
+            self.learner.load_networks(state["learner"]["algorithm"], env, state["best_actor"])
         self.best: Evaluation | None = None
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0

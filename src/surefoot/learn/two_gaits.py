@@ -7,9 +7,6 @@ from collections.abc import Mapping
 import torch
 from torch import nn
 
-_FIRST, _OVER_HOLES = "first", "over_holes"
-"""Names of the two networks in a policy's parameters."""
-
 
 class TwoGaits(nn.Module):
     """Two networks with the same inputs; the share of the gait over holes, one of these, blends their outputs.
@@ -34,15 +31,6 @@ class TwoGaits(nn.Module):
         return blended
 
 
-def without_gait_over_holes(policy: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Return the parameters of a policy of two gaits as those of one that has the first network alone."""
-    return {
-        name.replace(f"mlp.{_FIRST}.", "mlp."): value
-        for name, value in policy.items()
-        if not name.startswith(f"mlp.{_OVER_HOLES}.")
-    }
-
-
 def with_first_gait(policy: Mapping[str, torch.Tensor], one: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Return the parameters of a policy of two gaits with those of a policy of one as its first network."""
-    return {**policy, **{name.replace("mlp.", f"mlp.{_FIRST}."): value for name, value in one.items()}}
+    return {**policy, **{name.replace("mlp.", "mlp.first."): value for name, value in one.items()}}

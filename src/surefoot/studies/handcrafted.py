@@ -25,15 +25,6 @@ KEY = "handcrafted"
 """Key in a task's file of everything besides the task."""
 
 
-def task_mapping(task: TaskConfig, path: Path) -> dict[str, Any]:
-    """Return a task without defaults, for a file: the path of a robot's folder counts from there."""
-    default = to_mapping(TaskConfig())
-    mapping = {name: value for name, value in to_mapping(task).items() if value != default[name]}
-    if "robot" in mapping and not RobotDescription.load(task.robot).ships:
-        mapping["robot"] = os.path.relpath(Path(task.robot).resolve(), path.resolve().parent)
-    return mapping
-
-
 @dataclass(frozen=True)
 class OpenLoop:
     """A policy that adds nothing to the reference."""
@@ -90,8 +81,11 @@ class HandcraftedGait:
 
         The path of a robot's folder counts from the file's, so that both can be moved together.
         """
-        task = task_mapping(self.task, path)
-        task["reference"] = {"kind": "foot", "foot": to_mapping(self.task.reference.foot)}
+        data, default = to_mapping(self.task), to_mapping(TaskConfig())
+        task = {name: value for name, value in data.items() if value != default[name]}
+        if "robot" in task and not RobotDescription.load(self.task.robot).ships:
+            task["robot"] = os.path.relpath(Path(self.task.robot).resolve(), path.resolve().parent)
+        task["reference"] = {"kind": "foot", "foot": data["reference"]["foot"]}
         gains = None if self.raibert is None else to_mapping(self.raibert)
         atomic_write(path, yaml.safe_dump({**task, KEY: {"raibert": gains, "about": self.about}}, sort_keys=False))
 

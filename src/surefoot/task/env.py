@@ -134,9 +134,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             self.follower = Follower(self.gait.reference, limits, self.robot, self.num_envs)
         self.landings: Landings | None = None
         if "foothold_error" in task.reward:
-            if not task.reference.foothold_radius:
+            if self.follower is None or self.follower.footholds is None:
                 raise SurefootError("reward.foothold_error needs footholds, and reference.foothold_radius is 0")
-            self.landings = Landings(self.robot, self.num_envs)
+            self.landings = Landings(self.follower.footholds)
         self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)
         self.returns = np.zeros(self.num_envs)
@@ -251,8 +251,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             heights = None if self.scanner is None else self.scanner.heights
             step = world.params.control_step
             self.follower.advance(self.source.command, step, self.readings, self.target, heights)
-            if self.landings is not None and self.follower.footholds is not None:
-                self.landings.plan(self.truth, self.follower.footholds, self.follower.commands.state)
+            if self.landings is not None:
+                self.landings.plan(self.truth, self.follower.commands.state)
         for part in (reward, self.command_error, self.stride_error, *self.reward_terms.values()):
             part[diverged | self.over] = 0.0
         self.reward = reward
@@ -311,9 +311,6 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     def _motion(self, before: Truth, last_feedback: Array) -> StepMotion:
         """Return the motion of the control step that just ended, which began with a truth and the feedback before."""
         zero, period = np.zeros((self.num_envs, 3)), self.gait.reference.period
-        missed = zero[:, 0]
-        if self.landings is not None and self.follower is not None and self.follower.footholds is not None:
-            missed = self.landings.judge(self.truth, self.follower.footholds, self.follower.commands.state)
         return StepMotion(
             scales=self._scales,
             duration=self.world.params.control_step,
@@ -328,7 +325,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             heading_error=zero[:, 0] if self.commands is None else self.commands.heading_error,
             last_stride_error=self.stride_error,
             stride=_STRIDE if period is None else period,
-            foothold_error=missed,
+            foothold_error=zero[:, 0] if self.landings is None else self.landings.judge(self.truth),
         )
 
     def _episode_figures(self, ended: NDArray[np.bool_]) -> dict[str, Array]:

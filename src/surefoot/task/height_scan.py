@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import Within, check_bounds
 from surefoot.robot import RobotDescription
+from surefoot.rotations import from_heading_frame
 from surefoot.seeding import generators
 from surefoot.world.ground import Ground
 
@@ -76,9 +77,7 @@ def scan_heights(ground: Ground, points: Array, position: Array, yaw: Array) -> 
         position: of the bases (N, 3) in the world [m].
         yaw: of the bases (N,) [rad].
     """
-    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    x, y = points.T
-    places = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + position[:, None, :2]
+    places = from_heading_frame(points, yaw) + position[:, None, :2]
     heights: Array = np.clip(ground.height(places) - position[:, None, 2], -RANGE, RANGE)
     return heights
 

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot import RobotDescription
-from surefoot.rotations import quat_matrix
+from surefoot.rotations import from_heading_frame, quat_matrix
 from surefoot.task.commands import CommandState
 from surefoot.task.footholds import CHOSEN, Footholds
 from surefoot.world.interface import Truth
@@ -30,53 +29,49 @@ class Landings:
     """Places in the world where the feet of N robots with L legs are to land, and whether they did.
 
     Args:
-        robot: the robot.
-        num_envs: robots.
+        footholds: on which feet should land.
     """
 
-    arrays = ("places", "part", "airborne")
+    arrays = ("places", "share", "airborne")
     """Names of the arrays that change over time."""
 
-    def __init__(self, robot: RobotDescription, num_envs: int) -> None:
-        self.robot, shape = robot, (num_envs, len(robot.legs))
+    def __init__(self, footholds: Footholds) -> None:
+        self.footholds, shape = footholds, footholds.landed.shape
         self.places = np.full((*shape, 2), np.nan)
         """Of feet in the second part of their swing (N, L, 2) [m]; NaN for others."""
-        self.part = np.zeros(shape)
-        """Part of the swing at the end of the last control step (N, L), see `FootReference.swing_part`."""
+        self.share = np.zeros(shape)
+        """Part of the feet's cycles that was over at the end of the last control step (N, L)."""
         self.airborne = np.zeros(shape)
         """Control steps since the last contact (N, L)."""
 
     def reset(self, rows: NDArray[np.int64]) -> None:
         """Let robots stand."""
-        self.places[rows], self.part[rows], self.airborne[rows] = np.nan, 0.0, 0.0
+        self.places[rows], self.share[rows], self.airborne[rows] = np.nan, 0.0, 0.0
 
-    def judge(self, truth: Truth, footholds: Footholds, state: CommandState) -> Array:
-        """Return what the landings of a control step count (N,).
-
-        Args:
-            truth: at its end.
-            footholds: on which feet should land.
-            state: what the gait followed in it.
-        """
-        feet = footholds.reference.feet
-        part, share = feet.swing_part(state.phase), feet.shares(state.phase)
+    def judge(self, truth: Truth) -> Array:
+        """Return what the landings of a control step count (N,), with the truth at its end."""
+        robot, part = self.footholds.reference.robot, self._swing_part(self.share)
         touches, awaited = truth.foot_contact > 0, np.isfinite(self.places[..., 0])
         lands = touches & awaited & (self.airborne >= _AIRBORNE) & ((part <= 0.0) | (part > _LANDS))
-        late = ~touches & awaited & (part <= 0.0) & (share > _LATE)
-        legs, mounts = self.robot.leg_geometry, self.robot.leg_mounts
-        foot = np.asarray(legs.foot_position(truth.motor_angle[:, self.robot.leg_motor_index])) + mounts
+        late = ~touches & awaited & (part <= 0.0) & (self.share > _LATE)
+        legs, mounts = robot.leg_geometry, robot.leg_mounts
+        foot = np.asarray(legs.foot_position(truth.motor_angle[:, robot.leg_motor_index])) + mounts
         there = truth.base_position_world[:, None] + foot @ np.swapaxes(quat_matrix(truth.base_quat_world), 1, 2)
         distance = np.linalg.norm(there[..., :2] - self.places, axis=-1) / (_UNIT * legs.length)
         self.places[lands | late] = np.nan
         self.airborne = np.where(touches, 0.0, self.airborne + 1.0)
         return np.where(lands, np.fmin(distance**2, _MOST), _MOST * late).sum(axis=1)
 
-    def plan(self, truth: Truth, footholds: Footholds, state: CommandState) -> None:
+    def plan(self, truth: Truth, state: CommandState) -> None:
         """Take the footholds that feet have chosen now, with what the gait follows next."""
-        part = footholds.reference.feet.swing_part(state.phase)
-        chosen = (part >= CHOSEN) & (self.part < CHOSEN) & (footholds.follows & (state.activity > _GOES))[:, None]
-        yaw, places = truth.roll_pitch_yaw[:, 2:], footholds.landing_places(state)
-        cosine, sine, x, y = np.cos(yaw), np.sin(yaw), *np.moveaxis(places, -1, 0)
-        places = np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+        share, goes = self.footholds.reference.feet.shares(state.phase), state.activity > _GOES
+        chosen = (self._swing_part(share) >= CHOSEN) & (self._swing_part(self.share) < CHOSEN)
+        chosen &= (self.footholds.follows & goes)[:, None]
+        places = from_heading_frame(self.footholds.landing_places(state), truth.roll_pitch_yaw[:, 2])
         self.places = np.where(chosen[..., None], truth.base_position_world[:, None, :2] + places, self.places)
-        self.part = part
+        self.share = share
+
+    def _swing_part(self, share: Array) -> Array:
+        """Return the part of the swing that is over of feet (N, L), less than 0 in stance."""
+        duty = self.footholds.reference.feet.duty_factor
+        return np.asarray((share - duty) / (1.0 - duty))

@@ -334,14 +334,10 @@ def make_field(
     return TerrainField(Ground(corners, cell, center, course), starts, kinds)
 
 
-def nearest_size(name: str, size: float) -> float:
-    """Return the size that a kind of terrain can have, nearest to another one."""
-    multiple = KINDS[name].multiple
-    return max(round(size / multiple), 1) * multiple if multiple else size
-
-
 def _tile(name: str, size: float, tile: float, cell: float, rng: np.random.Generator) -> Heights:
     kind = KINDS[name]
-    corners, course = kind.make(nearest_size(name, size), tile / 2, cell, rng)
+    if kind.multiple:
+        size = max(round(size / kind.multiple), 1) * kind.multiple
+    corners, course = kind.make(size, tile / 2, cell, rng)
     border = corners[0, 0, 0, 0] if name.startswith(("stairs", "slope")) else 0.0
     return corners - border, course - border
