@@ -64,6 +64,13 @@ def row_under(reference: FollowingReference, leg: int) -> int:
     return int(np.argmin(np.abs(np.array(MAP.scale(GO2)[0]) - x)))
 
 
+def to_point(reference: FollowingReference, leg: int, rows: int = 0) -> list[float]:
+    """Return how far [m] it is from a foot on its place to the nearest point of the map, or some rows ahead of it."""
+    x, y = (GO2.leg_mounts + reference.places)[leg, :2]
+    ahead, left = (np.array(places) for places in MAP.scale(GO2))
+    return [float(ahead[row_under(reference, leg) + rows] - x), float(left[np.argmin(np.abs(left - y))] - y)]
+
+
 def test_feet_keep_to_their_strides_on_level_ground(reference):
     feet = Footholds(reference, 1)
     feet.choose(level_map().reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
@@ -73,22 +80,54 @@ def test_feet_keep_to_their_strides_on_level_ground(reference):
     np.testing.assert_array_equal(reference.pose(0.0, with_places), reference.pose(0.0, state))
 
 
-def test_a_foot_lands_on_the_nearest_place_beside_a_gap(reference):
+def test_a_foot_lands_on_the_nearest_point_beside_a_gap(reference):
     heights, row = level_map(), row_under(reference, FRONT_LEFT)
     # Four points low, and one more on either side is too near: three points back is a foothold, four ahead.
     heights[row - 1 : row + 3] = -1.3
-    feet = Footholds(reference, 1)
+    feet, back = Footholds(reference, 1), to_point(reference, FRONT_LEFT, rows=-3)
     feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
-    assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx([-3 * SPACING, 0.0])
+    assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx(back)
     assert not feet.landing[0, FRONT_RIGHT].any()  # it stands
     # Late in its swing a foot keeps its place, and in stance.
     for phase in (0.95, 0.0, 0.3):
         feet.choose(level_map().reshape(1, -1), on_the_spot(phase), standing(reference), STEP)
-        assert feet.landing[0, FRONT_LEFT, 0] == pytest.approx(-3 * SPACING)
+        assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx(back)
     # It lifts off there, and goes back to its stride.
     feet.choose(level_map().reshape(1, -1), on_the_spot(0.7), standing(reference), STEP)
-    assert feet.lift_off[0, FRONT_LEFT, 0] == pytest.approx(-3 * SPACING)
-    assert feet.landing[0, FRONT_LEFT, 0] == 0.0
+    assert feet.lift_off[0, FRONT_LEFT].tolist() == pytest.approx(back)
+    assert not feet.landing[0, FRONT_LEFT].any()
+
+
+def test_a_foot_stays_on_its_stride_only_if_no_point_around_it_is_beside_a_hole(reference):
+    # The stride ends 2 cm behind a point (less than half of the spacing, so that it is the nearest), whose next one
+    # is a hole: the point behind is one away from a point beside the hole.
+    ahead, _ = to_point(reference, FRONT_LEFT)
+    assert 0.0 < ahead < SPACING / 2
+    heights, row = level_map(), row_under(reference, FRONT_LEFT)
+    heights[row + 1 : row + 4] = -1.3
+    feet = Footholds(reference, 1)
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
+    assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx(to_point(reference, FRONT_LEFT, rows=-1))
+
+
+def test_a_foot_lands_in_the_middle_of_a_stone(reference):
+    # Ground of five points between two gaps: the points beside holes are left out, the next ones cost as much as a
+    # point's distance. The stride ends 2 cm behind the fourth of the five, 3 cm ahead of the third.
+    heights, row = level_map(), row_under(reference, FRONT_LEFT)
+    heights[row - 6 : row - 3] = heights[row + 2 : row + 5] = -1.3
+    feet = Footholds(reference, 1)
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
+    assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx(to_point(reference, FRONT_LEFT, rows=-1))
+
+
+def test_a_foot_without_a_foothold_lands_beside_a_hole(reference):
+    # Holes of three points, and two between them: all points are holes or beside them.
+    heights, row = level_map(), row_under(reference, FRONT_LEFT)
+    for first in range(row % 5, len(heights), 5):
+        heights[first : first + 3] = -1.3
+    feet = Footholds(reference, 1)
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
+    assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx(to_point(reference, FRONT_LEFT, rows=-1))
 
 
 def test_a_single_hole_of_the_map_is_no_gap(reference):
@@ -179,7 +218,7 @@ def test_wide_ground_that_is_too_deep_is_no_foothold(reference):
     heights[row - 2 :] = -0.3 - 1.15 * 0.426
     feet = Footholds(reference, 1)
     feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
-    assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx([-4 * SPACING, 0.0])
+    assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx(to_point(reference, FRONT_LEFT, rows=-4))
 
 
 def test_feet_go_from_where_they_lift_off_to_where_they_land(reference):
@@ -204,7 +243,8 @@ def test_what_feet_miss_their_places_by_counts_from_the_first_landing(reference)
     heights, row = level_map(), row_under(reference, FRONT_LEFT)
     heights[row + 3 :] = -1.3
     feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
-    assert feet.landing[0, FRONT_LEFT, 0] == pytest.approx(-SPACING)
+    there = to_point(reference, FRONT_LEFT, rows=1)  # from where it lands, two rows ahead of its place, a row back
+    assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx([there[0] - 2 * SPACING, there[1]])
     feet.reset(np.arange(1))
     assert not feet.missed.any()
     assert not feet.landing.any()

@@ -1,8 +1,9 @@
 """Where the feet of a `FollowingReference` land on a map of heights: beside holes.
 
 When a foot begins to swing, the place where its stride would end is looked up on the map. If there is a hole, it lands
-on the nearest place beside it, within a radius. In stance it keeps that place. A hole is what a morphological closing
-(a dilation, then an erosion) along the map's rows or columns raises: gaps, and no steps, slopes or wide hollows.
+on the nearest point of the map beside it, within a radius. In stance it keeps that place. A hole is what a
+morphological closing (a dilation, then an erosion) along the map's rows or columns raises: gaps, and no steps, slopes
+or wide hollows.
 """
 
 from __future__ import annotations
@@ -40,7 +41,12 @@ _ENTERS, _LEAVES = 1.0, 3.0
 _LEARNS = 0.3
 """Share of what a landing changes in the mean of what feet have missed their places by."""
 _KEEPS = 1.0
-"""Weight of the distance from the place chosen before in this swing, over that from the stride's own end."""
+"""Weight of the squared distance from the place chosen before in this swing, over that from the stride's own end."""
+_FORBIDDEN, _BESIDE = 1000.0, 1.0
+"""What a foothold in a hole or on a point next to one costs, more than any distance, and what one next to those points
+costs, as maps are shifted and landings scatter: squared distances in spacings of the map."""
+_CELL = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+"""Points around a place on the map, from the one behind it and to its right."""
 
 
 class Footholds:
@@ -61,12 +67,11 @@ class Footholds:
         self._shape, self._corner = (len(ahead), len(left)), np.array([ahead[0], left[0]])
         length = robot.leg_geometry.length
         self._spacing = MAP.spacing * length
-        radius = reference.foothold_radius
-        steps = np.arange(-np.ceil(radius / self._spacing), np.ceil(radius / self._spacing) + 1) * self._spacing
-        aside = steps if "abduction" in robot.coordinates else [0.0]
-        offsets = np.stack(np.meshgrid(steps, aside, indexing="ij"), -1).reshape(-1, 2)
-        self._offsets = offsets[np.linalg.norm(offsets, axis=1) <= radius + 1e-9]
-        """Of the places looked at from the end of a stride (K, 2) [m]."""
+        radius, self._ways = reference.foothold_radius / self._spacing, np.array([1, "abduction" in robot.coordinates])
+        steps = np.arange(-np.floor(radius), np.floor(radius) + 1)
+        around = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+        self._around = np.unique(around[np.linalg.norm(around, axis=1) <= radius + 1e-9] * self._ways, axis=0)
+        """Points of the map on which feet may land, from the one nearest to the end of a stride (K, 2)."""
         self._under = robot.leg_mounts + self.reference.places
         """Feet below the legs' mounts, from the base's origin (L, 3) [m]."""
         near = [np.flatnonzero(np.abs(np.array(places)) <= _FOOTPRINT * length) for places in (ahead, left)]
@@ -104,26 +109,38 @@ class Footholds:
             readings: what robots measure.
             step: duration of the control step (N,) [s].
         """
-        reference, bad = self.reference, self._bad(heights)
-        holes = bad.sum(axis=(1, 2)) >= _LEAST_HOLE
+        reference, cost = self.reference, self._cost(heights)
+        holes = (cost >= _FORBIDDEN).sum(axis=(1, 2)) >= _LEAST_HOLE
         change = step / (np.where(holes, _ENTERS, _LEAVES) * self._time)
         self.over_holes = np.clip(self.over_holes + np.where(holes, change, -change), 0.0, 1.0)
         part = reference.feet.swing_part(state.phase)
         swings = part > 0.0
         ends = self._stride_ends(state)
         self._learn(self.swung & ~swings & self.follows[:, None], ends, readings)
-        keeps = _KEEPS * (self.swung & swings)
+        best = self._best(cost, ends + self._ahead(state), _KEEPS * (self.swung & swings))
         self.swung = swings
-        ends += self._ahead(state)
-        places = np.rint((ends[:, :, None] + self._offsets - self._corner) / self._spacing).astype(np.int64)
-        i, j = np.moveaxis(np.clip(places, 0, np.array(self._shape) - 1), -1, 0)
-        change = self._offsets - self.landing[:, :, None]
-        cost = (self._offsets**2).sum(-1) + keeps[..., None] * (change**2).sum(-1)
-        cost = cost + bad[np.arange(len(bad))[:, None, None], i, j]
-        best = self._offsets[np.argmin(cost, axis=-1)]
-        chooses = swings & (part < CHOSEN)
         self.lift_off = np.where(swings[..., None], self.lift_off, self.landing)
-        self.landing = np.where(chooses[..., None], best, self.landing)
+        self.landing = np.where((swings & (part < CHOSEN))[..., None], best, self.landing)
+
+    def _best(self, cost: Array, ends: Array, keeps: Array) -> Array:
+        """Return how far beside the ends of their strides feet should land (N, L, 2) [m]: not at all, or on a point.
+
+        Args:
+            cost: of the points of maps (N, X, Y).
+            ends: from the base's origin (N, L, 2) [m].
+            keeps: weights of the distance from the present choice (N, L).
+        """
+        place = ((ends - self._corner) / self._spacing)[:, :, None]
+        points = np.concatenate([np.floor(place) + _CELL, np.rint(place) + self._around], axis=2).astype(np.int64)
+        i, j = np.moveaxis(np.clip(points, 0, np.array(self._shape) - 1), -1, 0)
+        there = cost[np.arange(len(cost))[:, None, None], i, j]
+        # A foot that lands where its stride ends is on none of the points: all those around it count.
+        there = np.concatenate([there[..., :4].max(axis=-1, keepdims=True), there[..., 4:]], axis=-1)
+        beside = np.concatenate([np.zeros_like(place), (points[:, :, 4:] - place) * self._ways], axis=2)
+        change = beside - self.landing[:, :, None] / self._spacing
+        total = there + (beside**2).sum(axis=-1) + keeps[..., None] * (change**2).sum(axis=-1)
+        best = np.take_along_axis(beside, np.argmin(total, axis=-1)[..., None, None], axis=2)
+        return np.asarray(self._spacing * best[:, :, 0])
 
     @property
     def follows(self) -> NDArray[np.bool_]:
@@ -159,8 +176,8 @@ class Footholds:
         share = lands * np.maximum(_LEARNS, 1.0 / np.maximum(self.landed, 1.0))
         self.missed += share[..., None] * (places - ends - self.landing - self.missed)
 
-    def _bad(self, heights: Array) -> NDArray[np.bool_]:
-        """Return whether points of maps are holes or beside them (N, X, Y)."""
+    def _cost(self, heights: Array) -> Array:
+        """Return what points of maps cost as footholds (N, X, Y) [squared spacings of the map]."""
         # The median leaves out points that are wrong or not known.
         grid = _spread(heights.reshape(len(heights), *self._shape), 3, _median)
         closed = np.maximum(_closing(grid, 1), _closing(grid, 2))
@@ -168,7 +185,8 @@ class Footholds:
         rows, columns = self._footprint
         level = np.quantile(grid[:, rows, columns], _STANDS, axis=(1, 2))[:, None, None]
         holes = (closed - grid > self._hole) & (grid < level - 0.5 * self._hole) | (grid < level - self._deep)
-        return _spread(holes.astype(float), 3, _greatest) > 0.0
+        beside = _spread(holes.astype(float), 3, _greatest)
+        return np.asarray(_FORBIDDEN * (holes + beside) + _BESIDE * _spread(beside, 3, _greatest))
 
 
 def _spread(grid: Array, width: int, combine: Callable[[list[Array]], Array]) -> Array:
