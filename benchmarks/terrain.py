@@ -38,8 +38,8 @@ SIZES: dict[str, tuple[float, ...]] = {
     "slope_down": (10, 20, 25),
     "rough": (0.05, 0.10, 0.12, 0.15),
     "blocks": (0.05, 0.08, 0.12, 0.15),
-    "gaps": (0.15, 0.25),
-    "stones": (0.25,),
+    "gaps": (0.10, 0.15, 0.20, 0.25),
+    "stones": (0.50, 0.35, 0.25),
 }
 WORLDS["boxes"] = replace(WORLDS["mujoco"], engine="box_stairs:BoxEngine")
 KEYS = ("policy", "world", "robots", "kind", "size")

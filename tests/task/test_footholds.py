@@ -138,6 +138,21 @@ def test_a_single_hole_of_the_map_is_no_gap(reference):
     assert not feet.landing.any()
 
 
+def test_a_gap_that_is_one_point_wide_is_a_hole_and_two_wrong_points_are_none(reference):
+    row = row_under(reference, FRONT_LEFT)
+    # The stride ends next to the gap: the nearest points that are not lie two rows behind it.
+    heights = level_map()
+    heights[row + 1] = -1.3
+    feet = Footholds(reference, 1)
+    feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
+    assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx(to_point(reference, FRONT_LEFT, rows=-1))
+    wrong = level_map()
+    wrong[row : row + 2, 8] = -1.3
+    feet = Footholds(reference, 1)
+    feet.choose(wrong.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
+    assert not feet.landing.any()
+
+
 def test_feet_are_set_on_the_edges_of_steps(reference):
     # A step of .15 m every six points, up and down.
     heights = level_map() + 0.149 * (np.arange(len(MAP.ahead)) // 6)[:, None]

@@ -42,9 +42,11 @@ _LEARNS = 0.3
 """Share of what a landing changes in the mean of what feet have missed their places by."""
 _KEEPS = 1.0
 """Weight of the squared distance from the place chosen before in this swing, over that from the stride's own end."""
-_FORBIDDEN, _BESIDE = 1000.0, 1.0
+_FORBIDDEN, _BESIDE = 1000.0, 2.0
 """What a foothold in a hole or on a point next to one costs, more than any distance, and what one next to those points
 costs, as maps are shifted and landings scatter: squared distances in spacings of the map."""
+_ROW = 3
+"""Points low, with those around, of which each is a hole even if its row or column is none."""
 _CELL = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
 """Points around a place on the map, from the one behind it and to its right."""
 
@@ -178,13 +180,19 @@ class Footholds:
 
     def _cost(self, heights: Array) -> Array:
         """Return what points of maps cost as footholds (N, X, Y) [squared spacings of the map]."""
+        known = heights.reshape(len(heights), *self._shape)
         # The median leaves out points that are wrong or not known.
-        grid = _spread(heights.reshape(len(heights), *self._shape), 3, _median)
+        grid = _spread(known, 3, _median)
         closed = np.maximum(_closing(grid, 1), _closing(grid, 2))
         # Stairs that meet in a corner are a valley, but not below where a robot stands.
         rows, columns = self._footprint
         level = np.quantile(grid[:, rows, columns], _STANDS, axis=(1, 2))[:, None, None]
-        holes = (closed - grid > self._hole) & (grid < level - 0.5 * self._hole) | (grid < level - self._deep)
+        holes, own = (
+            (closed - low > self._hole) & (low < level - 0.5 * self._hole) | (low < level - self._deep)
+            for low in (grid, known)
+        )
+        # Of a gap that is one point wide the median leaves nothing; wrong points are alone, or two.
+        holes |= own & (_spread(own.astype(float), 3, sum) >= _ROW)
         beside = _spread(holes.astype(float), 3, _greatest)
         return np.asarray(_FORBIDDEN * (holes + beside) + _BESIDE * _spread(beside, 3, _greatest))
 
