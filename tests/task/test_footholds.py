@@ -153,6 +153,17 @@ def test_a_gap_that_is_one_point_wide_is_a_hole_and_two_wrong_points_are_none(re
     assert not feet.landing.any()
 
 
+def test_a_gap_whose_other_side_is_beyond_the_map_is_a_hole(reference):
+    # Deeper than .6 of a leg, below what is three points away; a step down of half of it is none.
+    row, feet = row_under(reference, FRONT_LEFT), Footholds(reference, 1)
+    for depth, back in ((0.3, to_point(reference, FRONT_LEFT, rows=-2)), (0.15, [0.0, 0.0])):
+        heights = level_map()
+        heights[row:] -= depth
+        feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
+        assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx(back)
+        feet.reset(np.arange(1))
+
+
 def test_feet_are_set_on_the_edges_of_steps(reference):
     # A step of .15 m every six points, up and down.
     heights = level_map() + 0.149 * (np.arange(len(MAP.ahead)) // 6)[:, None]

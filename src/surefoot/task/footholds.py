@@ -27,6 +27,9 @@ HOLE = 0.35
 """Depth of a hole, from what is around it, in lengths of the straight leg."""
 _WIDTH = 9
 """Points that a hole is less wide than: a foot can step over it."""
+_CLIFF, _NEAR = 0.6, 7
+"""Depth of a hole, in lengths of the leg, from the highest of as many points around it as this: the other side of a gap
+may be beyond the map. No stairs are that steep."""
 DEEP = 1.1
 """Depth below where a robot stands from which ground is no foothold, however wide it is, in lengths of the leg."""
 CHOSEN = 0.3
@@ -78,7 +81,7 @@ class Footholds:
         """Feet below the legs' mounts, from the base's origin (L, 3) [m]."""
         near = [np.flatnonzero(np.abs(np.array(places)) <= _FOOTPRINT * length) for places in (ahead, left)]
         self._footprint = tuple(slice(places[0], places[-1] + 1) for places in near)
-        self._hole, self._deep = HOLE * length, DEEP * length
+        self._hole, self._cliff, self._deep = HOLE * length, _CLIFF * length, DEEP * length
         self.lift_off, self.landing, self.missed = np.zeros((3, num_envs, len(self._under), 2))
         """How far feet stood beside the places of their strides when they lifted off, how far they land beside them,
         and how far from there feedback and soft legs have let them land: forward and to the left (N, L, 2) [m]."""
@@ -187,8 +190,10 @@ class Footholds:
         # Stairs that meet in a corner are a valley, but not below where a robot stands.
         rows, columns = self._footprint
         level = np.quantile(grid[:, rows, columns], _STANDS, axis=(1, 2))[:, None, None]
+        above = _spread(grid, _NEAR, _greatest)
         holes, own = (
-            (closed - low > self._hole) & (low < level - 0.5 * self._hole) | (low < level - self._deep)
+            ((closed - low > self._hole) | (above - low > self._cliff)) & (low < level - 0.5 * self._hole)
+            | (low < level - self._deep)
             for low in (grid, known)
         )
         # Of a gap that is one point wide the median leaves nothing; wrong points are alone, or two.
