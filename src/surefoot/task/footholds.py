@@ -122,7 +122,7 @@ class Footholds:
         swings = part > 0.0
         ends = self._stride_ends(state)
         self._learn(self.swung & ~swings & self.follows[:, None], ends, readings)
-        best = self._best(cost, ends + self._ahead(state), _KEEPS * (self.swung & swings))
+        best = self._best(cost, ends + self._ahead(state), np.where(self.swung & swings, _KEEPS, 0.0))
         self.swung = swings
         self.lift_off = np.where(swings[..., None], self.lift_off, self.landing)
         self.landing = np.where((swings & (part < CHOSEN))[..., None], best, self.landing)
@@ -197,7 +197,7 @@ class Footholds:
             for low in (grid, known)
         )
         # Of a gap that is one point wide the median leaves nothing; wrong points are alone, or two.
-        holes |= own & (_spread(own.astype(float), 3, sum) >= _ROW)
+        holes |= own & (_spread(own.astype(float), 3, _total) >= _ROW)
         beside = _spread(holes.astype(float), 3, _greatest)
         return np.asarray(_FORBIDDEN * (holes + beside) + _BESIDE * _spread(beside, 3, _greatest))
 
@@ -241,6 +241,11 @@ def _greatest(parts: list[Array]) -> Array:
 def _least(parts: list[Array]) -> Array:
     """Return the least number of each place: an erosion."""
     return functools.reduce(np.minimum, parts)
+
+
+def _total(parts: list[Array]) -> Array:
+    """Return the sum of each place: a count."""
+    return functools.reduce(np.add, parts)
 
 
 def _median(parts: list[Array]) -> Array:
