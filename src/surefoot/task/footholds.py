@@ -3,7 +3,7 @@
 When a foot begins to swing, the place where its stride would end is looked up on the map. If there is a hole, it lands
 on the nearest point of the map beside it, within a radius. In stance it keeps that place. A hole is what a
 morphological closing (a dilation, then an erosion) along the map's rows or columns raises: gaps, and no steps, slopes
-or wide hollows.
+or wide hollows. So is ground far below what is next to it, as the other side of a gap may be beyond the map.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _FORBIDDEN, _BESIDE = 1000.0, 2.0
 """What a foothold in a hole or on a point next to one costs, more than any distance, and what one next to those points
 costs, as maps are shifted and landings scatter: squared distances in spacings of the map."""
 _ROW = 3
-"""Points low, with those around, of which each is a hole even if its row or column is none."""
+"""Low points among the nine around one, itself with them, from which it is a hole even where the median sees none."""
 _CELL = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
 """Points around a place on the map, from the one behind it and to its right."""
 
