@@ -111,8 +111,8 @@ def test_a_foot_stays_on_its_stride_only_if_no_point_around_it_is_beside_a_hole(
 
 
 def test_a_foot_lands_in_the_middle_of_a_stone(reference):
-    # Ground of five points between two gaps: the points beside holes are left out, the next ones cost as much as a
-    # point's distance. The stride ends 2 cm behind the fourth of the five, 3 cm ahead of the third.
+    # Ground of five points between two gaps: the points beside holes are left out, the next ones cost as much as
+    # a distance of 1.4 points. The stride ends 2 cm behind the fourth of the five, 3 cm ahead of the third.
     heights, row = level_map(), row_under(reference, FRONT_LEFT)
     heights[row - 6 : row - 3] = heights[row + 2 : row + 5] = -1.3
     feet = Footholds(reference, 1)

@@ -45,7 +45,7 @@ _LEARNS = 0.3
 """Share of what a landing changes in the mean of what feet have missed their places by."""
 _KEEPS = 1.0
 """Weight of the squared distance from the place chosen before in this swing, over that from the stride's own end."""
-_FORBIDDEN, _BESIDE = 1000.0, 2.0
+_FORBIDDEN, _MARGIN = 1000.0, 2.0
 """What a foothold in a hole or on a point next to one costs, more than any distance, and what one next to those points
 costs, as maps are shifted and landings scatter: squared distances in spacings of the map."""
 _ROW = 3
@@ -72,7 +72,9 @@ class Footholds:
         self._shape, self._corner = (len(ahead), len(left)), np.array([ahead[0], left[0]])
         length = robot.leg_geometry.length
         self._spacing = MAP.spacing * length
-        radius, self._ways = reference.foothold_radius / self._spacing, np.array([1, "abduction" in robot.coordinates])
+        radius = reference.foothold_radius / self._spacing
+        self._ways = np.array([1, "abduction" in robot.coordinates])
+        """Whether feet can be moved ahead and aside (2,)."""
         steps = np.arange(-np.floor(radius), np.floor(radius) + 1)
         around = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
         self._around = np.unique(around[np.linalg.norm(around, axis=1) <= radius + 1e-9] * self._ways, axis=0)
@@ -136,16 +138,20 @@ class Footholds:
             keeps: weights of the distance from the present choice (N, L).
         """
         place = ((ends - self._corner) / self._spacing)[:, :, None]
-        points = np.concatenate([np.floor(place) + _CELL, np.rint(place) + self._around], axis=2).astype(np.int64)
-        i, j = np.moveaxis(np.clip(points, 0, np.array(self._shape) - 1), -1, 0)
-        there = cost[np.arange(len(cost))[:, None, None], i, j]
+        points = np.rint(place) + self._around
         # A foot that lands where its stride ends is on none of the points: all those around it count.
-        there = np.concatenate([there[..., :4].max(axis=-1, keepdims=True), there[..., 4:]], axis=-1)
-        beside = np.concatenate([np.zeros_like(place), (points[:, :, 4:] - place) * self._ways], axis=2)
+        stays = self._at(cost, np.floor(place) + _CELL).max(axis=-1, keepdims=True)
+        there = np.concatenate([stays, self._at(cost, points)], axis=-1)
+        beside = np.concatenate([np.zeros_like(place), (points - place) * self._ways], axis=2)
         change = beside - self.landing[:, :, None] / self._spacing
         total = there + (beside**2).sum(axis=-1) + keeps[..., None] * (change**2).sum(axis=-1)
         best = np.take_along_axis(beside, np.argmin(total, axis=-1)[..., None, None], axis=2)
         return np.asarray(self._spacing * best[:, :, 0])
+
+    def _at(self, cost: Array, points: Array) -> Array:
+        """Return the costs (N, L, K) of points (N, L, K, 2) of maps, or of the nearest ones at the border."""
+        i, j = np.moveaxis(np.clip(points, 0, np.array(self._shape) - 1).astype(np.int64), -1, 0)
+        return np.asarray(cost[np.arange(len(cost))[:, None, None], i, j])
 
     @property
     def follows(self) -> NDArray[np.bool_]:
@@ -183,23 +189,23 @@ class Footholds:
 
     def _cost(self, heights: Array) -> Array:
         """Return what points of maps cost as footholds (N, X, Y) [squared spacings of the map]."""
-        known = heights.reshape(len(heights), *self._shape)
+        heights = heights.reshape(len(heights), *self._shape)
         # The median leaves out points that are wrong or not known.
-        grid = _spread(known, 3, _median)
+        grid = _spread(heights, 3, _median)
         closed = np.maximum(_closing(grid, 1), _closing(grid, 2))
         # Stairs that meet in a corner are a valley, but not below where a robot stands.
         rows, columns = self._footprint
         level = np.quantile(grid[:, rows, columns], _STANDS, axis=(1, 2))[:, None, None]
         above = _spread(grid, _NEAR, _greatest)
-        holes, own = (
+        holes, unfiltered = (
             ((closed - low > self._hole) | (above - low > self._cliff)) & (low < level - 0.5 * self._hole)
             | (low < level - self._deep)
-            for low in (grid, known)
+            for low in (grid, heights)
         )
         # Of a gap that is one point wide the median leaves nothing; wrong points are alone, or two.
-        holes |= own & (_spread(own.astype(float), 3, _total) >= _ROW)
+        holes |= unfiltered & (_spread(unfiltered.astype(float), 3, _total) >= _ROW)
         beside = _spread(holes.astype(float), 3, _greatest)
-        return np.asarray(_FORBIDDEN * (holes + beside) + _BESIDE * _spread(beside, 3, _greatest))
+        return np.asarray(_FORBIDDEN * (holes + beside) + _MARGIN * _spread(beside, 3, _greatest))
 
 
 def _spread(grid: Array, width: int, combine: Callable[[list[Array]], Array]) -> Array:
