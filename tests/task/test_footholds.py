@@ -241,7 +241,7 @@ def test_feet_learn_what_they_miss_over_holes_only_there():
 
 def test_wide_ground_that_is_too_deep_is_no_foothold(reference):
     heights, row = level_map(), row_under(reference, FRONT_LEFT)
-    heights[row - 2 :] = -0.3 - 1.15 * 0.426
+    heights[row - 2 :] = -0.3 - 1.55 * 0.426
     feet = Footholds(reference, 1)
     feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
     assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx(to_point(reference, FRONT_LEFT, rows=-4))

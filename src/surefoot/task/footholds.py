@@ -30,7 +30,7 @@ _WIDTH = 9
 _CLIFF, _NEAR = 0.6, 7
 """Depth of a hole, in lengths of the leg, from the highest of as many points around it as this: the other side of a gap
 may be beyond the map. No stairs are that steep."""
-DEEP = 1.1
+DEEP = 1.5
 """Depth below where a robot stands from which ground is no foothold, however wide it is, in lengths of the leg."""
 CHOSEN = 0.3
 """Part of the swing after which the foothold stays."""
