@@ -17,8 +17,7 @@ from surefoot.task.trace import EpisodeTrace
 
 def standing_height(robot: RobotDescription) -> float:
     """Return the height [m] of the base of a robot that rests."""
-    feet = robot.leg_mounts + robot.leg_geometry.foot_position(robot.resting_angles[robot.leg_motor_index])
-    return float(-feet[:, 2].min())
+    return -float(robot.foot_positions(robot.resting_angles)[:, 2].min())
 
 
 def swinging(

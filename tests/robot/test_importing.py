@@ -124,7 +124,7 @@ def test_closed_forms_agree_with_mujoco_over_the_whole_range(name: str) -> None:
     poses = np.stack([rng.uniform(*span, (100, 4)) for span in robot.leg_space.values()], axis=-2)
     angles = robot.to_motors(poses)
     np.testing.assert_allclose(robot.to_pose(angles), poses, atol=1e-9)
-    expected = robot.leg_mounts + robot.leg_geometry.foot_position(angles[..., robot.leg_motor_index])
+    expected = robot.foot_positions(angles)
     for k, joints in enumerate(angles):
         for joint, angle in robot.joint_angles(joints).items():
             data.qpos[model.joint(joint).qposadr[0]] = angle

@@ -274,6 +274,13 @@ class RobotDescription:
         """Return the poses in leg space (..., C, L) for motor angles (..., M) [rad]."""
         return self.leg_geometry.to_pose(self._split_legs(np.asarray(angles, float)))
 
+    def foot_positions(self, angles: Array) -> Array:
+        """Return where feet are for motor angles (..., M) [rad], base frame (..., L, 3) [m].
+
+        NaN for legs that can't close.
+        """
+        return np.asarray(self.leg_geometry.foot_position(self._split_legs(angles)) + self.leg_mounts)
+
     def pose_angles(self, *coordinates: ArrayLike) -> Array:
         """Return the motor angles (..., M) [rad] for each coordinate's values (..., L), or one number for all legs."""
         if len(coordinates) != len(self.coordinates):

@@ -176,11 +176,8 @@ class Footholds:
 
     def _learn(self, lands: NDArray[np.bool_], ends: Array, readings: Readings) -> None:
         """Take from feet that land (N, L) how far they are from the ends of their strides (N, L, 2) and `landing`."""
-        legs, mounts = self.reference.robot.leg_geometry, self.reference.robot.leg_mounts
-        angles = readings.motor_angle[:, self.reference.robot.leg_motor_index]
-        foot = np.asarray(legs.foot_position(angles)) + mounts
         roll, pitch, _ = readings.roll_pitch_yaw.T[..., None]
-        x, y, z = np.moveaxis(foot, -1, 0)
+        x, y, z = np.moveaxis(self.reference.robot.foot_positions(readings.motor_angle), -1, 0)
         y, z = y * np.cos(roll) - z * np.sin(roll), y * np.sin(roll) + z * np.cos(roll)
         places = np.stack([x * np.cos(pitch) + z * np.sin(pitch), y], axis=-1)
         self.landed += lands

@@ -50,14 +50,14 @@ class Landings:
 
     def judge(self, truth: Truth) -> Array:
         """Return what the landings of a control step count (N,), with the truth at its end."""
-        robot, part = self.footholds.reference.robot, self._swing_part(self.share)
+        part = self._swing_part(self.share)
         touches, awaited = truth.foot_contact > 0, np.isfinite(self.places[..., 0])
         lands = touches & awaited & (self.airborne >= _AIRBORNE) & ((part <= 0.0) | (part > _LANDS))
         late = ~touches & awaited & (part <= 0.0) & (self.share > _LATE)
-        legs, mounts = robot.leg_geometry, robot.leg_mounts
-        foot = np.asarray(legs.foot_position(truth.motor_angle[:, robot.leg_motor_index])) + mounts
+        robot = self.footholds.reference.robot
+        foot = robot.foot_positions(truth.motor_angle)
         there = truth.base_position_world[:, None] + foot @ np.swapaxes(quat_matrix(truth.base_quat_world), 1, 2)
-        distance = np.linalg.norm(there[..., :2] - self.places, axis=-1) / (_UNIT * legs.length)
+        distance = np.linalg.norm(there[..., :2] - self.places, axis=-1) / (_UNIT * robot.leg_geometry.length)
         self.places[lands | late] = np.nan
         self.airborne = np.where(touches, 0.0, self.airborne + 1.0)
         return np.where(lands, np.fmin(distance**2, _MOST), _MOST * late).sum(axis=1)

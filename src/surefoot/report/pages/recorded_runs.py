@@ -147,7 +147,7 @@ def _run(shown: ShownTrace, rate: float, node: str, ground: Ground) -> tuple[dic
     joints = {name: _interpolate(values[:, None])[:, 0] for name, values in robot.joint_angles(angles).items()}
     if not np.isfinite([*joints.values()]).all():
         raise SurefootError("a leg can't close its loop at any of the motor angles")
-    feet = robot.leg_mounts + robot.leg_geometry.foot_position(angles[:, robot.leg_motor_index])
+    feet = robot.foot_positions(angles)
     # Over flat ground runs begin in one place; elsewhere they stay where they were.
     start = _start(trace) if ground.is_flat else (np.zeros(2), 0.0)
     position, quat, base_notes = _base(trace, feet, start)
