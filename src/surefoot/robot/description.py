@@ -222,6 +222,11 @@ class RobotDescription:
         return GRAVITY * self.urdf.total_mass
 
     @property
+    def natural_time(self) -> float:
+        """The time sqrt(l / g) of legs of length l [s]."""
+        return float(np.sqrt(self.leg_geometry.length / GRAVITY))
+
+    @property
     def torque_table(self) -> tuple[Array, Array]:
         """Points of a DC motor's torque-current curve: currents [A] and torques [N m]."""
         return np.array(self.dc_motor.torque_table_current), np.array(self.dc_motor.torque_table_torque)

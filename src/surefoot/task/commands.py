@@ -290,7 +290,7 @@ class CommandFilter:
 
     Args:
         limits: of the commands.
-        natural_period: sqrt(l / g) of the legs [s].
+        natural_time: sqrt(l / g) of the legs [s].
         num_envs: robots.
         frequency: gives the gait's frequency [Hz] (N,) for commands (N, 3) and the share of the gait over holes (N,).
     """
@@ -299,10 +299,10 @@ class CommandFilter:
     """Names of the arrays that change over time."""
 
     def __init__(
-        self, limits: CommandLimits, natural_period: float, num_envs: int, frequency: Callable[..., Array]
+        self, limits: CommandLimits, natural_time: float, num_envs: int, frequency: Callable[..., Array]
     ) -> None:
         self.limits, self._frequency = limits, frequency
-        self._start_rate = 1.0 / (_START_TIME * natural_period)
+        self._start_rate = 1.0 / (_START_TIME * natural_time)
         self.filtered_command = np.zeros((num_envs, 3))
         """The given commands, their change limited, (N, 3)."""
         self.correction = np.zeros(num_envs)
@@ -324,8 +324,7 @@ class CommandFilter:
         def fixed(command: Array, over_holes: Array | None) -> Array:
             return np.full(len(command), 1.0 / reference.period if reference.period else 0.0)
 
-        natural = float(np.sqrt(robot.leg_geometry.length / GRAVITY))
-        return cls(limits, natural, num_envs, own if callable(own) else fixed)
+        return cls(limits, robot.natural_time, num_envs, own if callable(own) else fixed)
 
     def reset(self, rows: NDArray[np.int64], yaw: Array) -> None:
         """Let robots stand, whose IMU says `yaw` (N,) [rad]."""

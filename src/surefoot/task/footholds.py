@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot import GRAVITY
 from surefoot.task.commands import CommandState
 from surefoot.task.foot_references import FollowingReference
 from surefoot.task.height_scan import MAP
@@ -93,7 +92,6 @@ class Footholds:
         """Whether they were swinging (N, L)."""
         self.over_holes = np.zeros(num_envs)
         """Share of the gait over holes (N,)."""
-        self._time = float(np.sqrt(length / GRAVITY))
 
     @classmethod
     def of(cls, reference: Reference, num_envs: int) -> Footholds | None:
@@ -118,7 +116,7 @@ class Footholds:
         """
         reference, cost = self.reference, self._cost(heights)
         holes = (cost >= _FORBIDDEN).sum(axis=(1, 2)) >= _LEAST_HOLE
-        change = step / (np.where(holes, _ENTERS, _LEAVES) * self._time)
+        change = step / (np.where(holes, _ENTERS, _LEAVES) * reference.robot.natural_time)
         self.over_holes = np.clip(self.over_holes + np.where(holes, change, -change), 0.0, 1.0)
         part = reference.feet.swing_part(state.phase)
         swings = part > 0.0

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot import GRAVITY
 from surefoot.task.commands import CommandState
 from surefoot.task.foot_references import FollowingReference
 from surefoot.task.reference import Reference
@@ -44,7 +43,6 @@ class TouchLift:
     def __init__(self, reference: FollowingReference, num_envs: int) -> None:
         self.reference, legs = reference, reference.robot.leg_geometry
         self._length = float(legs.length)
-        self._natural = float(np.sqrt(self._length / GRAVITY))
         self.lift = np.zeros((num_envs, len(reference.places)))
         """Height [m] by which feet are lifted further in the middle of their swings, (N, L)."""
         self.behind = np.zeros(self.lift.shape)
@@ -73,7 +71,8 @@ class TouchLift:
             state: what the gait follows.
             step: its duration (N,) [s].
         """
-        reference, time = self.reference, step[:, None] / self._natural
+        reference = self.reference
+        time = step[:, None] / reference.robot.natural_time
         stride = state.activity[:, None, None] * reference.strides(state.command)
         size = np.linalg.norm(stride, axis=-1)
         missing = np.nan_to_num(self.commanded - self._feet(measured))  # NaN: a leg that can't close
