@@ -14,8 +14,8 @@ from surefoot.files import atomic_write
 from surefoot.report.pages.recorded_runs import ShownTrace, recording_page
 
 SECONDS = 5.0
-ELSEWHERE = {"go2-terrain"}
-"""Policies for other ground, of which docs/terrain.png has pictures."""
+ELSEWHERE = {"go2-terrain", "go2-terrain-seeing"}
+"""Policies for other ground, which docs/terrain.md speaks of."""
 STEPS = ((0.0, 0.7, 0.0, 0.0), (1.7, 0.5, 0.0, 0.8), (3.4, 0.0, 0.8, 0.0))
 """Commands of steered policies: start [s], and shares of the greatest forward, left and yaw rate."""
 

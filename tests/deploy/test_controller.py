@@ -16,8 +16,6 @@ from surefoot.robot import RobotDescription
 
 ROOT = Path(__file__).resolve().parents[2]
 POLICIES = sorted((ROOT / "policies").glob("*.onnx"))
-SEEING = ROOT / "results" / "terrain" / "go2-terrain-seeing.onnx"
-"""A policy with a map of heights and footholds."""
 GROUNDS = {"go2-terrain-seeing": "gaps:0.15", "go2-terrain": "stairs:0.1"}
 """Ground of policies whose reference feels or sees it."""
 
@@ -40,7 +38,7 @@ def contract():
     return PolicyRuntime.load(next(path for path in POLICIES if path.stem == "trot")).contract
 
 
-@pytest.mark.parametrize("path", [*POLICIES, SEEING], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", POLICIES, ids=lambda path: path.stem)
 def test_a_simulated_episode_gets_the_same_targets(path, a_state):
     """Readings of a simulated episode, given to the robot's side step by step."""
     pytest.importorskip("mujoco")
