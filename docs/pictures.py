@@ -1,7 +1,7 @@
 """Draw the pictures of robots in the documentation: python docs/pictures.py [FOLDER ...].
 
 They are docs/gaits.webp, two gaits in motion; docs/gaits.png, moments of a stride; docs/leg-space.png, the coordinates
-of a leg; docs/robots.png, the robots that ship; docs/terrain.png, a policy on terrain; and, out of six folders that
+of a leg; docs/robots.png, the robots that ship; docs/terrain.png and docs/terrain-seeing.png, policies on terrain; and, out of six folders that
 `surefoot robot new` wrote, docs/robots-imported.png.
 """
 
@@ -35,8 +35,8 @@ BETWEEN, FPS = (1.0, 4.7), 20
 PUSH = 60.0
 """Force of its pushes [N]."""
 RED = (200, 40, 40)
-TERRAIN = ("stairs:0.04", "slope:8", "rough:0.12", "blocks:0.06")
-"""Terrain on which a policy is shown, `ON_IT` seconds after its start at .5 m/s."""
+TERRAIN, HOLES = ("stairs:0.04", "slope:8", "rough:0.12", "blocks:0.06"), ("gaps:0.25", "stones:0.25")
+"""Terrain on which policies are shown, `ON_IT` seconds after their start at .5 m/s."""
 ON_IT = 4.0
 
 
@@ -162,6 +162,7 @@ def moving(path: Path, size: tuple[int, int]) -> None:
 
 if __name__ == "__main__":
     sheet([on_terrain("go2-steer", one, (480, 300)) for one in TERRAIN], 2).save(FOLDER / "terrain.png")
+    sheet([on_terrain("go2-terrain-seeing", one, (480, 300)) for one in HOLES], 2).save(FOLDER / "terrain-seeing.png")
     moving(FOLDER / "gaits.webp", (400, 280))
     leg_space(FOLDER / "leg-space.png")
     sheet([*stride("gallop", (320, 240)), *stride("trot", (320, 240))], MOMENTS).save(FOLDER / "gaits.png")
