@@ -1,8 +1,8 @@
 """Draw the pictures of robots in the documentation: python docs/pictures.py [FOLDER ...].
 
 They are docs/gaits.webp, two gaits in motion; docs/gaits.png, moments of a stride; docs/leg-space.png, the coordinates
-of a leg; docs/robots.png, the robots that ship; docs/terrain.png and docs/terrain-seeing.png, policies on terrain; and, out of six folders that
-`surefoot robot new` wrote, docs/robots-imported.png.
+of a leg; docs/robots.png, the robots that ship; docs/terrain.png and docs/terrain-seeing.png, policies on terrain; and,
+out of six folders that `surefoot robot new` wrote, docs/robots-imported.png.
 """
 
 from __future__ import annotations
