@@ -89,8 +89,7 @@ class Page:
     def __init__(self, setup: dict[str, Any], server: PageServer, view: RobotView) -> None:
         self._setup, self._server, self._view = setup, server, view
         robot = RobotDescription.load(setup["robot"])
-        feet = robot.foot_positions(robot.resting_angles)
-        self._height = -float(feet[:, 2].min())
+        self._height = -float(robot.foot_positions(robot.resting_angles)[:, 2].min())
         self._start, self._reported, self._sent, self._received = time.monotonic(), 0.0, 0.0, -math.inf
         self._command = list(STAND)
         self._values: dict[str, Any] = {}
