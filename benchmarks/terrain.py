@@ -3,6 +3,7 @@
     python benchmarks/terrain.py go2-terrain go2-steer
     python benchmarks/terrain.py go2-terrain --world bullet
     python benchmarks/terrain.py go2-terrain --table1
+    python benchmarks/terrain.py go2-terrain-seeing --table1 --but control_step
     python benchmarks/terrain.py go2-terrain --world boxes --kinds stairs --episodes 32
 
 In the world `boxes` stairs are of box geoms, and feet meet them by MuJoCo's own contacts (benchmarks/box_stairs.py).
@@ -53,6 +54,8 @@ class Command:
     world: str = "mujoco"
     table1: bool = False
     """Robots of the paper's table I."""
+    but: tuple[str, ...] = ()
+    """Rows of table I that stay nominal: what they cost is the difference."""
     kinds: tuple[str, ...] = ("flat", *SIZES)
     episodes: int = 64
     threads: int = 0
@@ -71,11 +74,14 @@ def main(command: Command) -> None:
     for name in command.policies:
         policy, robot, task, _ = load_gait(find_policy(name), None)
         ranges = load_ranges("table1", robot=robot.folder)
+        if unknown := set(command.but) - set(ranges):
+            raise SystemExit(f"--but {unknown.pop()} is no row of table I; choose from {', '.join(ranges)}")
+        ranges = {row: limits for row, limits in ranges.items() if row not in command.but}
         condition = next(one for one in conditions(ranges) if one.name == ("table1" if command.table1 else "nominal"))
         condition = replace(condition, world=command.world)
         limits = {key: getattr(task.commands, key) for key in COMMANDS}
         task = prepare_task(task, CommandConfig(**limits, each=(command.command,)), 10.0, robot)
-        robots = "table1" if command.table1 else "nominal"
+        robots = " but ".join(["table1", *command.but]) if command.table1 else "nominal"
         for kind in command.kinds:
             for size in SIZES.get(kind, (0.0,)):
                 key = (Path(name).stem, command.world, robots, kind, f"{size:g}")
