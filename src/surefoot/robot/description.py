@@ -211,10 +211,12 @@ class RobotDescription:
         """Names of the legs, in order."""
         return tuple(leg.name for leg in self.legs)
 
-    @property
+    @cached_property
     def leg_motor_index(self) -> NDArray[np.int64]:
-        """Index (legs, m) of each leg's motors in the motor order."""
-        return np.array([[self.motor_names.index(name) for name in leg.motors] for leg in self.legs])
+        """Index (legs, m) of each leg's motors in the motor order; read-only."""
+        index = np.array([[self.motor_names.index(name) for name in leg.motors] for leg in self.legs])
+        index.setflags(write=False)
+        return index
 
     @property
     def weight(self) -> float:
