@@ -101,6 +101,12 @@ def test_a_video_decodes_and_follows_the_base(walker, tmp_path: Path) -> None:
     assert frames[0].std() > 15  # not blank
 
 
+def test_a_name_may_have_a_colon(walker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    render_video(path="slope:25.mp4", fps=10, **walker)
+    assert [path.name for path in tmp_path.iterdir()] == ["slope:25.mp4"]
+
+
 def test_overlay_is_dark_text_on_a_light_panel(walker, tmp_path: Path) -> None:
     texts = [f"{t:.2f} s" for t in walker["times"]]
     path = render_video(path=tmp_path / "b.mp4", fps=10, **walker | {"overlay": texts})

@@ -71,7 +71,7 @@ def render_video(
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.mp4")
     writer = imageio_ffmpeg.write_frames(
-        str(temporary),
+        f"file:{temporary}",  # without it ffmpeg takes what comes before a colon for a protocol
         size,
         fps=fps,
         codec="libx264",
