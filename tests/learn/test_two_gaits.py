@@ -21,6 +21,7 @@ from surefoot.policy.graph import Graph
 from surefoot.policy.network import INPUT
 from surefoot.policy.torch_graph import trace_module
 from surefoot.task.config import TaskConfig, load_task
+from surefoot.task.footholds import Footholds
 from surefoot.world.sim_world import SimWorld
 
 
@@ -109,10 +110,7 @@ def test_a_policy_of_one_gait_gets_one_over_holes_which_alone_learns(tmp_path: P
     np.testing.assert_allclose(actions(seeing, 0.0, seen), walks, atol=1e-5)
     over = actions(seeing, 1.0, seen)
     assert np.abs(over - walks).max() > 1e-3
-    follower = seeing.learner.env.follower
-    assert follower is not None
-    assert follower.footholds is not None
-    follower.footholds.over_holes[:] = 1.0  # as if there were holes
+    seeing.learner.env.component(Footholds).over_holes[:] = 1.0  # as if there were holes
     seeing.run(lambda *_: None)
     np.testing.assert_allclose(actions(seeing, 0.0, seen), walks, atol=1e-5)
     assert np.abs(actions(seeing, 1.0, seen) - over).max() > 1e-4

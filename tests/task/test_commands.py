@@ -11,7 +11,8 @@ from scripted import COMMAND_LIMITS as LIMITS
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.commands import CommandLimits
-from surefoot.task.commands import CommandConfig, CommandFilter, CommandSampler, CommandSchedule, read_schedule
+from surefoot.task.command_follower import CommandFilter
+from surefoot.task.commands import CommandConfig, CommandSampler, CommandSchedule, read_schedule
 from surefoot.task.config import load_task
 
 STEP = np.array([0.1])

@@ -180,10 +180,10 @@ class PpoLearner:
                 self.observation = self._tensors(observation)
                 rewards += float(reward.mean())
                 seconds += float(env.world.params.control_step.mean())
-                for name, part in env.reward_terms.items():
+                for name, part in env.state.reward_terms.items():
                     terms[name] += float(part.mean())
-                if env.commands is not None:
-                    squares += (env.command_error**2).mean(axis=0)
+                if config.task.commands.enabled:
+                    squares += (env.state.command_error**2).mean(axis=0)
                 if "figures" in info:
                     figures, rows = info["figures"], info["_figures"]
                     columns = [figures[key][rows] for key in ("return", "steps", "distance", "duration")]
@@ -223,9 +223,9 @@ class PpoLearner:
             learn_seconds=time.perf_counter() - start - rollout_seconds,
             reward={name: total / seconds for name, total in terms.items()},
             rmse=None
-            if env.commands is None
+            if not config.task.commands.enabled
             else dict(zip(COMMANDS, map(float, np.sqrt(squares / config.steps_per_update)), strict=True)),
-            levels=None if env.curriculum is None else dict(env.curriculum.levels()),
+            levels=env.metrics().get("levels"),
         )
 
     def _limit_std(self) -> None:

@@ -103,9 +103,10 @@ def reference_shift(env: LocomotionEnv) -> bool:
     times = np.linspace(0, period, 64, endpoint=False)
     source, _ = mirror_columns(legs)
     command = np.zeros((64, 3))
-    if env.commands is not None:
+    limits = env.task.commands.limits(env.robot)
+    if limits is not None:
         shares = np.linspace(0, 1, 64)[:, None] * [1, 2, 3] % 1.0
-        command = env.commands.limits.low + shares * (env.commands.limits.high - env.commands.limits.low)
+        command = limits.low + shares * (limits.high - limits.low)
     for half in (False, True):
         later, cycles = times + half * period / 2, times / period
         here = reference.pose(times, CommandState(command, np.ones(64), cycles))

@@ -59,7 +59,7 @@ def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes
         task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
         observation, _ = env.reset()
-        recorder = None if env.commands is None else MotionRecorder(env)
+        recorder = MotionRecorder(env) if env.task.commands.enabled else None
         results.append(run_to_end(learner.act, env, observation, record=recorder.record if recorder else None))
         if recorder is not None and not pushed:
             rmse = recorder.tracking(results[0].steps).to_mapping()["rmse"]
