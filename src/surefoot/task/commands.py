@@ -275,6 +275,6 @@ class CommandState:
     landing: Array | None = None
     """How far beside them they land, likewise; they keep that in stance."""
     lift: Array | None = None
-    """How much further feet are lifted in their swings (N, L) [m], see `TouchLift`."""
+    """How much further feet are lifted in their swings (N, L) [m], see `ContactReflex`."""
     over_holes: Array | None = None
     """Share of the gait over holes (N,), 0 to 1, see `Footholds`."""

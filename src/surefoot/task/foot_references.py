@@ -195,7 +195,7 @@ class FollowingReference:
     foothold_radius: float = 0.0
     """Greatest distance [m] by which feet land beside the places of their strides, see `Footholds`."""
     touch_clearance: float = 0.0
-    """Greatest height [m] by which feet are lifted further that meet something, see `TouchLift`."""
+    """Greatest height [m] by which feet are lifted further that meet something, see `ContactReflex`."""
     acceleration_feedforward: float = 0.0
     """Square of the time [s^2] by which commands lead along the acceleration of the pose."""
     weight_feedforward: float = 0.0
