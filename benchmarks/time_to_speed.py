@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from surefoot.learn.config import load_train_config
+from surefoot.learn.evaluation import evaluate_policy
 from surefoot.learn.ppo_learner import PpoLearner
-from surefoot.learn.training_loop import evaluate_policy
 from surefoot.tables import write_csv
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.sim_world import SimWorld

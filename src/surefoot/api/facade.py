@@ -106,7 +106,7 @@ def train(
     # Only the main thread has signals.
     signals = ("SIGINT",) if threading.current_thread() is threading.main_thread() else ()
     with folder_lock(folder.path):
-        loop = TrainingLoop(config, folder, find_world(config.world))
+        loop = TrainingLoop.create(config, folder, find_world(config.world))
         with TrainingProgress(config, console) as progress, StopSignals(signals, stop) as stops:
             loop.run(progress.report, lambda: stops.count > 0)
         if not loop.finished:
