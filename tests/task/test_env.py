@@ -15,7 +15,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv, has_fallen
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference import ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import ReferenceConfig, WaveConfig
 from surefoot.world.interface import Truth
 from surefoot.world.sim_world import SimWorld
 

@@ -318,13 +318,8 @@ class CommandFilter:
     def from_reference(
         cls, reference: Any, limits: CommandLimits, robot: RobotDescription, num_envs: int
     ) -> CommandFilter:
-        """Return the filter of a robot's reference gait: its own `frequency`, if it follows commands."""
-        own = getattr(reference, "frequency", None)
-
-        def fixed(command: Array, over_holes: Array | None) -> Array:
-            return np.full(len(command), 1.0 / reference.period if reference.period else 0.0)
-
-        return cls(limits, robot.natural_time, num_envs, own if callable(own) else fixed)
+        """Return the filter of a robot's reference gait."""
+        return cls(limits, robot.natural_time, num_envs, reference.frequency)
 
     def reset(self, rows: NDArray[np.int64], yaw: Array) -> None:
         """Let robots stand, whose IMU says `yaw` (N,) [rad]."""

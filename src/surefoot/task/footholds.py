@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.task.commands import CommandState
-from surefoot.task.foot_references import FollowingReference
 from surefoot.task.height_scan import MAP
-from surefoot.task.reference import Reference
+from surefoot.task.reference import FollowingReference, Reference
 from surefoot.world.interface import Readings
 
 HOLE = 0.35
@@ -96,9 +95,8 @@ class Footholds:
     @classmethod
     def of(cls, reference: Reference, num_envs: int) -> Footholds | None:
         """Return the footholds of a reference; None, if it has none."""
-        if isinstance(reference, FollowingReference) and reference.foothold_radius:
-            return cls(reference, num_envs)
-        return None
+        gait = reference.following
+        return cls(gait, num_envs) if gait is not None and gait.foothold_radius else None
 
     def reset(self, rows: NDArray[np.int64]) -> None:
         """Let robots stand on the places of their strides."""

@@ -13,7 +13,6 @@ from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.commands import CommandState
-from surefoot.task.foot_references import FollowingReference
 from surefoot.task.height_scan import MAP
 from surefoot.task.reference import Reference
 from surefoot.world.interface import Readings
@@ -80,7 +79,7 @@ def _command(inputs: ObservationInputs) -> Array:
 def _footholds(inputs: ObservationInputs) -> Array:
     """Return how far feet land beside the places of their strides, in `foothold_radius`: x, then y (N, 2 L)."""
     reference, state = inputs.reference, inputs.commands
-    if not isinstance(reference, FollowingReference) or state is None or state.landing is None:
+    if state is None or state.landing is None:
         raise SurefootError("observation 'footholds' needs reference.foothold_radius; it is 0 here")
     return np.concatenate(np.moveaxis(state.landing / reference.foothold_radius, -1, 0), axis=1)
 

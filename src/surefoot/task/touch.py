@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.task.commands import CommandState
-from surefoot.task.foot_references import FollowingReference
-from surefoot.task.reference import Reference
+from surefoot.task.reference import FollowingReference, Reference
 
 BEHIND = 0.12
 """A foot has met something that is further than this behind its command, in lengths l of the straight leg: a free one
@@ -53,9 +52,8 @@ class TouchLift:
     @classmethod
     def of(cls, reference: Reference, num_envs: int) -> TouchLift | None:
         """Return that of a reference; None, if it lifts no feet further."""
-        if isinstance(reference, FollowingReference) and reference.touch_clearance:
-            return cls(reference, num_envs)
-        return None
+        gait = reference.following
+        return cls(gait, num_envs) if gait is not None and gait.touch_clearance else None
 
     def reset(self, rows: NDArray[np.int64]) -> None:
         """Let robots stand that have met nothing."""
