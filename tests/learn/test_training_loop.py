@@ -22,7 +22,7 @@ from surefoot.learn.training_loop import TrainingLoop
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import load_ranges
-from surefoot.task.reference import make_reference
+from surefoot.task.reference_config import make_reference
 from surefoot.world.sim_world import SimWorld
 
 # Noise, pushes, ends of episodes and an evaluation all fall into these few updates.

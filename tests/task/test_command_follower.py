@@ -83,7 +83,7 @@ def test_a_gait_that_follows_no_commands_keeps_its_own_frequency() -> None:
     go2 = RobotDescription.load("go2")
     trot, none = (load_task(name, "go2")[0].gait(go2).reference for name in ("trot", "scratch"))
     for reference, cycles in ((trot, 0.1 / trot.period), (none, 0.0)):
-        command_filter = CommandFilter.from_reference(reference, LIMITS, go2, 1)
+        command_filter = CommandFilter(LIMITS, go2.natural_time, 1, reference.frequency)
         command_filter.reset(np.arange(1), np.zeros(1))
         command_filter.advance(np.array([[0.5, 0.0, 0.0]]), STEP, np.zeros(1))
         assert command_filter.state.phase == pytest.approx(cycles % 1.0)

@@ -16,7 +16,7 @@ from surefoot.task.commands import CommandState
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.contact_reflex import ContactReflex
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.foot_references import FollowingReference
+from surefoot.task.reference import FollowingReference
 from surefoot.world.sim_world import SimWorld
 
 GO2 = RobotDescription.load("go2")

@@ -16,7 +16,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference import ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import ReferenceConfig, WaveConfig
 from surefoot.task.terminations import is_low, is_tilted
 from surefoot.world.ground import FLAT
 from surefoot.world.sim_world import SimWorld

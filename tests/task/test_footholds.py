@@ -14,9 +14,10 @@ from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.foot_references import FollowingReference
+from surefoot.task.foot_kinematics import FootKinematics
 from surefoot.task.footholds import Footholds
 from surefoot.task.height_scan import MAP
+from surefoot.task.reference import FollowingReference
 from surefoot.world.interface import Readings
 from surefoot.world.sim_world import SimWorld
 
@@ -301,7 +302,7 @@ def test_steps_of_feet_that_are_lifted_by_touch_stay_within_the_legs_reach():
 def test_a_reference_whose_feet_are_lifted_out_of_reach_is_refused(monkeypatch):
     task = load_task("terrain-seeing", "go2")[0]
     # No leg reaches a whole length ahead of its place, where nothing keeps it within its reach.
-    monkeypatch.setattr(FollowingReference, "reached", lambda self, step: np.zeros(step.shape[:-1]))
+    monkeypatch.setattr(FootKinematics, "reached", lambda self, step: np.zeros(step.shape[:-1]))
     with pytest.raises(SurefootError, match=r"foothold_radius and reference.touch_clearance together lead feet out"):
         replace(task, reference=replace(task.reference, foothold_radius=1.0)).gait(GO2)
 

@@ -19,7 +19,7 @@ from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import IMU_AND_MOTORS_12D, PARTS, Observer, gravity, phase
-from surefoot.task.reference import ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import ReferenceConfig, WaveConfig
 from surefoot.world.interface import Readings
 
 WIDTHS = {

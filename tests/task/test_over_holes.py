@@ -14,8 +14,8 @@ from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.foot_references import FollowingReference
 from surefoot.task.foothold_error import FootholdError
+from surefoot.task.reference import FollowingReference
 from surefoot.world.sim_world import SimWorld
 
 GO2 = RobotDescription.load("go2")

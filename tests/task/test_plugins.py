@@ -23,7 +23,7 @@ from surefoot.task.contract_mapping import make_contract, plugin_notes, task_fro
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.plugins import load_plugins, register_plugin, registered_plugins, remove_plugins
-from surefoot.task.reference import ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import ReferenceConfig, WaveConfig
 from surefoot.task.reward import TERMS
 
 HEAD = """

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot import RobotDescription
 from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import MAX_HEADING_ERROR, MAX_STANDING_HEADING_ERROR, CommandGenerator, CommandState
 from surefoot.task.component import Privileged, RobotComponent
@@ -51,18 +50,6 @@ class CommandFilter:
         self.phase = np.zeros(num_envs)
         self.heading = np.zeros(num_envs)
         """The heading that is held [rad], (N,)."""
-
-    @classmethod
-    def from_reference(
-        cls, reference: Any, limits: CommandLimits, robot: RobotDescription, num_envs: int
-    ) -> CommandFilter:
-        """Return the filter of a robot's reference gait: its own `frequency`, if it follows commands."""
-        own = getattr(reference, "frequency", None)
-
-        def fixed(command: Array, over_holes: Array | None) -> Array:
-            return np.full(len(command), 1.0 / reference.period if reference.period else 0.0)
-
-        return cls(limits, robot.natural_time, num_envs, own if callable(own) else fixed)
 
     def reset(self, rows: NDArray[np.int64], yaw: Array) -> None:
         """Let robots stand, whose IMU says `yaw` (N,) [rad]."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.task.commands import CommandState
 from surefoot.task.component import RobotComponent
-from surefoot.task.foot_references import FollowingReference
+from surefoot.task.reference import FollowingReference
 from surefoot.task.state import RobotState
 
 BEHIND = 0.12

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.task.commands import CommandState
 from surefoot.task.component import RobotComponent
-from surefoot.task.foot_references import FollowingReference
 from surefoot.task.height_scan import MAP
+from surefoot.task.reference import FollowingReference
 from surefoot.task.state import RobotState
 from surefoot.world.interface import Readings
 

@@ -7,7 +7,6 @@ from surefoot.task.command_follower import CommandFilter, CommandFollower
 from surefoot.task.commands import CommandGenerator
 from surefoot.task.component import RobotComponent
 from surefoot.task.contact_reflex import ContactReflex
-from surefoot.task.foot_references import FollowingReference
 from surefoot.task.footholds import Footholds
 from surefoot.task.gait import HybridGait
 
@@ -23,11 +22,11 @@ def gait_components(
         source: gives the commands.
         num_envs: robots.
     """
-    reference = gait.reference
-    commands = CommandFilter.from_reference(reference, limits, gait.robot, num_envs)
+    commands = CommandFilter(limits, gait.robot.natural_time, num_envs, gait.reference.frequency)
     components: list[RobotComponent] = [CommandFollower(source, commands)]
-    if isinstance(reference, FollowingReference) and reference.touch_clearance:
-        components.append(ContactReflex(reference, num_envs))
-    if isinstance(reference, FollowingReference) and reference.foothold_radius:
-        components.append(Footholds(reference, num_envs))
+    if reference := gait.reference.following:
+        if reference.touch_clearance:
+            components.append(ContactReflex(reference, num_envs))
+        if reference.foothold_radius:
+            components.append(Footholds(reference, num_envs))
     return components

@@ -12,7 +12,6 @@ from surefoot.errors import SurefootError, choices, suggest
 from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
-from surefoot.task.foot_references import FollowingReference
 from surefoot.task.height_scan import MAP
 from surefoot.task.state import RobotState
 
@@ -62,7 +61,7 @@ def _command(state: RobotState) -> Array:
 def _footholds(state: RobotState) -> Array:
     """Return how far feet land beside the places of their strides, in `foothold_radius`: x, then y (N, 2 L)."""
     reference, feet = state.gait.reference, state.gait_state
-    if not isinstance(reference, FollowingReference) or feet is None or feet.landing is None:
+    if feet is None or feet.landing is None:
         raise SurefootError("observation 'footholds' needs reference.foothold_radius; it is 0 here")
     return np.concatenate(np.moveaxis(feet.landing / reference.foothold_radius, -1, 0), axis=1)
 
