@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.identify.motion.recorded import RecordedMotion, read_motion
+from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import compare_motions, replay_motion
 from surefoot.identify.motion.robot_fit import fit_robot
 from surefoot.identify.motion.robot_model import PRIORS
+from surefoot.identify.motion.traces import read_motion
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import load_params

@@ -22,7 +22,8 @@ from surefoot.deploy.dds.low_level import LOW_COMMAND, LOW_STATE, POS_STOP, enco
 from surefoot.errors import SurefootError
 from surefoot.identify.motion import go2_messages as go2
 from surefoot.identify.motion.importing import import_log
-from surefoot.identify.motion.recorded import common_gains, motion_from_trace
+from surefoot.identify.motion.recorded import common_gains
+from surefoot.identify.motion.traces import motion_from_trace, trace_from_motion
 from surefoot.task.trace import EpisodeTrace
 
 RECORDED = Path(__file__).parents[1] / "deploy" / "dds" / "recorded_messages.json"
@@ -69,7 +70,7 @@ def log(*rows: bytes | int) -> Messages:
 
 
 def imported(folder: Path, messages: Messages, **options: Any) -> EpisodeTrace:
-    return import_log(write_bag(folder / "bag", messages), GO2, **options).as_trace(GO2)
+    return trace_from_motion(import_log(write_bag(folder / "bag", messages), GO2, **options), GO2)
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +94,7 @@ def run() -> tuple[Messages, np.ndarray]:
 def test_a_bag_has_what_the_robot_sent(tmp_path: Path, run: tuple[Messages, np.ndarray], mcap: bool) -> None:
     messages, targets = run
     bag = write_bag(tmp_path / "bag", messages, mcap)
-    trace = import_log(next(bag.glob("*.mcap")) if mcap else bag, GO2).as_trace(GO2)
+    trace = trace_from_motion(import_log(next(bag.glob("*.mcap")) if mcap else bag, GO2), GO2)
     states = [low_level.decode(LOW_STATE, data) for topic, _, data in messages if topic == "/lowstate"]
     np.testing.assert_allclose(trace.time, 0.002 * np.arange(500), atol=1e-9)
     np.testing.assert_allclose(trace.target, targets, atol=1e-6)
@@ -120,7 +121,7 @@ def test_a_log_replays_exactly_on_the_robot_that_recorded_it(
 def test_csv_of_states_without_names_and_with(tmp_path: Path) -> None:
     rows = [state(tick, dq=0.1 * k) for k, tick in enumerate((5, 7, 9))]
     (tmp_path / "echo.csv").write_text("\n".join(map(csv_line, rows)) + "\n")
-    trace = import_log(tmp_path / "echo.csv", GO2).as_trace(GO2)
+    trace = trace_from_motion(import_log(tmp_path / "echo.csv", GO2), GO2)
     np.testing.assert_allclose(trace.time, [0.0, 0.002, 0.004], atol=1e-12)
     np.testing.assert_allclose(trace.motor_velocity[:, 3], [0.0, 0.1, 0.2], atol=1e-6)
     np.testing.assert_allclose(trace.motor_angle[1], recorded("low_state")["motor_state"]["q"][:12], atol=1e-6)

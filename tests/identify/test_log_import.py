@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError
 from surefoot.identify.motion import column_table as log_table
 from surefoot.identify.motion.column_table import read_table
 from surefoot.identify.motion.importing import import_log
-from surefoot.identify.motion.recorded import motion_from_trace
+from surefoot.identify.motion.traces import motion_from_trace, trace_from_motion
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -35,7 +35,7 @@ def test_import_applies_units_signs_and_offsets(tmp_path: Path, pupper: RobotDes
     head = "time: {column: ms, unit: ms}\nunit: deg"
     which = mapping(tmp_path / "m.yaml", pupper, "c{}", "q{}", ", sign: -1, offset: 0.5", head)
     motion = import_log(tmp_path / "log.csv", pupper, which)
-    trace = motion.as_trace(pupper)
+    trace = trace_from_motion(motion, pupper)
     np.testing.assert_allclose(trace.time, [0.01, 0.02, 0.02, 0.04])
     degree = np.pi / 180
     np.testing.assert_allclose(trace.target[:, 0], 0.5 - degree * np.array([1, 2, 2, 4]))

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.identify.motion.recorded import motion_from_rows, read_motion
+from surefoot.identify.motion.recorded import motion_from_rows
+from surefoot.identify.motion.traces import read_motion
 from surefoot.robot import RobotDescription
 
 DATA = Path(__file__).parents[2] / "data" / "pupper_v2"

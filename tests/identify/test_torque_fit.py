@@ -14,9 +14,9 @@ from surefoot.errors import SurefootError
 from surefoot.identify.fitting import forward_jacobian
 from surefoot.identify.model import ReplayModel, Unknown
 from surefoot.identify.motion import torque_fit
-from surefoot.identify.motion.recorded import deployed_motion
 from surefoot.identify.motion.torque_model import DEFAULT_NAMES, NAMES, VOLTAGE_CHANGE, torque_observations
 from surefoot.identify.motion.torque_rows import MotorMotion, TorqueRows, torque_timings, usable_rows
+from surefoot.identify.motion.traces import deployed_motion
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.trace import EpisodeTrace

@@ -126,8 +126,8 @@ def _identify_from_traces(argv: list[str]) -> int:
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
 
     check_installed()
-    from surefoot.identify.motion.recorded import deployed_motion
     from surefoot.identify.motion.torque_fit import fit_torques
+    from surefoot.identify.motion.traces import deployed_motion
 
     motions = [deployed_motion(path.name, trace) for path, trace in traces]
 
@@ -141,7 +141,8 @@ def _identify_from_traces(argv: list[str]) -> int:
 
 def _identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     """Fit a whole robot with joint actuators to logs."""
-    from surefoot.identify.motion.recorded import common_gains, read_motion
+    from surefoot.identify.motion.recorded import common_gains
+    from surefoot.identify.motion.traces import read_motion
 
     paths = sorted(command.trace.glob("*.npz")) if command.trace.is_dir() else [command.trace]
     if not paths:

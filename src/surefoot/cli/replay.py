@@ -55,8 +55,8 @@ def main(argv: list[str]) -> int:
         robot = load_robot(command.trace, EpisodeTrace.load(command.trace))
     else:
         robot = RobotDescription.load(command.robot)
-    from surefoot.identify.motion.recorded import read_motion
     from surefoot.identify.motion.replay_errors import compare_motions, replay_motion
+    from surefoot.identify.motion.traces import read_motion
     from surefoot.identify.replay import Replayer
     from surefoot.world.registry import check_takes_params
 

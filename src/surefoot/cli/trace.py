@@ -48,6 +48,7 @@ def _import(argv: list[str]) -> int:
     check_suffix("out", command.out, ".npz")
     robot = RobotDescription.load(command.robot)
     from surefoot.identify.motion.importing import import_log
+    from surefoot.identify.motion.traces import trace_from_motion
 
     motion = import_log(command.file, robot, command.map, command.any_checksum)
     if command.between is not None:
@@ -55,7 +56,7 @@ def _import(argv: list[str]) -> int:
     # States of a Go2 are imported with commands or without.
     timing = (motion if motion.read_at_row else motion.checked()).timing()
     notes, missing = list(motion.meta.get("notes", [])), motion.missing()
-    motion.as_trace(robot).save(command.out)
+    trace_from_motion(motion, robot).save(command.out)
     if command.json:
         print_json({"trace": str(command.out), "missing": missing, "timing": timing, "notes": notes})
         return 0
