@@ -34,7 +34,7 @@ ALLOWED: dict[str, set[str]] = {
         "robot",
         *("world.ground", "world.terrain"),
         "identify.result",
-        "identify.logs.errors",
+        "identify.motion.replay_errors",
         "adopt.examination",
     },
     "adopt": {"policy", "task", "robot", "deploy.checks", "evaluation", "world"},

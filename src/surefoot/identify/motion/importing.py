@@ -1,4 +1,4 @@
-"""Import of foreign logs as traces, by a mapping of columns.
+"""Import of foreign logs, by a mapping of columns.
 
     # mapping.yaml; all but motors may be left out
     time: {column: time, unit: s}                # s, ms, us, ns; the recorder's own times of a bag, if left out
@@ -8,12 +8,12 @@
     imu: {roll: "imu[0]", pitch: "imu[1]", roll_rate: "imu[2]", pitch_rate: "imu[3]", unit: rad, sign: 1}
 
 A motor's angle is sign x column + offset, its command too; `velocity` and `torque` may be mapped beside them. Readings
-without a column are NaN in the trace. Times and rows stay as they are, uneven and repeated ones too.
+without a column are NaN. Times and rows stay as they are, uneven and repeated ones too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,11 +22,10 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors
-from surefoot.identify.logs.go2 import import_go2, is_go2
-from surefoot.identify.logs.robot_log import check_rising
-from surefoot.identify.logs.table import ColumnTable, read_table
+from surefoot.identify.motion.column_table import ColumnTable, read_table
+from surefoot.identify.motion.go2_messages import is_go2, read_go2
+from surefoot.identify.motion.recorded import RecordedMotion, check_rising, reading_times
 from surefoot.robot import RobotDescription
-from surefoot.task.trace import LOG, EpisodeTrace
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ANGLE_UNITS = {"rad": 1.0, "deg": float(np.pi / 180)}
@@ -88,8 +87,8 @@ def default_mapping(robot: RobotDescription) -> LogMapping:
 
 def import_log(
     path: Path, robot: RobotDescription, mapping: Path | None = None, any_checksum: bool = False
-) -> EpisodeTrace:
-    """Return a foreign log as a trace.
+) -> RecordedMotion:
+    """Return the motion of a foreign log.
 
     Args:
         path: NPZ, CSV, pickle, MCAP, or folder or file of a ROS bag.
@@ -103,8 +102,8 @@ def import_log(
             backwards, or commands that are missing in a row.
     """
     columns = default_mapping(robot)
-    if mapping is None and is_go2(robot) and (trace := import_go2(path, robot, any_checksum)) is not None:
-        return trace
+    if mapping is None and is_go2(robot) and (motion := read_go2(path, any_checksum)) is not None:
+        return motion
     if mapping is not None:
         data = read_yaml(mapping)
         with prefix_errors(mapping):
@@ -117,15 +116,16 @@ def import_log(
             if missing := [name for name in robot.motor_names if name not in columns.motors]:
                 raise SurefootError(f"motors lacks {choices(missing)}; every motor has a command")
     with prefix_errors(f"log {path}"):
-        return _trace(read_table(path), columns, robot, mapping is None, path.name)
+        return _motion(read_table(path), columns, robot, mapping is None, path.name)
 
 
-def _trace(table: ColumnTable, columns: LogMapping, robot: RobotDescription, default: bool, name: str) -> EpisodeTrace:
+def _motion(
+    table: ColumnTable, columns: LogMapping, robot: RobotDescription, default: bool, name: str
+) -> RecordedMotion:
     motors = [from_mapping(MotorColumns, columns.motors[key], f"motors.{key}") for key in robot.motor_names]
     if default and (extra := f"command[{robot.num_motors}]") in table.columns:
         raise SurefootError(f"has a column '{extra}'; {robot.name} has {robot.num_motors} motors")
-    steps = table.rows
-    missing = np.full(steps, np.nan)
+    missing = np.full(table.rows, np.nan)
 
     def column(key: str | None, optional: bool = False) -> Array:
         if key is None or (optional and key not in table.columns):
@@ -156,54 +156,15 @@ def _trace(table: ColumnTable, columns: LogMapping, robot: RobotDescription, def
     if not np.isfinite(command).all():
         row, motor = (int(k) for k in np.argwhere(~np.isfinite(command))[0])
         raise SurefootError(f"row {row} has no command of {robot.motor_names[motor]}; every row needs its command")
-    gaps = np.diff(time)
-    return EpisodeTrace(
-        time=time,
-        base_position_world=np.full((steps + 1, 3), np.nan),
-        base_quat_world=np.full((steps + 1, 4), np.nan),
-        roll_pitch_yaw=of_imu("roll", "pitch", "yaw"),
-        angular_velocity_base=of_imu("roll_rate", "pitch_rate", "yaw_rate"),
-        motor_angle=of_motors("angle", angle, True),
-        motor_velocity=of_motors("velocity", angle),
-        motor_torque=of_motors("torque"),
-        observation=np.empty((steps, 0)),
-        feedback=np.full((steps, 2 * len(robot.legs)), np.nan),
-        target=command,
-        energy=missing,
-        foot_contact=np.full((steps, len(robot.legs)), np.nan),
-        meta={
-            "robot": robot.name,
-            "world": LOG,
-            "control_step": float(np.median(gaps[gaps > 0])) if (gaps > 0).any() else 1.0,
-            "leg_names": robot.leg_names,
-            "motor_names": robot.motor_names,
-            "observation_names": [],
-            "ended": "time",
-            "max_steps": steps,
-            "source": name,
-        },
-        robot_archive=robot.archive,
+    motion = RecordedMotion(
+        name,
+        time,
+        command,
+        time,
+        of_motors("angle", angle, True),
+        of_motors("velocity", angle),
+        of_motors("torque"),
+        of_imu("roll", "pitch", "yaw"),
+        of_imu("roll_rate", "pitch_rate", "yaw_rate"),
     )
-
-
-def part_of(trace: EpisodeTrace, start: float, end: float) -> EpisodeTrace:
-    """Return the rows of an imported trace from `start` to `end` [s] after its first row.
-
-    Raises:
-        SurefootError: fewer than two rows.
-    """
-    after = trace.time - trace.time[0]
-    rows = np.flatnonzero((after >= start) & (after <= end))
-    if len(rows) < 2:
-        raise SurefootError(f"--between {start:g} {end:g} has {len(rows)} rows; the log is {after[-1]:g} s long")
-    arrays = {f.name: getattr(trace, f.name) for f in fields(trace) if isinstance(getattr(trace, f.name), np.ndarray)}
-    states = np.append(rows, rows[-1] + 1)  # the base's rows begin with the start
-    parts = {name: value[states if len(value) > len(after) else rows] for name, value in arrays.items()}
-    steps = round(float(after[rows[-1]] - after[rows[0]]) / float(trace.meta["control_step"])) + 1
-    return replace(trace, **parts, meta={**trace.meta, "max_steps": steps})
-
-
-def missing_columns(trace: EpisodeTrace) -> list[str]:
-    """Return the readings that an imported trace does not have at all."""
-    names = ("motor_angle", "motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base")
-    return [name for name in names if not np.isfinite(getattr(trace, name)).any()]
+    return replace(motion, read_time=reading_times(time, motion.motor_angle, motion.imu))

@@ -1,7 +1,7 @@
 """Physical parameters of a robot with joint actuators from its logs: commands and angles, without torques or speeds.
 
-The fit is least squares over whole simulated robots (`identify.logs.model`); a search by CMA-ES may precede it, where
-the start is far off. Held-out logs show how well the identified robot moves in ways that were not fitted.
+The fit is least squares over whole simulated robots (`identify.motion.robot_model`); a search by CMA-ES may precede it,
+where the start is far off. Held-out logs show how well the identified robot moves in ways that were not fitted.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Fit, fit_least_squares
-from surefoot.identify.logs.errors import imu_channels, replay_log
-from surefoot.identify.logs.model import (
+from surefoot.identify.model import ReplayModel
+from surefoot.identify.motion.recorded import RecordedMotion
+from surefoot.identify.motion.replay_errors import imu_channels, replay_motion
+from surefoot.identify.motion.robot_model import (
     DAMPING_RATIO,
     FRICTION_RATIO,
     PRIORS,
     SECONDS,
-    LogRun,
-    log_model,
-    log_params,
-    log_unknowns,
+    robot_model,
+    robot_params,
+    robot_unknowns,
 )
-from surefoot.identify.model import ReplayModel
 from surefoot.identify.recording import digest_of
-from surefoot.identify.replay import Replayer, segment_from_log
+from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, ignore_progress
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -37,10 +37,10 @@ _POPULATION = 16
 _SHOWN = 3.0
 
 
-def fit_logs(
+def fit_robot(
     robot: RobotDescription,
-    runs: Sequence[LogRun],
-    held_out: Sequence[LogRun],
+    motions: Sequence[RecordedMotion],
+    held_out: Sequence[RecordedMotion],
     names: Sequence[str] | None,
     prior: PhysicalParams,
     seconds: float = SECONDS,
@@ -52,7 +52,7 @@ def fit_logs(
 
     Args:
         robot: its description.
-        runs: logs to fit.
+        motions: logs to fit.
         held_out: logs that are replayed with the estimates, and not fitted.
         names: which of `PRIORS` to identify; all of them, if not given.
         prior: parameters before, one row.
@@ -68,24 +68,24 @@ def fit_logs(
         raise SurefootError(
             f"the motors of {robot.name} are of kind {robot.actuator.kind}; logs are fitted for joint actuators"
         )
-    if not runs:
+    if not motions:
         raise SurefootError("there are no logs to fit; give one or more that are not held out")
     prior = prior.rows(np.zeros(1, np.int64))
-    yaw = find_imu_yaw(robot, runs, prior)
+    yaw = find_imu_yaw(robot, motions, prior)
     if yaw is not None:
         prior.imu_mount[0, 2] = yaw
-    model = log_model(
-        robot, runs, log_unknowns(robot, prior, tuple(PRIORS) if names is None else names), prior, seconds
+    model = robot_model(
+        robot, motions, robot_unknowns(robot, prior, tuple(PRIORS) if names is None else names), prior, seconds
     )
     start = search_start(model, search, seed, report) if search else None
     fit = fit_least_squares(model, start, lambda step, cost: report(f"step {step}", cost))
-    params = log_params(prior, fit.unknowns, fit.values[None])
+    params = robot_params(prior, fit.unknowns, fit.values[None])
     estimates = _estimates(robot, prior, params, fit)
     if yaw is not None:
         estimates.append(ParameterEstimate.within_bounds(robot, "imu_mount", yaw, _MOUNT_DEVIATION, 2))
-    checks, series = _checks(robot, [*runs, *held_out], len(runs), prior, params)
-    logs = [run.log for run in (*runs, *held_out)]
-    arrays = {f"{k:03d} {n}": getattr(log, n) for k, log in enumerate(logs) for n in ("time", "command", "motor_angle")}
+    checks, series = _checks(robot, [*motions, *held_out], len(motions), prior, params)
+    columns = ("time", "command", "motor_angle")
+    arrays = {f"{k:03d} {n}": getattr(one, n) for k, one in enumerate([*motions, *held_out]) for n in columns}
     return Identification(
         "logs",
         robot.name,
@@ -98,19 +98,19 @@ def fit_logs(
     )
 
 
-def find_imu_yaw(robot: RobotDescription, runs: Sequence[LogRun], prior: PhysicalParams) -> float | None:
+def find_imu_yaw(robot: RobotDescription, motions: Sequence[RecordedMotion], prior: PhysicalParams) -> float | None:
     """Return the yaw of `MOUNTS` that fits the IMU's roll and pitch best; None if no log on the ground has them."""
     low, high = robot.allowed["imu_mount"]
     yaws = [yaw for yaw in MOUNTS if low <= yaw <= high]
-    standing = [run.log.until(SECONDS) for run in runs if not run.rack and np.isfinite(run.log.imu[:, :2]).all()]
+    standing = [one.until(SECONDS) for one in motions if not one.rack and np.isfinite(one.imu[:, :2]).all()]
     if not standing or len(yaws) < 2:
         return None
     candidates = prior.rows(np.zeros(len(yaws), np.int64))
     candidates.imu_mount[:, 2] = yaws
     replayer, cost = Replayer(robot, len(yaws), rack=False, torques=False), np.zeros(len(yaws))
-    for log in standing:
-        readings = imu_channels(replayer.run(segment_from_log(log, robot), candidates))
-        cost += np.nan_to_num(np.sum((readings - log.imu)[:, :, :2] ** 2, axis=(1, 2)), nan=np.inf)
+    for motion in standing:
+        readings = imu_channels(replayer.run(segment_from_motion(motion, robot), candidates))
+        cost += np.nan_to_num(np.sum((readings - motion.imu)[:, :, :2] ** 2, axis=(1, 2)), nan=np.inf)
     return yaws[int(np.argmin(cost))]
 
 
@@ -150,7 +150,7 @@ def _estimates(
     """Return estimates of the physical parameters that depend on the unknowns; deviations by the delta method."""
     unknowns, count = fit.unknowns, len(fit.unknowns)
     steps = np.array([unknown.step for unknown in unknowns])
-    moved = log_params(prior, unknowns, fit.values + np.diag(steps))
+    moved = robot_params(prior, unknowns, fit.values + np.diag(steps))
     names = {unknown.name for unknown in unknowns}
     changed = [name for name in PhysicalParams.names() if name in names]
     changed += ["servo_kd"] if names & {DAMPING_RATIO, "servo_kp"} else []
@@ -170,19 +170,24 @@ def _estimates(
 
 
 def _checks(
-    robot: RobotDescription, runs: Sequence[LogRun], fitted: int, prior: PhysicalParams, params: PhysicalParams
+    robot: RobotDescription,
+    motions: Sequence[RecordedMotion],
+    fitted: int,
+    prior: PhysicalParams,
+    params: PhysicalParams,
 ) -> tuple[tuple[Check, ...], tuple[Series, ...]]:
     """Return errors of whole logs with the prior parameters and with the estimates, and a joint of each over time."""
-    replayers = {rack: Replayer(robot, 1, rack, torques=False) for rack in {run.rack for run in runs}}
+    replayers = {rack: Replayer(robot, 1, rack, torques=False) for rack in {one.rack for one in motions}}
     checks, series = [], []
-    for number, run in enumerate(runs):
+    for number, motion in enumerate(motions):
         before, after = (
-            replay_log(run.log, robot, one.rows(np.zeros(1, np.int64)), replayers[run.rack]) for one in (prior, params)
+            replay_motion(motion, robot, one.rows(np.zeros(1, np.int64)), replayers[motion.rack])
+            for one in (prior, params)
         )
-        what = f"{run.log.name}, {'fitted' if number < fitted else 'held out'}"
+        what = f"{motion.name}, {'fitted' if number < fitted else 'held out'}"
         checks.append(Check(what, before.rms, after.rms, "rad"))
-        motor = int(np.argmax(np.where(run.log.moving, after.by_motor, -1.0)))
-        shown = run.log.until(_SHOWN)
+        motor = int(np.argmax(np.where(motion.moving, after.by_motor, -1.0)))
+        shown = motion.until(_SHOWN)
         rows, angles = slice(0, len(shown.time)), shown.motor_angle[:, motor]
         was, now = (angles + one.motor_angle[rows, motor] for one in (before, after))
         labels = f"{robot.motor_names[motor]}, {what}", "time [s]", "angle [rad]"

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, suggest
-from surefoot.identify.logs.errors import imu_channels
-from surefoot.identify.logs.robot_log import SKIPPED, RobotLog
 from surefoot.identify.model import Nuisance, Observations, ReplayModel, Unknown, candidate_params
-from surefoot.identify.replay import Replayer, segment_from_log
+from surefoot.identify.motion.recorded import RecordedMotion
+from surefoot.identify.motion.replay_errors import imu_channels
+from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.robot import PhysicalParams, RobotDescription
 
 MOVING_NOISE = 0.006
@@ -88,15 +88,7 @@ _MAX_FACTOR = 8.0
 """Bound of numbers with a relative prior, as a factor of their start."""
 
 
-@dataclass(frozen=True, eq=False)
-class LogRun:
-    """A log, and whether the robot hung on a rack."""
-
-    log: RobotLog
-    rack: bool = False
-
-
-def log_unknowns(robot: RobotDescription, prior: PhysicalParams, names: Sequence[str]) -> list[Unknown]:
+def robot_unknowns(robot: RobotDescription, prior: PhysicalParams, names: Sequence[str]) -> list[Unknown]:
     """Return the unknowns of `names` of `PRIORS`, around the parameters before (one row).
 
     Raises:
@@ -132,7 +124,7 @@ def _prior_values(prior: PhysicalParams, name: str) -> Array:
     return np.atleast_1d(getattr(prior, name)[0])
 
 
-def log_params(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array) -> PhysicalParams:
+def robot_params(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array) -> PhysicalParams:
     """Return one row of `base` for each of K candidates (K, n), with ratios applied."""
     params = candidate_params(base, unknowns, values)
     columns = {(unknown.name, unknown.index): values[:, i] for i, unknown in enumerate(unknowns)}
@@ -146,24 +138,23 @@ def log_params(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array)
     return params
 
 
-def log_model(
+def robot_model(
     robot: RobotDescription,
-    runs: Sequence[LogRun],
+    motions: Sequence[RecordedMotion],
     unknowns: Sequence[Unknown],
     prior: PhysicalParams,
     seconds: float = SECONDS,
 ) -> ReplayModel:
     """Return the model of the first seconds of logs; all other parameters are as in the prior (one row)."""
-    replayers = {rack: Replayer(robot, BATCH, rack, torques=False) for rack in {run.rack for run in runs}}
-    observations = [_observations(robot, LogRun(run.log.until(seconds), run.rack), replayers[run.rack]) for run in runs]
-    return ReplayModel(unknowns, prior, observations, BATCH, MAX_RESIDUAL, log_params)
+    replayers = {rack: Replayer(robot, BATCH, rack, torques=False) for rack in {motion.rack for motion in motions}}
+    observations = [_observations(robot, motion.until(seconds), replayers[motion.rack]) for motion in motions]
+    return ReplayModel(unknowns, prior, observations, BATCH, MAX_RESIDUAL, robot_params)
 
 
-def _observations(robot: RobotDescription, run: LogRun, replayer: Replayer) -> Observations:
+def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Replayer) -> Observations:
     """Return a log's angles of motors, roll and pitch (n, M + 2) as observations."""
-    log, rows = run.log, _spaced_rows(run.log)
-    segment = segment_from_log(log, robot)
-    recorded = np.concatenate([log.motor_angle, log.imu[:, :2]], axis=1)[rows]
+    rows, segment = _spaced_rows(motion), segment_from_motion(motion, robot)
+    recorded = np.concatenate([motion.motor_angle, motion.imu[:, :2]], axis=1)[rows]
 
     def errors(params: PhysicalParams, nuisance: Nuisance) -> Array:
         readings = replayer.run(segment, params)
@@ -173,18 +164,18 @@ def _observations(robot: RobotDescription, run: LogRun, replayer: Replayer) -> O
         return errors
 
     # Readings of joints that hang still do not depend on the parameters.
-    still, tilt = (np.inf, np.inf) if run.rack else (STILL_NOISE, TILT_NOISE)
-    noise = np.concatenate([np.where(log.moving, MOVING_NOISE, still), [tilt, tilt]])
-    early = log.time[rows] < log.time[0] + SKIPPED
+    still, tilt = (np.inf, np.inf) if motion.rack else (STILL_NOISE, TILT_NOISE)
+    noise = np.concatenate([np.where(motion.moving, MOVING_NOISE, still), [tilt, tilt]])
+    early = ~motion.counted[rows]
     noise = np.where(early[:, None], START_NOISE, 1.0) * noise
-    return Observations(errors, np.where(np.isfinite(recorded), noise, np.inf), log.time[rows][:, None])
+    return Observations(errors, np.where(np.isfinite(recorded), noise, np.inf), motion.time[rows][:, None])
 
 
-def _spaced_rows(log: RobotLog) -> NDArray[np.int64]:
+def _spaced_rows(motion: RecordedMotion) -> NDArray[np.int64]:
     """Return rows of new readings that are `SPACING` or more apart."""
     kept, last = [], -np.inf
-    for row in np.flatnonzero(log.fresh).tolist():
-        if log.read_time[row] - last >= SPACING:
+    for row in np.flatnonzero(motion.fresh).tolist():
+        if motion.read_time[row] - last >= SPACING:
             kept.append(row)
-            last = log.read_time[row]
+            last = motion.read_time[row]
     return np.array(kept, np.int64)

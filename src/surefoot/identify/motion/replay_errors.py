@@ -1,4 +1,4 @@
-"""Errors of simulated robots that replay a log."""
+"""Errors of simulated robots that replay recorded commands."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.identify.logs.robot_log import IMU, SKIPPED, RobotLog
+from surefoot.identify.motion.recorded import IMU, SKIPPED, RecordedMotion
 from surefoot.identify.recording import read_at
-from surefoot.identify.replay import ReplayedReadings, Replayer, segment_from_log
+from surefoot.identify.replay import ReplayedReadings, Replayer, segment_from_motion
 from surefoot.robot import PhysicalParams, RobotDescription
 
 
 @dataclass(frozen=True)
-class LogErrors:
-    """Simulated less recorded readings of the rows of a log."""
+class ReplayErrors:
+    """Simulated less recorded readings of the rows of a recorded motion."""
 
-    log: RobotLog
+    motion: RecordedMotion
     motor_angle: Array
     """(T, M) [rad]"""
     imu: Array
@@ -27,17 +27,17 @@ class LogErrors:
     @property
     def rms(self) -> float:
         """Root mean square over all moving joints and counted rows [rad]."""
-        return _rms(self.motor_angle[self.log.counted][:, self.log.moving])
+        return _rms(self.motor_angle[self.motion.counted][:, self.motion.moving])
 
     @property
     def by_motor(self) -> Array:
         """Root mean square of each motor (M,) [rad]; NaN where nothing was read."""
-        return np.array([_rms(column) for column in self.motor_angle[self.log.counted].T])
+        return np.array([_rms(column) for column in self.motor_angle[self.motion.counted].T])
 
     @property
     def by_imu(self) -> dict[str, float]:
         """Root mean square of each channel of the IMU [rad, rad/s]; NaN where nothing was read."""
-        return {name: _rms(column) for name, column in zip(IMU, self.imu[self.log.counted].T, strict=True)}
+        return {name: _rms(column) for name, column in zip(IMU, self.imu[self.motion.counted].T, strict=True)}
 
 
 def _rms(errors: Array) -> float:
@@ -50,27 +50,29 @@ def imu_channels(readings: ReplayedReadings) -> Array:
     return readings.imu[:, :, [0, 1, 3, 4]]
 
 
-def replay_log(log: RobotLog, robot: RobotDescription, params: PhysicalParams, replayer: Replayer) -> LogErrors:
-    """Replay a log on one simulated robot.
+def replay_motion(
+    motion: RecordedMotion, robot: RobotDescription, params: PhysicalParams, replayer: Replayer
+) -> ReplayErrors:
+    """Replay a motion on one simulated robot.
 
     Raises:
         SurefootError: a log that ends before errors count, or a robot that diverges.
     """
-    if not log.counted.any():
-        raise SurefootError(f"log {log.name} is {np.ptp(log.time):.2f} s long; errors count after {SKIPPED:g} s")
-    readings = replayer.run(segment_from_log(log, robot), params)
+    if not motion.counted.any():
+        raise SurefootError(f"log {motion.name} is {np.ptp(motion.time):.2f} s long; errors count after {SKIPPED:g} s")
+    readings = replayer.run(segment_from_motion(motion, robot), params)
     if not np.isfinite(readings.motor_angle).all():
-        raise SurefootError(f"the simulated robot breaks down in the replay of {log.name}; check its parameters")
-    return LogErrors(log, readings.motor_angle[0] - log.motor_angle, imu_channels(readings)[0] - log.imu)
+        raise SurefootError(f"the simulated robot breaks down in the replay of {motion.name}; check its parameters")
+    return ReplayErrors(motion, readings.motor_angle[0] - motion.motor_angle, imu_channels(readings)[0] - motion.imu)
 
 
-def compare_logs(log: RobotLog, other: RobotLog) -> LogErrors:
+def compare_motions(motion: RecordedMotion, other: RecordedMotion) -> ReplayErrors:
     """Return the errors of another record of the same commands, from both starts to the end of the shorter one.
 
     The other's readings are interpolated linearly.
     """
     times = other.time - other.time[0]
-    part = log.until(float(times[-1]))
+    part = motion.until(float(times[-1]))
     moments = part.time - part.time[0]
     angle, imu = (read_at(moments, times, values) for values in (other.motor_angle, other.imu))
-    return LogErrors(part, angle - part.motor_angle, imu - part.imu)
+    return ReplayErrors(part, angle - part.motor_angle, imu - part.imu)

@@ -13,10 +13,11 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import forward_jacobian
 from surefoot.identify.model import ReplayModel, Unknown
+from surefoot.identify.motion import torque_fit
+from surefoot.identify.motion.torque_model import DEFAULT_NAMES, NAMES, VOLTAGE_CHANGE, torque_observations
+from surefoot.identify.motion.torque_rows import MotorMotion, TorqueRows, torque_timings, usable_rows
+from surefoot.identify.motion.traces import deployed_motion
 from surefoot.identify.result import Identification
-from surefoot.identify.traces.data import MotorMotion, TraceSegment, torque_timings, usable_rows
-from surefoot.identify.traces.fit import fit_traces
-from surefoot.identify.traces.model import DEFAULT_NAMES, NAMES, VOLTAGE_CHANGE, trace_observations
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import WorldConfig
@@ -37,6 +38,12 @@ HIDDEN = NOMINAL.with_values(
 )
 BATTERY_KNOWN = tuple(name for name in DEFAULT_NAMES if name != "voltage")
 AT_15_V = NOMINAL.with_values(ROBOT, voltage=15.0)
+
+
+def fit_torques(
+    robot: RobotDescription, traces: list[EpisodeTrace], names: tuple[str, ...] | None, prior: PhysicalParams
+) -> Identification:
+    return torque_fit.fit_torques(robot, [deployed_motion("", trace) for trace in traces], names, prior)
 
 
 def swinging(time: float, legs: int = 4) -> tuple[np.ndarray, np.ndarray]:
@@ -133,7 +140,7 @@ def cut(trace: EpisodeTrace, *kept: slice) -> EpisodeTrace:
 @lru_cache(maxsize=1)
 def found_clean() -> Identification:
     """Readings of the recording without noise."""
-    return fit_traces(ROBOT, [clean()], BATTERY_KNOWN, AT_15_V)
+    return fit_torques(ROBOT, [clean()], BATTERY_KNOWN, AT_15_V)
 
 
 def errors_of(result: Identification, params: PhysicalParams = HIDDEN) -> dict[str, float]:
@@ -164,7 +171,7 @@ def test_gains_are_identified_when_named() -> None:
     hidden = HIDDEN.with_values(ROBOT, servo_kp=1.2, servo_kd=0.018)
     names = ("motor_strength", "servo_kp", "servo_kd")
     prior = hidden.with_values(ROBOT, servo_kp=1.0, servo_kd=0.015, motor_strength=1.0)
-    result = fit_traces(ROBOT, [record(hidden)], names, prior)
+    result = fit_torques(ROBOT, [record(hidden)], names, prior)
     assert max(map(abs, errors_of(result, hidden).values())) < 0.01
     assert result.identified_names() == names
 
@@ -175,7 +182,7 @@ def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
         read_badly(record(hidden, 4.0, trotting, rack=False, start=0.1 * k, date=f"2026-11-2{k}"), 700 + k)
         for k in range(3)
     ]
-    result = fit_traces(ROBOT, traces, None, NOMINAL)
+    result = fit_torques(ROBOT, traces, None, NOMINAL)
     for item in result.estimates:
         truth = getattr(hidden, item.name)[0]
         low, high = item.interval
@@ -189,13 +196,13 @@ def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
     assert result.estimate("servo_latency").deviation < 0.001
     assert result.date == "2026-11-22"
     assert result.checks[0].after < 0.03
-    from_known_battery = fit_traces(ROBOT, traces, BATTERY_KNOWN, AT_15_V)
+    from_known_battery = fit_torques(ROBOT, traces, BATTERY_KNOWN, AT_15_V)
     assert from_known_battery.estimate("resistance").deviation < 0.02 * 0.175
     assert all(item.identifiable for item in from_known_battery.estimates)
 
 
 def test_intervals_of_strengths_include_errors_of_torque_reports() -> None:
-    result = fit_traces(ROBOT, [clean()], ("motor_strength",), HIDDEN.with_values(ROBOT, motor_strength=1.0))
+    result = fit_torques(ROBOT, [clean()], ("motor_strength",), HIDDEN.with_values(ROBOT, motor_strength=1.0))
     for item in result.estimates:
         assert item.deviation >= 0.01 * item.value
         assert item.value == pytest.approx(STRENGTHS[item.index or 0], rel=0.005)
@@ -208,7 +215,7 @@ def test_a_motor_that_never_moves_is_not_identifiable() -> None:
 
     trace = record(moves=one_leg_still)
     # Its legs have settled after a while.
-    result = fit_traces(ROBOT, [cut(trace, slice(100, None))], BATTERY_KNOWN, AT_15_V)
+    result = fit_torques(ROBOT, [cut(trace, slice(100, None))], BATTERY_KNOWN, AT_15_V)
     still = {int(k) for k in ROBOT.leg_motor_index[1]}
     for motor in range(8):
         item = result.estimate("motor_strength", motor)
@@ -224,14 +231,14 @@ def test_a_motor_at_its_limit_identifies_its_strength_alone() -> None:
     trace = clean()
     target, torque = trace.target.copy(), trace.motor_torque.copy()
     target[:, 0], torque[:, 0] = 9.0, 3.5 * 1.1
-    result = fit_traces(ROBOT, [replace(trace, target=target, motor_torque=torque)], BATTERY_KNOWN, AT_15_V)
+    result = fit_torques(ROBOT, [replace(trace, target=target, motor_torque=torque)], BATTERY_KNOWN, AT_15_V)
     assert any(f"{ROBOT.motor_names[0]} gives its greatest torque in 100 %" in note for note in result.notes)
     assert sum("greatest torque" in note for note in result.notes) == 1
     assert max(map(abs, errors_of(result).values())) < 0.01
 
 
 def test_a_part_of_one_trace_or_whole_traces_are_held_out() -> None:
-    both = fit_traces(ROBOT, [clean(), record(start=2.0)], BATTERY_KNOWN, AT_15_V)
+    both = fit_torques(ROBOT, [clean(), record(start=2.0)], BATTERY_KNOWN, AT_15_V)
     assert max(map(abs, errors_of(both).values())) < 0.01
     alone = found_clean()
     assert alone.series[0].x[0] > 0.7 * 4.0
@@ -242,11 +249,11 @@ def test_a_part_of_one_trace_or_whole_traces_are_held_out() -> None:
 def test_rows_around_gaps_are_left_out_and_noted() -> None:
     whole = clean()
     joined = replace(cut(whole, slice(200), slice(203, None)), meta={**whole.meta, "missed_steps": [300]})
-    result = fit_traces(ROBOT, [joined], BATTERY_KNOWN, AT_15_V)
+    result = fit_torques(ROBOT, [joined], BATTERY_KNOWN, AT_15_V)
     assert max(map(abs, errors_of(result).values())) < 0.01
     for message in ("time jumps 1 times, first at 1.20 s", "1 control steps were missed"):
         assert any(message in note for note in result.notes)
-    assert not set(usable_rows(joined, 0.012, 0.024)) & {*range(194, 204), *range(294, 305)}
+    assert not set(usable_rows(deployed_motion("", joined), 0.012, 0.024)) & {*range(194, 204), *range(294, 305)}
 
 
 @pytest.mark.parametrize(
@@ -264,19 +271,19 @@ def test_fit_refuses_unknown_names_and_foreign_traces(
 ) -> None:
     trace = replace(clean(), meta={**clean().meta, **change})
     with pytest.raises(SurefootError, match=message):
-        fit_traces(ROBOT, [trace], names, NOMINAL)
+        fit_torques(ROBOT, [trace], names, NOMINAL)
 
 
 def test_fit_refuses_short_traces_and_motors_at_rest() -> None:
     with pytest.raises(SurefootError, match="there are no traces"):
-        fit_traces(ROBOT, [], None, NOMINAL)
+        fit_torques(ROBOT, [], None, NOMINAL)
     with pytest.raises(SurefootError, match=r"1\.\d+ s without gaps, of 1\.98 s; 2 s or more"):
-        fit_traces(ROBOT, [cut(clean(), slice(330))], None, NOMINAL)
+        fit_torques(ROBOT, [cut(clean(), slice(330))], None, NOMINAL)
     with pytest.raises(SurefootError, match=r"0\.00 s without gaps"):
-        fit_traces(ROBOT, [cut(clean(), slice(2))], None, NOMINAL)
+        fit_torques(ROBOT, [cut(clean(), slice(2))], None, NOMINAL)
     still = record(moves=lambda _: (np.zeros(4), np.full(4, 2.0)), rack=False)
     with pytest.raises(SurefootError, match=r"no motor moves by 0\.03 rad"):
-        fit_traces(ROBOT, [cut(still, slice(100, None))], None, NOMINAL)
+        fit_torques(ROBOT, [cut(still, slice(100, None))], None, NOMINAL)
 
 
 def test_a_walk_identifies_the_mass_of_the_base() -> None:
@@ -284,27 +291,27 @@ def test_a_walk_identifies_the_mass_of_the_base() -> None:
     hidden = HIDDEN.with_values(ROBOT, base_mass_ratio=ratio, leg_mass_ratio=1.1)
     prior = AT_15_V.with_values(ROBOT, leg_mass_ratio=1.1)
     walk = record(hidden, 6.0, trotting, rack=False)
-    result = fit_traces(ROBOT, [read_badly(walk, 300)], NAMES, prior)
+    result = fit_torques(ROBOT, [read_badly(walk, 300)], NAMES, prior)
     mass = result.estimate("base_mass_ratio")
     low, high = mass.interval
     assert low < ratio < high
     assert mass.deviation < 0.04
     assert any("weighs" in note and "leg_mass_ratio is 1.1" in note for note in result.notes)
     # Nothing else needs to be looked for.
-    alone = fit_traces(ROBOT, [walk], ("base_mass_ratio",), hidden)
+    alone = fit_torques(ROBOT, [walk], ("base_mass_ratio",), hidden)
     assert alone.identified_names() == ("base_mass_ratio",)
     assert alone.estimate("base_mass_ratio").value == pytest.approx(ratio, rel=0.04)
 
 
 def test_mass_needs_long_walks_on_the_ground() -> None:
     with pytest.raises(SurefootError, match=r"base_mass_ratio: no trace has 3 s upright"):
-        fit_traces(ROBOT, [record(seconds=3.0)], ("base_mass_ratio",), HIDDEN)
+        fit_torques(ROBOT, [record(seconds=3.0)], ("base_mass_ratio",), HIDDEN)
     walk = record(seconds=6.0)
     fallen = replace(walk, roll_pitch_yaw=walk.roll_pitch_yaw + np.where(walk.time > 3.5, 1.0, 0.0)[:, None])
     with pytest.raises(SurefootError, match=r"base_mass_ratio: no trace has 3 s upright"):
-        fit_traces(ROBOT, [fallen], ("base_mass_ratio",), HIDDEN)
+        fit_torques(ROBOT, [fallen], ("base_mass_ratio",), HIDDEN)
     with pytest.raises(SurefootError, match=r"base_mass_ratio: the feet carry -?\d\.\d\d kg"):
-        fit_traces(ROBOT, [walk], ("base_mass_ratio",), HIDDEN)
+        fit_torques(ROBOT, [walk], ("base_mass_ratio",), HIDDEN)
 
 
 def test_motion_between_readings_is_a_polynomial() -> None:
@@ -318,36 +325,37 @@ def test_motion_between_readings_is_a_polynomial() -> None:
         motor_velocity=turns.deriv()(trace.time - half)[:, None] * ones,
     )
     at = np.array([0.0301, 0.0333, 0.06, 0.0999])
-    angle, speed = MotorMotion(ROBOT, trace).at(at)
+    angle, speed = MotorMotion(ROBOT, deployed_motion("", trace)).at(at)
     assert angle[:, 3] == pytest.approx(turns(at), abs=1e-9)
     assert speed[:, 3] == pytest.approx(turns.deriv()(at - half), abs=1e-6)
 
 
 def test_timing_of_torques_in_real_time_is_estimated() -> None:
-    simulated, real_time = clean(), replace(clean(), meta={**clean().meta, "lead": 0.005})
+    late_trace = replace(clean(), meta={**clean().meta, "lead": 0.005})
+    simulated, real_time = (deployed_motion("", trace) for trace in (clean(), late_trace))
     assert [timing.age for timing in torque_timings(ROBOT, simulated)] == [0.001]
     assert [timing.age for timing in torque_timings(ROBOT, real_time)] == pytest.approx([0.001, 0.0065])
-    late = TraceSegment(
+    late = TorqueRows(
         real_time, MotorMotion(ROBOT, real_time), np.array([10, 11]), 0, torque_timings(ROBOT, real_time)[1]
     )
-    assert np.array_equal(late.target, real_time.target[[9, 10]])
+    assert np.array_equal(late.target, real_time.command[[9, 10]])
     # Which it did is found from the data: here torques are of the control step's end.
-    result = fit_traces(ROBOT, [real_time], BATTERY_KNOWN, AT_15_V)
+    result = fit_torques(ROBOT, [late_trace], BATTERY_KNOWN, AT_15_V)
     assert max(map(abs, errors_of(result).values())) < 0.01
 
 
 def test_coloured_unknowns_affect_their_motor_or_trace_alone() -> None:
-    traces = [clean(), record(seconds=1.0)]
+    motions = [deployed_motion("", trace) for trace in (clean(), record(seconds=1.0))]
     segments = [
-        TraceSegment(trace, MotorMotion(ROBOT, trace), np.arange(20, 60), number, torque_timings(ROBOT, trace)[0])
-        for number, trace in enumerate(traces)
+        TorqueRows(motion, MotorMotion(ROBOT, motion), np.arange(20, 60), number, torque_timings(ROBOT, motion)[0])
+        for number, motion in enumerate(motions)
     ]
     unknowns = [
         Unknown("motor_strength", 1.0, 0.0, 2.0, 1e-6, motor, colour=0, affects=("motor", motor)) for motor in range(8)
     ]
     unknowns.append(Unknown(VOLTAGE_CHANGE, 0.0, -3.0, 3.0, 1e-5, 1, colour=1, affects=("trace", 1)))
     values = np.array([u.start for u in unknowns])
-    observations = [trace_observations(ROBOT, segment, np.ones(8, np.bool_)) for segment in segments]
+    observations = [torque_observations(ROBOT, segment, np.ones(8, np.bool_)) for segment in segments]
     together, apart = (
         ReplayModel(group, AT_15_V, observations) for group in (unknowns, [replace(u, colour=None) for u in unknowns])
     )

@@ -1,4 +1,4 @@
-"""Logs of a Unitree Go2: /lowstate and /lowcmd of a ROS 2 bag, or a CSV file of states, as a trace.
+"""Logs of a Unitree Go2: /lowstate and /lowcmd of a ROS 2 bag, or a CSV file of states, as recorded motion.
 
 A bag holds the messages byte for byte as the robot sent them. A CSV file has the names of a state's fields in its first
 line, such as `motor_state[3].q` or `/lowstate/motor_state.3/q`, or none at all, as `ros2 topic echo --csv /lowstate`
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,20 +32,24 @@ from surefoot.deploy.dds.low_level import (
 from surefoot.deploy.dds.state_monitor import MOTORS, QUATERNION_ERROR, RESTART
 from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors
 from surefoot.files import check_readable
-from surefoot.identify.logs.table import FILE_BYTES, ColumnTable, is_bag, open_bag, read_csv
+from surefoot.identify.motion.column_table import FILE_BYTES, ColumnTable, is_bag, open_bag, read_csv
+from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.robot import RobotDescription
 from surefoot.rotations import quat_rpy
-from surefoot.task.trace import LOG, EpisodeTrace
 
 MAX_MESSAGES = 1_000_000
 """States and commands that are read of one bag: 16 minutes of both at 500 Hz."""
 MAX_GAP = 0.05
 """Time [s] without a state over which the newest command is not taken to be all that was sent."""
 _STATE, _COMMAND = ("q", "dq", "tau_est"), ("mode", "q", "dq", "tau", "kp", "kd")
-_READING = np.dtype(
-    [("tick", "f8"), ("quaternion", "f8", 4), ("gyroscope", "f8", 3), *((name, "f8", MOTORS) for name in _STATE)]
+_ROW = np.dtype(
+    [
+        *(("tick", "f8"), ("quaternion", "f8", 4), ("gyroscope", "f8", 3)),
+        ("state", [(name, "f8", MOTORS) for name in _STATE]),
+        ("command", [(name, "f8", MOTORS) for name in _COMMAND]),
+    ]
 )
-_ORDER = np.dtype([(name, "f4", MOTORS) for name in _COMMAND])
+"""A state with the newest command before it; NaN where there is no number."""
 _TICKS = 2**32
 _NO_WORD = re.compile(r"[^a-z0-9]+")
 _FIELD = re.compile(r"(?:^|_)((?:motor_state|motor_cmd|imu_state)_.*|tick)$")
@@ -54,53 +57,30 @@ _FIELD = re.compile(r"(?:^|_)((?:motor_state|motor_cmd|imu_state)_.*|tick)$")
 _SHOWN = 30
 
 
-@dataclass(frozen=True, eq=False)
-class _Messages:
-    """N states in the order in which they came; NaN where there is no number."""
-
-    tick: Array
-    """(N,) ms"""
-    quaternion: Array
-    """(N, 4) w x y z"""
-    gyroscope: Array
-    """(N, 3) rad/s"""
-    motors: dict[str, Array]
-    """`_STATE` of the motors, each (N, M) [rad, rad/s, N m]."""
-    commands: dict[str, Array]
-    """`_COMMAND` of the newest command before each state, each (N, M)."""
-    damaged: int = 0
-    """Messages that were left out."""
-
-
 def is_go2(robot: RobotDescription) -> bool:
     """Return whether a robot's motors are a Go2's."""
     return tuple(robot.motor_names) == MOTOR_NAMES
 
 
-def import_go2(path: Path, robot: RobotDescription, any_checksum: bool = False) -> EpisodeTrace | None:
-    """Return a Go2's log as a trace, or None if it is a file of another kind.
+def read_go2(path: Path, any_checksum: bool = False) -> RecordedMotion | None:
+    """Return the motion of a Go2's log, or None if it is a file of another kind.
 
     Args:
         path: bag or CSV file.
-        robot: a Go2.
         any_checksum: take messages with a wrong checksum too.
 
     Raises:
-        SurefootError: a file without states, or with states that make no trace.
+        SurefootError: a file without states, or with states that have no time.
     """
     with prefix_errors(f"log {path}"):
         if is_bag(path):
-            messages = _read_bag(path, any_checksum)
-        elif path.suffix.lower() == ".csv":
-            with describe_os_errors("it"):
-                check_readable(path, FILE_BYTES)
-                table = _read_csv(path)
-            if "command[0]" in table.columns:
-                return None
-            messages = _from_table(table)
-        else:
+            return _motion(*_read_bag(path, any_checksum), path.name)
+        if path.suffix.lower() != ".csv":
             return None
-        return _trace(messages, robot, path.name)
+        with describe_os_errors("it"):
+            check_readable(path, FILE_BYTES)
+            table = _read_csv(path)
+        return None if "command[0]" in table.columns else _motion(_from_table(table), 0, path.name)
 
 
 def field_names(kind: np.dtype[Any], prefix: str = "") -> Iterator[str]:
@@ -114,9 +94,9 @@ def field_names(kind: np.dtype[Any], prefix: str = "") -> Iterator[str]:
                 yield label
 
 
-def _read_bag(path: Path, any_checksum: bool) -> _Messages:
-    """Read the topics of states and commands of a bag; of several, those with the most messages."""
-    damaged, reason, count, last = 0, "", 0, np.full((), np.nan, _ORDER)
+def _read_bag(path: Path, any_checksum: bool) -> tuple[NDArray[Any], int]:
+    """Return the rows (N,) of a bag's topics, of several those with most messages, and how many were damaged."""
+    damaged, reason, count, last = 0, "", 0, np.full((), np.nan, _ROW["command"])
     with open_bag(path) as reader:
         topics = {kind: _topic(reader.connections, kind) for kind in ("LowState", "LowCmd")}
         if topics["LowState"] is None:
@@ -125,8 +105,7 @@ def _read_bag(path: Path, any_checksum: bool) -> _Messages:
         chosen = [topic for topic in topics.values() if topic is not None]
         if (total := sum(one.msgcount for one in chosen)) > MAX_MESSAGES:
             raise SurefootError(f"has {total} states and commands; at most {MAX_MESSAGES} are read: split the bag")
-        states = np.empty(topics["LowState"].msgcount, _READING)
-        orders = np.empty(len(states), _ORDER)
+        rows = np.empty(topics["LowState"].msgcount, _ROW)
         for connection, _, raw in reader.messages(chosen):
             is_state = connection.topic == topics["LowState"].topic
             try:
@@ -138,27 +117,19 @@ def _read_bag(path: Path, any_checksum: bool) -> _Messages:
                 for name in _COMMAND:
                     last[name] = record["motor_cmd"][name][:MOTORS]
                 continue
-            if count == len(states):
+            if count == len(rows):
                 raise SurefootError(f"has more than the {count} states that it counts")
-            state, motors = states[count], record["motor_state"][:MOTORS]
-            state["tick"], orders[count] = record["tick"], last
+            row = rows[count]
+            row["tick"], row["command"] = record["tick"], last
             for name in ("quaternion", "gyroscope"):
-                state[name] = record["imu_state"][name]
+                row[name] = record["imu_state"][name]
             for name in _STATE:
-                state[name] = motors[name]
+                row["state"][name] = record["motor_state"][name][:MOTORS]
             count += 1
     if not count:
         advice = "; --any-checksum reads such messages" if "checksum" in reason else ""
         raise SurefootError(f"has no state that can be read: {reason or 'its topic is empty'}{advice}")
-    states, orders = states[:count], orders[:count]
-    return _Messages(
-        states["tick"],
-        states["quaternion"],
-        states["gyroscope"],
-        {name: states[name] for name in _STATE},
-        {name: orders[name].astype(float) for name in _COMMAND},
-        damaged,
-    )
+    return rows[:count], damaged
 
 
 def _topic(connections: Any, kind: str) -> Any:
@@ -184,8 +155,8 @@ def _read_csv(path: Path) -> ColumnTable:
     return read_csv(path, names)
 
 
-def _from_table(table: ColumnTable) -> _Messages:
-    """Return the states of a table, whose rows may have a state, a command, or both."""
+def _from_table(table: ColumnTable) -> NDArray[Any]:
+    """Return the rows (N,) of a table's states; a row of the table may have a state, a command, or both."""
     columns: dict[str, list[str]] = {}
     for name in table.columns:
         if match := _FIELD.search(_NO_WORD.sub("_", name.lower()).strip("_")):
@@ -212,60 +183,44 @@ def _from_table(table: ColumnTable) -> _Messages:
         if not np.isfinite(commands[name]).any():
             commands[name] = np.where(sent, usual, np.nan)
     newest = np.maximum.accumulate(np.where(sent.any(axis=1), np.arange(table.rows), -1))[states]
-    return _Messages(
-        tick[states],
-        np.stack([column(f"imu_state.quaternion[{k}]") for k in range(4)], axis=1)[states],
-        np.stack([column(f"imu_state.gyroscope[{k}]") for k in range(3)], axis=1)[states],
-        {name: of_motors("motor_state", name, name == "q")[states] for name in _STATE},
-        {name: np.where(newest[:, None] >= 0, values[newest], np.nan) for name, values in commands.items()},
-    )
+    rows = np.empty(len(states), _ROW)
+    rows["tick"] = tick[states]
+    for name, width in (("quaternion", 4), ("gyroscope", 3)):
+        rows[name] = np.stack([column(f"imu_state.{name}[{k}]") for k in range(width)], axis=1)[states]
+    for name in _STATE:
+        rows["state"][name] = of_motors("motor_state", name, name == "q")[states]
+    for name, values in commands.items():
+        rows["command"][name] = np.where(newest[:, None] >= 0, values[newest], np.nan)
+    return rows
 
 
-def _trace(messages: _Messages, robot: RobotDescription, name: str) -> EpisodeTrace:
-    rows, time, notes = _times(messages.tick)
-    if messages.damaged:
-        notes.insert(0, f"{messages.damaged} messages were left out: of another length, or with a wrong checksum")
-    target, gains = _targets({key: values[rows] for key, values in messages.commands.items()})
+def _motion(rows: NDArray[Any], damaged: int, name: str) -> RecordedMotion:
+    kept, time, notes = _times(rows["tick"])
+    rows = rows[kept]
+    if damaged:
+        notes.insert(0, f"{damaged} messages were left out: of another length, or with a wrong checksum")
+    target, gains = _targets(rows["command"])
     target[1:][np.diff(time) > MAX_GAP] = np.nan
     if gains is not None and (others := int(np.isnan(target).any(axis=1).sum())):
         notes.append(f"{others} of {len(rows)} rows have no target: no command, a motor without gain, or other gains")
     elif gains is None:
         notes.append("no row has a target: a log to replay has /lowcmd too")
-    quaternion = messages.quaternion[rows]
+    quaternion = rows["quaternion"].copy()
     with np.errstate(invalid="ignore", over="ignore"):
         wrong = ~(np.abs(np.linalg.norm(quaternion, axis=1) - 1) <= QUATERNION_ERROR)
     quaternion[wrong] = np.nan
-    angle, velocity, torque = (_finite(messages.motors[key][rows]) for key in _STATE)
-    step, steps, legs = float(np.median(np.diff(time))), len(rows), len(robot.legs)
-    return EpisodeTrace(
-        time=time,
-        base_position_world=np.full((steps + 1, 3), np.nan),
-        base_quat_world=np.full((steps + 1, 4), np.nan),
-        roll_pitch_yaw=np.array([quat_rpy(*one) for one in quaternion.tolist()]),
-        angular_velocity_base=_finite(messages.gyroscope[rows]),
-        motor_angle=angle,
-        motor_velocity=velocity,
-        motor_torque=torque,
-        observation=np.empty((steps, 0)),
-        feedback=np.full((steps, 2 * legs), np.nan),
-        target=target,
-        energy=np.abs(np.sum(torque * velocity, axis=1)) * np.diff(time, prepend=time[0] - step),
-        foot_contact=np.full((steps, legs), np.nan),
-        meta={
-            "robot": robot.name,
-            "world": LOG,
-            "control_step": step,
-            "leg_names": robot.leg_names,
-            "motor_names": robot.motor_names,
-            "observation_names": [],
-            "ended": "time",
-            "max_steps": round(float(np.ptp(time)) / step) + 1,
-            "source": name,
-            "read_at_row": True,
-            "params": {} if gains is None else dict(zip(("servo_kp", "servo_kd"), gains.tolist(), strict=True)),
-            "notes": notes,
-        },
-        robot_archive=robot.archive,
+    return RecordedMotion(
+        name,
+        time,
+        target,
+        time,
+        _finite(rows["state"]["q"]),
+        _finite(rows["state"]["dq"]),
+        _finite(rows["state"]["tau_est"]),
+        np.array([quat_rpy(*one) for one in quaternion.tolist()]),
+        _finite(rows["gyroscope"]),
+        gains={} if gains is None else dict(zip(("servo_kp", "servo_kd"), map(tuple, gains.tolist()), strict=True)),
+        meta={"notes": notes},
     )
 
 
@@ -300,7 +255,7 @@ def _times(tick: Array) -> tuple[NDArray[np.int64], Array, list[str]]:
     return rows, 1e-3 * times, notes
 
 
-def _targets(commands: dict[str, Array]) -> tuple[Array, Array | None]:
+def _targets(commands: NDArray[Any]) -> tuple[Array, Array | None]:
     """Return targets (T, M) [rad] of servos with the gains that most commands have, and these gains (2, M), if any.
 
     NaN: no command, a motor that is off or without position gain, or other gains.

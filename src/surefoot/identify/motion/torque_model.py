@@ -1,7 +1,7 @@
 """Torques of recorded runs by the motors' own law, without a body: observations, unknowns, where to start a fit.
 
-`identify.traces.data` defines times of the values. The battery sags: its voltage is U - R_b P / U, with open-circuit
-voltage U, internal resistance R_b and P = sum of I (R I + K_t w) over the motors.
+`identify.motion.torque_rows` defines times of the values. The battery sags: its voltage is U - R_b P / U, with
+open-circuit voltage U, internal resistance R_b and P = sum of I (R I + K_t w) over the motors.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surefoot.actuator import motor_current, motor_torque, servo_duty
 from surefoot.arrays import Array
 from surefoot.identify.model import GAIN_DEVIATION, TORQUE_GAIN, Nuisance, Observations, Unknown
-from surefoot.identify.traces.data import TraceSegment, subsample
+from surefoot.identify.motion.torque_rows import TorqueRows, subsample
 from surefoot.robot import PhysicalParams, RobotDescription
 
 MASS = "base_mass_ratio"
@@ -53,12 +53,12 @@ _GRID_ROWS = 800
 _RELATIVE_STEP = 1e-6
 
 
-def predict_torque(robot: RobotDescription, segment: TraceSegment, params: PhysicalParams, nuisance: Nuisance) -> Array:
+def predict_torque(robot: RobotDescription, segment: TorqueRows, params: PhysicalParams, nuisance: Nuisance) -> Array:
     """Return the torques (K, rows, M) [N m] that robots with K rows of parameters would report in a segment."""
     late = params.control_latency.tolist()
     pairs = list(zip(late, params.servo_latency.tolist(), strict=True))
-    now = {c: segment.motion(0.0, c)[1] for c in set(late)}
-    before = {(c, s): segment.motion(s, c) for c, s in set(pairs)}
+    now = {c: segment.state(0.0, c)[1] for c in set(late)}
+    before = {(c, s): segment.state(s, c) for c, s in set(pairs)}
     speed = np.stack([now[c] for c in late])
     servo_angle, servo_speed = (np.stack([before[pair][part] for pair in pairs]) for part in (0, 1))
     kp, kd, constant, resistance = (
@@ -90,8 +90,8 @@ def predict_torque(robot: RobotDescription, segment: TraceSegment, params: Physi
     return torque
 
 
-def trace_observations(
-    robot: RobotDescription, segment: TraceSegment, moving: NDArray[np.bool_], noise: float = NOISE
+def torque_observations(
+    robot: RobotDescription, segment: TorqueRows, moving: NDArray[np.bool_], noise: float = NOISE
 ) -> Observations:
     """Return the torques of the motors that move (M,) in a segment as observations, with their noise [N m].
 
@@ -100,14 +100,14 @@ def trace_observations(
     return Observations(
         lambda params, nuisance: predict_torque(robot, segment, params, nuisance) - segment.torque,
         np.broadcast_to(np.where(moving, noise, np.inf), segment.torque.shape),
-        segment.trace.time[segment.rows][:, None],
+        segment.motion.read_time[segment.rows][:, None],
         {"motor": np.arange(robot.num_motors), "trace": np.array(segment.number)},
     )
 
 
 def rank_latencies(
     robot: RobotDescription,
-    segments: Sequence[TraceSegment],
+    segments: Sequence[TorqueRows],
     bounds: dict[str, tuple[float, float]],
     prior: PhysicalParams,
 ) -> list[tuple[float, float, float]]:
@@ -132,9 +132,9 @@ def rank_latencies(
     target = np.concatenate([segment.target for segment in thin])
     cost = np.full([len(axis) for axis in axes], np.inf)
     for i, late in enumerate(axes[0]):
-        speed = np.concatenate([segment.motion(0.0, late)[1] for segment in thin])
+        speed = np.concatenate([segment.state(0.0, late)[1] for segment in thin])
         for j, servo in enumerate(axes[1]):
-            angles, speeds = zip(*(segment.motion(servo, late) for segment in thin), strict=True)
+            angles, speeds = zip(*(segment.state(servo, late) for segment in thin), strict=True)
             error = target - np.concatenate(angles)
             terms = np.stack([error, np.concatenate(speeds), speed], axis=-1)
             # At the duty's limit another law holds.
@@ -156,13 +156,13 @@ def rank_latencies(
     return places or [(float("inf"), float(prior.control_latency[0]), float(prior.servo_latency[0]))]
 
 
-def trace_unknowns(
+def torque_unknowns(
     robot: RobotDescription,
     names: Sequence[str],
     prior: PhysicalParams,
     latencies: tuple[float, float],
     moving: NDArray[np.bool_],
-    segments: Sequence[TraceSegment],
+    segments: Sequence[TorqueRows],
 ) -> list[Unknown]:
     """Return the unknowns of segments of traces: physical parameters by name, and what a fit needs besides.
 

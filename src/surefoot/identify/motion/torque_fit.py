@@ -1,16 +1,11 @@
 """Physical parameters from recorded runs, without an experiment.
 
-Walking is chaotic over seconds, so no body is simulated: the motors' own law (`identify.traces.model`) is fitted to the
-torques that they reported, along the angles and speeds that were read. A part of the runs is held out for a check.
+Walking is chaotic over seconds, so no body is simulated: the motors' own law (`identify.motion.torque_model`) is fitted
+to the torques that they reported, along the angles and speeds that were read. A part of the runs is held out for a
+check.
 
 Torques depend on voltage, torque constant and resistance through U / R and K_t / R alone: a fit of all three takes the
 prior voltage, with intervals that include the voltage's deviation.
-
-The base's mass follows from a steady walk, for legs of known mass. Forces on the feet follow from torques and motion
-(`identify.ground.inverse_dynamics`), one moment a control step. Impacts between two readings are not seen, but motors
-respond before and after them, and over many strides the vertical momentum returns to its value:
-
-    sum of the masses = mean of the vertical forces / g
 """
 
 from __future__ import annotations
@@ -20,32 +15,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from surefoot.actuator import motor_friction
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices, suggest
 from surefoot.identify.fitting import Fit, fit_least_squares
-from surefoot.identify.ground.inverse_dynamics import InverseDynamics, Motion
 from surefoot.identify.model import GAIN_DEVIATION, ReplayModel, Unknown
-from surefoot.identify.recording import digest_of, read_at
-from surefoot.identify.result import (
-    Check,
-    FitProgress,
-    Identification,
-    ParameterEstimate,
-    Series,
-    ignore_progress,
-    indexed_name,
-    with_floor,
-)
-from surefoot.identify.traces.data import (
-    TraceSegment,
-    check_traces,
-    make_segments,
-    split_segments,
-    time_jumps,
-    torque_timings,
-)
-from surefoot.identify.traces.model import (
+from surefoot.identify.motion.recorded import RecordedMotion
+from surefoot.identify.motion.torque_model import (
     DEFAULT_NAMES,
     LATENCIES,
     MASS,
@@ -56,11 +31,30 @@ from surefoot.identify.traces.model import (
     VOLTAGE_CHANGE,
     predict_torque,
     rank_latencies,
-    trace_observations,
-    trace_unknowns,
+    torque_observations,
+    torque_unknowns,
 )
-from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
-from surefoot.task.trace import EpisodeTrace
+from surefoot.identify.motion.torque_rows import (
+    TorqueRows,
+    check_traces,
+    make_segments,
+    split_segments,
+    time_jumps,
+    torque_timings,
+)
+from surefoot.identify.motion.walking_mass import walking_mass
+from surefoot.identify.recording import digest_of
+from surefoot.identify.result import (
+    Check,
+    FitProgress,
+    Identification,
+    ParameterEstimate,
+    Series,
+    ignore_progress,
+    indexed_name,
+    with_floor,
+)
+from surefoot.robot import PhysicalParams, RobotDescription
 
 INTERPOLATION_DEVIATION = 1.5e-4
 """Least standard deviation of latencies between readings 6 ms apart [s], as in runs of emulated robots."""
@@ -68,24 +62,11 @@ MIN_MOTION = 0.03
 """Range of angles [rad] below which a motor does not move, so that its strength is not identifiable."""
 MAX_SATURATION = 0.9
 """Share of the time with the greatest torque from which only a motor's strength is identifiable."""
-MIN_WALK = 3.0
-"""Least length of a trace [s] whose mean force gives the weight."""
-WALK_START = 1.0
-"""Time [s] at the start of a run that is left out: the robot is not in its gait yet."""
-MAX_TILT = 0.4
-"""Roll or pitch [rad] from which the ground may touch more of a robot than its feet."""
-WEIGHT_DEVIATION = 0.016
-"""Relative standard deviation of the weight. In trots of emulated robots it was off by .9 % in the mean square, 1.6 %
-at most, in gallops by up to 2.6 %."""
-FORCE_BLOCK = 0.5
-"""Length [s] of the blocks of time whose forces are taken to be independent."""
-_FORCE_ROWS = 1500
-_DIFFERENCE = 0.0015
 
 
-def fit_traces(
+def fit_torques(
     robot: RobotDescription,
-    traces: Sequence[EpisodeTrace],
+    motions: Sequence[RecordedMotion],
     names: Sequence[str] | None,
     prior: PhysicalParams,
     report: FitProgress = ignore_progress,
@@ -94,7 +75,7 @@ def fit_traces(
 
     Args:
         robot: its description.
-        traces: runs, oldest first. The last quarter of them, at least one, is held out; of a single one its last
+        motions: runs, oldest first. The last quarter of them, at least one, is held out; of a single one its last
             quarter in time.
         names: which of `NAMES` to identify, `DEFAULT_NAMES` if not given; the others stay as in the prior.
         prior: parameters before, one row.
@@ -108,30 +89,31 @@ def fit_traces(
         raise SurefootError(f"traces can't identify '{bad[0]}'; {suggest(bad[0], NAMES)}")
     if not names:
         raise SurefootError(f"no parameter is to be identified; choices: {choices(NAMES)}")
-    check_traces(robot, traces)
+    check_traces(robot, motions)
     bounds = {
         name: robot.allowed[name] if name in names else (float(getattr(prior, name)[0]),) * 2 for name in LATENCIES
     }
     # When the robot reported its torques is estimated too: the timing that explains them best.
-    timings = range(max(len(torque_timings(robot, trace)) for trace in traces))
-    candidates = [make_segments(robot, traces, bounds, timing) for timing in timings]
+    timings = range(max(len(torque_timings(robot, motion)) for motion in motions))
+    candidates = [make_segments(robot, motions, bounds, timing) for timing in timings]
     ranked = [rank_latencies(robot, split_segments(segments)[0], bounds, prior) for segments in candidates]
     minima, segments = min(zip(ranked, candidates, strict=True), key=lambda one: one[0][0][0])
-    trial = _TraceFit(robot, segments, names, prior, report)
-    notes = trial.describe_traces(traces)
+    trial = _TorqueFit(robot, segments, names, prior, report)
+    notes = trial.describe_motions(motions)
     fit = trial.fit(minima)
     final = trial.drop_unidentifiable(fit)
     estimates = trial.estimates(fit, final)
     params = Identification("traces", robot.name, tuple(estimates)).params(robot, prior)
     check, series = trial.check(params, final)
     if MASS in names:
-        total, ratio, deviation = _walking_mass(robot, segments, params)
+        total, ratio, deviation = walking_mass(robot, segments, params)
         estimates.append(ParameterEstimate(MASS, ratio, with_floor(MASS, ratio, deviation), "1", low=0.0))
         notes.append(
             f"the robot weighs {total:.2f} kg in all; {MASS} is the base's part of it if leg_mass_ratio is "
             f"{float(prior.leg_mass_ratio[0]):g}, its prior value"
         )
-    columns = ("time", "motor_angle", "motor_velocity", "motor_torque", "target")
+    columns = {"time": "read_time", "target": "command"}
+    columns |= {name: name for name in ("motor_angle", "motor_velocity", "motor_torque")}
     return Identification(
         "traces",
         robot.name,
@@ -141,9 +123,9 @@ def fit_traces(
         (*notes, *trial.describe_estimates(estimates)),
         (series,),
         digest=digest_of(
-            {f"{k:06d} {name}": getattr(trace, name) for k, trace in enumerate(traces) for name in columns}
+            {f"{k:06d} {key}": getattr(one, name) for k, one in enumerate(motions) for key, name in columns.items()}
         ),
-        date=str(next((trace.meta["date"] for trace in reversed(traces) if trace.meta.get("date")), "")),
+        date=str(next((one.meta["date"] for one in reversed(motions) if one.meta.get("date")), "")),
     )
 
 
@@ -158,13 +140,13 @@ def _correlations(fit: Fit, estimates: Sequence[ParameterEstimate]) -> tuple[tup
     return tuple([pair for pair in pairs if {label.partition("[")[0] for label in pair[:2]} <= set(NAMES)][:5])
 
 
-class _TraceFit:
+class _TorqueFit:
     """A fit of the motors' law to segments of traces; refused if no motor moves."""
 
     def __init__(
         self,
         robot: RobotDescription,
-        segments: Sequence[TraceSegment],
+        segments: Sequence[TorqueRows],
         names: tuple[str, ...],
         prior: PhysicalParams,
         report: FitProgress,
@@ -173,7 +155,7 @@ class _TraceFit:
         self.fitted, self.held_out = split_segments(segments)
         self.noise = NOISE
         """Standard deviation with which torques are compared [N m]; `fit` raises it to the model's own error."""
-        angles = np.concatenate([segment.trace.motor_angle for segment in self.fitted])
+        angles = np.concatenate([segment.motion.motor_angle for segment in self.fitted])
         self.moving = np.ptp(angles, axis=0) > MIN_MOTION
         if not self.moving.any():
             raise SurefootError(
@@ -181,7 +163,7 @@ class _TraceFit:
             )
 
     def _solve(self, unknowns: Sequence[Unknown], start: Array, what: str = "") -> Fit:
-        observations = [trace_observations(self.robot, segment, self.moving, self.noise) for segment in self.fitted]
+        observations = [torque_observations(self.robot, segment, self.moving, self.noise) for segment in self.fitted]
         report = (lambda step, cost: self.report(f"{what}, step {step}", cost)) if what else None
         return fit_least_squares(ReplayModel(unknowns, self.prior, observations), start, report)
 
@@ -189,7 +171,7 @@ class _TraceFit:
         """Return the best fit of all local minima of the latencies."""
         fits, names = [], [name for name in self.names if name != MASS]
         for _, late, servo in minima:
-            unknowns = trace_unknowns(self.robot, names, self.prior, (late, servo), self.moving, self.fitted)
+            unknowns = torque_unknowns(self.robot, names, self.prior, (late, servo), self.moving, self.fitted)
             start = np.array([servo if u.name == "servo_latency" else u.start for u in unknowns])
             fits.append(self._solve(unknowns, start, f"latencies near {1e3 * late:.0f} and {1e3 * servo:.0f} ms"))
         best = min(fits, key=_cost_with_priors)
@@ -247,25 +229,28 @@ class _TraceFit:
         ]
         before, after = (float(np.sqrt(np.mean((one - measured)[:, self.moving] ** 2))) for one in predicted)
         motor = int(np.argmax(np.where(self.moving, np.std(measured, axis=0), -1.0)))
-        rows = slice(0, min(len(first.rows), round(1.0 / first.trace.meta["control_step"])))
+        rows = slice(0, min(len(first.rows), round(1.0 / first.motion.control_step)))
         labels = f"{robot.motor_names[motor]}, not fitted", "time [s]", "torque [N m]"
-        time, (torque, was, now) = first.trace.time[first.rows[rows]], (v[rows, motor] for v in (measured, *predicted))
+        time, (torque, was, now) = (
+            first.motion.read_time[first.rows[rows]],
+            (v[rows, motor] for v in (measured, *predicted)),
+        )
         return Check("motor torques", before, after, "N m"), Series(*labels, time, torque, was, now)
 
-    def describe_traces(self, traces: Sequence[EpisodeTrace]) -> list[str]:
+    def describe_motions(self, motions: Sequence[RecordedMotion]) -> list[str]:
         """Return notes on defects of the data."""
         notes, segments, names = [], [*self.fitted, *self.held_out], self.robot.motor_names
-        for number, trace in enumerate(traces, 1):
-            jumps = np.flatnonzero(time_jumps(trace))
+        for number, motion in enumerate(motions, 1):
+            time, jumps = motion.read_time, np.flatnonzero(time_jumps(motion))
             if len(jumps):
                 notes.append(
-                    f"trace {number}: time jumps {len(jumps)} times, first at {trace.time[jumps[0]]:.2f} s; "
+                    f"trace {number}: time jumps {len(jumps)} times, first at {time[jumps[0]]:.2f} s; "
                     "rows around jumps are left out"
                 )
-            if missed := len(trace.meta.get("missed_steps", [])):
+            if missed := len(motion.meta.get("missed_steps", [])):
                 notes.append(f"trace {number}: {missed} control steps were missed; rows around them are left out")
             if not any(segment.number == number - 1 for segment in segments):
-                notes.append(f"trace {number}: {trace.duration:.2f} s are too short, or full of gaps; it is left out")
+                notes.append(f"trace {number}: {time[-1]:.2f} s are too short, or full of gaps; it is left out")
         if "motor_strength" in self.names:
             still = np.flatnonzero(~self.moving).tolist()
             notes += [f"{names[motor]} never moves: its strength is not identifiable" for motor in still]
@@ -289,7 +274,7 @@ class _TraceFit:
                 "them; measure the battery, set it with --params, leave voltage out, and their intervals shrink"
             )
         if self.held_out[0].timing.spread:
-            lead = float(self.held_out[0].trace.meta["lead"])
+            lead = float(self.held_out[0].motion.meta["lead"])
             notes.append(
                 f"the robot sent its readings in real time, {1e3 * lead:g} ms before they were used: a smaller control "
                 "latency is not seen, and acts as that"
@@ -300,65 +285,3 @@ class _TraceFit:
 def _cost_with_priors(fit: Fit) -> float:
     offs = [(v - u.start) / u.prior for u, v in zip(fit.unknowns, fit.values, strict=True) if u.prior]
     return float(np.sum(fit.residuals**2) + np.sum(np.square(offs)))
-
-
-def _walking_mass(
-    robot: RobotDescription, segments: Sequence[TraceSegment], params: PhysicalParams
-) -> tuple[float, float, float]:
-    """Return the mass [kg] of a robot that walks, and the base's ratio to the description's with its deviation."""
-    walks = [walk for walk in map(_upright_part, segments) if walk is not None]
-    if not walks:
-        raise SurefootError(
-            f"{MASS}: no trace has {MIN_WALK:g} s upright after its first {WALK_START:g} s; give longer walks, or "
-            "leave it out"
-        )
-    light = InverseDynamics(robot, replace(params, base_mass_ratio=np.ones(1)))
-    legs = light.mass - light.base_mass
-    every = max(sum(len(walk.rows) for walk in walks) // _FORCE_ROWS, 1)
-    means, spreads, lengths = [], [], []
-    for walk in walks:
-        times, vertical = _vertical_force(light, walk, params, every)
-        # A window that begins and ends at zero leaves out the change of momentum from start to end.
-        weight = np.sin(np.pi * (np.arange(len(times)) + 0.5) / len(times)) ** 2
-        means.append(float(np.average(vertical, weights=weight)))
-        blocks = ((times - times[0]) / FORCE_BLOCK).astype(np.int64)
-        inside = [np.mean(vertical[blocks == k]) for k in range(int(blocks[-1]))]
-        spreads.append(float(np.std(inside, ddof=1) / np.sqrt(len(inside))))
-        lengths.append(float(times[-1] - times[0]))
-    share = np.array(lengths) / np.sum(lengths)
-    total = float(np.sum(share * means)) / GRAVITY
-    if not total > legs:
-        raise SurefootError(
-            f"{MASS}: the feet carry {total:.2f} kg in the mean, less than the legs' {legs:.2f} kg; give walks on the "
-            "ground, or leave it out"
-        )
-    random = float(np.sqrt(np.sum((share * spreads) ** 2))) / GRAVITY
-    systematic = np.hypot(WEIGHT_DEVIATION, GAIN_DEVIATION / np.sqrt(robot.num_motors)) * total
-    return total, (total - legs) / light.base_mass, float(np.hypot(random, systematic)) / light.base_mass
-
-
-def _upright_part(segment: TraceSegment) -> TraceSegment | None:
-    """Return the part in which the robot is in its gait and upright, if it is long enough."""
-    trace = segment.trace
-    fallen = np.flatnonzero(np.abs(trace.roll_pitch_yaw[:, :2]).max(axis=1) > MAX_TILT)
-    end = fallen[0] if len(fallen) else trace.num_steps
-    rows = segment.rows[(trace.time[segment.rows] > WALK_START) & (segment.rows < end)]
-    length = float(np.ptp(trace.time[rows])) if len(rows) else 0.0
-    return replace(segment, rows=rows) if length >= MIN_WALK else None
-
-
-def _vertical_force(
-    dynamics: InverseDynamics, segment: TraceSegment, params: PhysicalParams, every: int
-) -> tuple[Array, Array]:
-    """Return times (n,) [s] and the sum of the vertical forces on the feet (n,) [N]."""
-    thin = replace(segment, rows=segment.rows[::every])
-    trace, late = segment.trace, float(params.control_latency[0])
-    angle, speed = thin.motion(0.0, late)
-    acceleration = (thin.motion(-_DIFFERENCE, late)[1] - thin.motion(_DIFFERENCE, late)[1]) / (2 * _DIFFERENCE)
-    at, times, rates = trace.time[thin.rows] - thin.timing.age, trace.time - late, trace.angular_velocity_base
-    tilt, rate = read_at(at, times, trace.roll_pitch_yaw[:, :2]), read_at(at, times, rates)
-    turning = read_at(at, times, np.gradient(rates, trace.time, axis=0))
-    torque = thin.torque + motor_friction(speed, params.motor_friction[0], params.motor_viscous_friction[0])
-    forces = dynamics.forces(Motion(angle, speed, acceleration, torque, tilt, rate, turning))
-    forward, up = forces.force.sum(axis=1).T
-    return at, (up * np.cos(tilt[:, 0]) * np.cos(tilt[:, 1])) - forward * np.sin(tilt[:, 1])
