@@ -13,14 +13,14 @@ from unittest import mock
 import numpy as np
 import pytest
 
+from surefoot.columns import RowLayout
 from surefoot.deploy import background_file
 from surefoot.deploy.background_file import BackgroundFile
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.run_saver import next_free
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import RowLayout, head_line, make_trace, recover, row_bytes
+from surefoot.task.partial_trace import head_line, make_trace, measured_layout, recover, row_bytes
 
-LAYOUT = RowLayout(motors=8, legs=4, observations=3, actions=8)
 STEP = 0.006
 META = {
     "robot": "minitaur",
@@ -31,6 +31,7 @@ META = {
     "observation_names": ["x", "y", "z"],
     "ended": "time",
 }
+LAYOUT = measured_layout(META, actions=8, commands=False)
 
 
 def opened(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -47,7 +48,7 @@ def recorded(a_state):
     recorder = Recorder(LAYOUT, STEP, 10)
     recorder.begin(state(0), 100.0)
     for k in range(4):
-        recorder.close(k, state(k), 100.0 + k * STEP)
+        recorder.close(k, state(k))
         if k < 3:
             recorder.open(*opened(k))
     return recorder, state
@@ -58,7 +59,6 @@ def test_a_row_has_its_start_and_the_state_of_its_end(recorded):
     assert recorder.steps == 3
     columns = LAYOUT.columns(recorder.rows)
     assert columns["time"] == pytest.approx([0.006, 0.012, 0.018])
-    assert columns["robot_time"] == pytest.approx([100.006, 100.012, 100.018])
     assert columns["roll_pitch_yaw"][:, 0] == pytest.approx([0.01, 0.02, 0.03])
     assert columns["observation"][:, 0].tolist() == [0.0, 10.0, 20.0]
     assert columns["feedback"][:, -1].tolist() == [0.0, 20.0, 40.0]
@@ -69,7 +69,7 @@ def test_a_row_has_its_start_and_the_state_of_its_end(recorded):
 def test_missed_steps_repeat_the_target_that_servos_held(recorded):
     recorder, state = recorded
     recorder.open(*opened(3))
-    recorder.close(6, state(6), 100.036)
+    recorder.close(6, state(6))
     assert recorder.steps == 6
     assert recorder.missed == [4, 5]
     columns = LAYOUT.columns(recorder.rows)
@@ -82,21 +82,21 @@ def test_missed_steps_repeat_the_target_that_servos_held(recorded):
 def test_a_state_that_is_not_finite_closes_no_row(recorded):
     recorder, state = recorded
     recorder.open(*opened(3))
-    recorder.close(4, replace(state(4), motor_velocity=np.full(8, np.nan)), 101.0)
+    recorder.close(4, replace(state(4), motor_velocity=np.full(8, np.nan)))
     assert recorder.steps == 3
 
 
 def test_a_recorder_that_is_full_takes_no_more(recorded):
     recorder, state = recorded
     recorder.open(*opened(3))
-    recorder.close(99, state(4), 101.0)
+    recorder.close(99, state(4))
     assert recorder.steps == 10
 
 
 def test_energy_after_a_counter_reset_is_not_counted(recorded):
     recorder, state = recorded
     recorder.open(*opened(3))
-    recorder.close(4, state(0), 101.0)
+    recorder.close(4, state(0))
     assert LAYOUT.columns(recorder.rows)["energy"][3] == 0.0
 
 
@@ -135,6 +135,19 @@ def test_a_row_that_was_cut_is_left_out(partial):
     assert recover(partial).num_steps == 2
 
 
+@pytest.mark.parametrize("commands", [0, 3])
+def test_a_partial_file_of_version_1_is_read(recorded, tmp_path, commands):
+    rows, path = recorded[0].rows, tmp_path / "run.npz.partial"
+    counts = {"motors": 8, "legs": 4, "observations": 3, "actions": 8, "commands": commands}
+    former = np.column_stack([rows[:, 0], 100.0 + rows[:, 0], rows[:, 1:], np.full((len(rows), commands), 0.5)])
+    head = json.dumps({"kind": "surefoot-partial-trace", **counts, "meta": META})
+    path.write_bytes(head.encode() + b"\n" + former.astype("<f8").tobytes())
+    trace, whole = recover(path), make_trace(LAYOUT, rows, META)
+    for name in ("time", "roll_pitch_yaw", "motor_torque", "observation", "feedback", "target", "energy"):
+        assert getattr(trace, name).tolist() == getattr(whole, name).tolist()
+    assert np.isfinite(trace.command).all() == bool(commands)
+
+
 @pytest.mark.parametrize(
     ("content", "match"),
     [
@@ -144,12 +157,17 @@ def test_a_row_that_was_cut_is_left_out(partial):
         (b"[1]\n", "is not one"),
         (b'{"kind": "other"}\n', "is not one"),
         (b"\xff\xfe\n", "is not one"),
+        (head_line(LAYOUT, {}), "holds no whole control step"),
+        (head_line(RowLayout({}), {}) + bytes(800), "holds no whole control step"),
+        (head_line(LAYOUT, {}) + bytes(8 * LAYOUT.width), "trace: meta.robot is missing"),
+        (head_line(LAYOUT, META).replace(b'"version": 2', b'"version": 3'), "version is 3; choices: 2"),
+        (head_line(RowLayout({"time": -1}), META) + bytes(800), "columns.time is -1; it must be 0 or more"),
         (
-            json.dumps(
-                {"kind": "surefoot-partial-trace", "motors": 8, "legs": 4, "observations": 3, "actions": 8, "meta": {}}
-            ).encode(),
-            "holds no whole control step",
+            head_line(RowLayout({"base_quat_world": 4}), META, {"base_quat_world": np.zeros(3)}) + bytes(32),
+            r"column base_quat_world has rows of 4 numbers; one has shape \(4,\)",
         ),
+        (head_line(RowLayout({"roll_pitch_yaw": 6}), META) + bytes(48), "roll_pitch_yaw has rows of 6 numbers"),
+        (head_line(RowLayout({"foot_position_world": 7}), META) + bytes(56), "one has shape \\('legs', 3\\)"),
     ],
 )
 def test_a_file_that_is_no_partial_trace_is_refused(content, match, tmp_path):
@@ -220,6 +238,7 @@ def test_all_that_a_killed_process_added_is_in_the_file(tmp_path):
     program = """
 import os, signal, sys
 from pathlib import Path
+from surefoot.columns import RowLayout
 from surefoot.deploy import background_file
 from surefoot.deploy.background_file import BackgroundFile
 

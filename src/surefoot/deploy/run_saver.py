@@ -11,7 +11,6 @@ import os
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from surefoot.arrays import Array
 from surefoot.deploy.background_file import BackgroundFile
@@ -20,8 +19,8 @@ from surefoot.deploy.motion_capture import base_and_feet, read_capture
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.errors import SurefootError, describe_os_errors
-from surefoot.task.partial_trace import SUFFIX, RowLayout, head_line, make_trace, row_bytes
-from surefoot.task.trace import EpisodeTrace
+from surefoot.task.partial_trace import SUFFIX, head_line, make_trace, measured_layout, row_bytes
+from surefoot.task.trace import EpisodeTrace, run_meta
 
 FLUSH = 0.1
 """Time [s] between two writes."""
@@ -57,30 +56,26 @@ class RunSaver:
     ) -> None:
         contract, robot, controller = deployment.contract, deployment.robot, deployment.controller
         self.path, self.link, self._monitor = path, deployment.link, deployment.monitor
-        actions, commands = len(contract.action_names), 3 if contract.commands else 0
-        layout = RowLayout(robot.num_motors, len(robot.legs), controller.observer.width, actions, commands)
-        self.recorder = Recorder(layout, contract.control_step, max_steps, self._keep)
         handshake = self.link.handshake
-        self.meta: dict[str, Any] = {
-            "robot": robot.name,
-            "world": world,
-            "policy": contract.name,
-            "episode": run,
-            "control_step": contract.control_step,
-            "leg_names": list(contract.leg_names),
-            "motor_names": list(contract.motor_names),
-            "observation_names": list(contract.columns),
-            "params": {},
+        self.meta = run_meta(
+            robot,
+            contract.columns,
+            controller.gait.reference.period,
             **controller.task.return_meta(robot),
-            "max_steps": max_steps,
-            "gait_period": controller.gait.reference.period,
-            "lead": self.link.lead,
-            "firmware": handshake.firmware if handshake is not None else "",
-            "config_hash": contract.config_hash,
-            "dry_run": deployment.dry_run,
-            "ended": "fault",
-            "reason": "cut off",
-        }
+            max_steps=max_steps,
+            world=world,
+            policy=contract.name,
+            episode=run,
+            control_step=contract.control_step,
+            lead=self.link.lead,
+            firmware=handshake.firmware if handshake is not None else "",
+            config_hash=contract.config_hash,
+            dry_run=deployment.dry_run,
+            ended="fault",
+            reason="cut off",
+        )
+        layout = measured_layout(self.meta, len(contract.action_names), contract.commands is not None)
+        self.recorder = Recorder(layout, contract.control_step, max_steps, self._keep)
         self._robot_archive = robot.archive
         self._partial: BackgroundFile | None = None
         self._stop_reported = False
@@ -104,7 +99,7 @@ class RunSaver:
         if "robot_time_start" not in self.meta:
             self.meta["robot_time_start"] = start if math.isfinite(start) else None
             if partial is not None:
-                partial.add(head_line(self.recorder.layout, self.meta, self._robot_archive))
+                partial.add(head_line(self.recorder.layout, self.meta, robot_archive=self._robot_archive))
         if partial is None:
             return
         if partial.waiting > MAX_WAITING:
@@ -139,7 +134,7 @@ class RunSaver:
             except SurefootError as error:
                 notes.append(f"{error}; the trace has no base motion")
         try:
-            trace = make_trace(recorder.layout, recorder.rows, meta, truth, self._robot_archive)
+            trace = make_trace(recorder.layout, recorder.rows, meta, truth=truth, robot_archive=self._robot_archive)
         except SurefootError as error:
             return SavedRun(notes=[*notes, f"the rows make no trace: {error}"], lost=True)
         if self.path is None:

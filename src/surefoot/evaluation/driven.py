@@ -85,7 +85,7 @@ class Recording:
     @property
     def duration(self) -> float:
         """Length [s]."""
-        return len(self._recorder.steps) * float(self._env.world.params.control_step[0])
+        return len(self._recorder.rows) * float(self._env.world.params.control_step[0])
 
     def add(self, observation: NDArray[np.float32], fell: bool) -> None:
         """Add the control step that just ended, unless the recording has; `observation` (1, O) is of its start."""
@@ -109,9 +109,9 @@ class Recording:
             SurefootError: no control step was recorded.
         """
         meta = {"policy": policy, "world": world, "seed": _SEED, "ended": self.ended or "stopped"}
-        if not self._recorder.steps:
+        if not self._recorder.rows:
             raise SurefootError("no control step was recorded")
-        return self._recorder.trace(0, len(self._recorder.steps), meta)
+        return self._recorder.trace(0, len(self._recorder.rows), meta)
 
 
 class DrivenRobot:

@@ -1,108 +1,134 @@
-"""File of rows that a recorder writes during a run; if the run is cut off, a trace can be made from it.
+"""Rows of a trace that are written one by one while it is recorded; if the run is cut off, a trace is made from them.
 
-A partial file is a line of JSON (layout and meta of the trace, and its robot if that does not ship) and then rows of
-little-endian 64-bit floats. A row that was cut off is left out when it is read.
+A partial file is a line of JSON (columns and meta of the trace, the state at its start, and its robot if that does not
+ship) and then rows of little-endian 64-bit floats. A row that was cut off is left out when it is read.
 """
 
 from __future__ import annotations
 
 import base64
 import json
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.columns import RowLayout, columns_of
 from surefoot.configuration import Within, from_mapping
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.files import check_readable
-from surefoot.task.trace import EpisodeTrace
+from surefoot.task.trace import EpisodeTrace, trace_sizes
 
 SUFFIX = ".partial"
 """Behind the whole name of the trace's file."""
+MEASURED = (
+    *("time", "roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity", "motor_torque"),
+    *("observation", "feedback", "target", "energy"),
+)
+"""Columns that every robot measures."""
 _KIND = "surefoot-partial-trace"
-
-
-Count = Annotated[int, Within(0, 100_000)]
+_VERSION = 2
+_Count = Annotated[int, Within(0, 100_000)]
 
 
 @dataclass(frozen=True)
-class RowLayout:
-    """Columns of the quantities in a row of numbers."""
+class _Head:
+    """What the first line of a file says of its rows."""
 
-    motors: Count
-    """M"""
-    legs: Count
-    """L"""
-    observations: Count
-    """O"""
-    actions: Count
-    """A"""
-    commands: Count = 0
-    """Commands to a policy that is steered, 3; else 0."""
+    columns: dict[str, _Count]
+    start: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    version: Literal[2] = _VERSION
 
     @property
-    def widths(self) -> dict[str, int]:
-        """Number of values of each quantity, in the row's order; `robot_time` is the robot's clock at the state [s]."""
-        return {
-            "time": 1,
-            "robot_time": 1,
-            "roll_pitch_yaw": 3,
-            "angular_velocity_base": 3,
-            "motor_angle": self.motors,
-            "motor_velocity": self.motors,
-            "motor_torque": self.motors,
-            "observation": self.observations,
-            "feedback": self.actions,
-            "target": self.motors,
-            "energy": 1,
-            **({"command": self.commands} if self.commands else {}),
-        }
+    def layout(self) -> RowLayout:
+        return RowLayout(self.columns)
+
+
+@dataclass(frozen=True)
+class _FormerHead:
+    """The same of version 1, whose rows had the robot's clock too."""
+
+    motors: _Count
+    legs: _Count
+    observations: _Count
+    actions: _Count
+    commands: _Count = 0
 
     @property
-    def width(self) -> int:
-        """Numbers in a row."""
-        return sum(self.widths.values())
+    def layout(self) -> RowLayout:
+        row = row_layout((*MEASURED, *(("command",) if self.commands else ())), vars(self)).widths
+        return RowLayout({"time": row.pop("time"), "robot_time": 1, **row})
 
-    def columns(self, rows: Array) -> dict[str, Array]:
-        """Return the rows (T, width) as arrays by name, (T,) or (T, n)."""
-        parts = np.split(rows, np.cumsum(list(self.widths.values()))[:-1], axis=1)
-        return {
-            name: part[:, 0] if width == 1 else part
-            for (name, width), part in zip(self.widths.items(), parts, strict=True)
-        }
+    @property
+    def start(self) -> dict[str, tuple[float, ...]]:
+        return {}
+
+
+def row_layout(names: tuple[str, ...], sizes: Mapping[str, int]) -> RowLayout:
+    """Return the layout of rows of a trace's columns; `sizes` are those of `trace_sizes`."""
+    columns = columns_of(EpisodeTrace)
+    return RowLayout({name: math.prod(columns[name].sized({**sizes, "steps": 1, "states": 1})) for name in names})
+
+
+def measured_layout(meta: Mapping[str, Any], actions: int, commands: bool) -> RowLayout:
+    """Return the layout of rows of a robot, with commands if its policy is steered."""
+    names = (*MEASURED, "command") if commands else MEASURED
+    return row_layout(names, trace_sizes(0, (actions,), meta))
 
 
 def make_trace(
     layout: RowLayout,
     rows: Array,
-    meta: dict[str, Any],
-    truth: dict[str, Array] | None = None,
+    meta: Mapping[str, Any],
+    start: Mapping[str, Any] | None = None,
+    truth: Mapping[str, Array] | None = None,
     robot_archive: bytes = b"",
 ) -> EpisodeTrace:
     """Return the trace of rows (T, width), one a control step, with its meta; refuse rows that are none.
 
-    Quantities that the robot does not measure are NaN, unless `truth` has them: base and feet, measured externally.
+    Args:
+        layout: the rows' columns.
+        rows: one a control step.
+        meta: the trace's.
+        start: values at the start of columns that have them, (n,) by name.
+        truth: further columns, such as base and feet that were measured externally.
+        robot_archive: the trace's.
     """
-    steps = len(rows)
-    if not steps:
+    if not len(rows):
         raise SurefootError("no control step was done; there is nothing to save")
-    columns = layout.columns(rows)
-    columns.pop("robot_time")
-    unknown = {
-        "base_position_world": np.full((steps + 1, 3), np.nan),
-        "base_quat_world": np.full((steps + 1, 4), np.nan),
-        "foot_contact": np.full((steps, layout.legs), np.nan),
-    }
-    return EpisodeTrace(**columns, **(unknown | (truth or {})), meta=meta, robot_archive=robot_archive)
+    columns = {}
+    for name, values in layout.columns(rows).items():
+        if (declared := columns_of(EpisodeTrace).get(name)) is None:
+            continue
+        width, shape = layout.widths[name], [-1 if isinstance(size, str) else size for size in declared.shape[1:]]
+        try:
+            if declared.shape[0] == "states":
+                values = np.vstack([(start or {}).get(name, np.full(width, np.nan)), values])
+            columns[name] = values.reshape(len(values), *shape)
+        except ValueError:
+            raise SurefootError(
+                f"column {name} has rows of {width} numbers; one has shape {declared.shape[1:]}"
+            ) from None
+    return EpisodeTrace(**{**columns, **(truth or {})}, meta=dict(meta), robot_archive=robot_archive)
 
 
-def head_line(layout: RowLayout, meta: dict[str, Any], robot_archive: bytes = b"") -> bytes:
+def head_line(
+    layout: RowLayout, meta: Mapping[str, Any], start: Mapping[str, Array] | None = None, robot_archive: bytes = b""
+) -> bytes:
     """Return the first line of a partial file."""
-    robot = {"robot": base64.b64encode(robot_archive).decode()} if robot_archive else {}
-    return json.dumps({"kind": _KIND, **vars(layout), "meta": meta, **robot}).encode() + b"\n"
+    head = {
+        "kind": _KIND,
+        "version": _VERSION,
+        "columns": layout.widths,
+        "start": {name: values.tolist() for name, values in (start or {}).items()},
+        "meta": meta,
+        **({"robot": base64.b64encode(robot_archive).decode()} if robot_archive else {}),
+    }
+    return json.dumps(head).encode() + b"\n"
 
 
 def row_bytes(rows: Array) -> bytes:
@@ -129,9 +155,11 @@ def recover(path: str | Path) -> EpisodeTrace:
             raise SurefootError(f"is not one: {' '.join(str(error).split())}") from error
         if kind != _KIND:
             raise SurefootError("is not one: it is of another kind")
-        layout = from_mapping(RowLayout, head)
-        steps = len(body) // (8 * layout.width)
+        rows_of = from_mapping(_Head if "version" in head else _FormerHead, head)
+        width = rows_of.layout.width
+        steps = len(body) // (8 * width) if width else 0
         if not steps:
             raise SurefootError("holds no whole control step")
-        rows = np.frombuffer(body, "<f8", steps * layout.width).reshape(steps, layout.width).astype(float)
-        return make_trace(layout, rows, {**meta, "ended": "fault", "reason": "cut off"}, robot_archive=robot)
+        rows = np.frombuffer(body, "<f8", steps * width).reshape(steps, width).astype(float)
+        meta |= {"ended": "fault", "reason": "cut off"}
+        return make_trace(rows_of.layout, rows, meta, rows_of.start, robot_archive=robot)
