@@ -23,7 +23,7 @@ from surefoot.errors import SurefootError, choices
 from surefoot.evaluation.driven import MAX_RECORDING
 
 if TYPE_CHECKING:
-    from surefoot.evaluation.driven import DrivenRobot, Recording
+    from surefoot.evaluation.driven import DrivenRecording, DrivenRobot
     from surefoot.robot import RobotDescription
 
 KINDS = ("html", "mp4")
@@ -45,7 +45,7 @@ class DriveRecordings:
         """Files of the last recording, by kind: npz, ghost (the ghost's trace), html and mp4."""
         self.error = ""
         """What went wrong; who reports it sets it back."""
-        self._recordings: list[tuple[TraceFile, Recording]] = []
+        self._recordings: list[tuple[TraceFile, DrivenRecording]] = []
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[str] | None = None
         self._kind, self._duration, self._note = "", 0.0, ""
@@ -81,7 +81,7 @@ class DriveRecordings:
         self._thread = threading.Thread(target=self._write, args=(recordings,))
         self._thread.start()
 
-    def _write(self, recordings: list[tuple[TraceFile, Recording]]) -> None:
+    def _write(self, recordings: list[tuple[TraceFile, DrivenRecording]]) -> None:
         for kind, (file, recording) in zip(("npz", "ghost"), recordings, strict=False):
             file.close()
             try:

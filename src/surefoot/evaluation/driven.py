@@ -76,7 +76,7 @@ class DrivenStep:
     """Share of the step in which each foot touched the ground (L,)."""
 
 
-class Recording:
+class DrivenRecording:
     """Control steps of a driven robot, up to a fall, a restart, `MAX_RECORDING` or its end.
 
     Args:
@@ -152,7 +152,7 @@ class DrivenRobot:
         self.falls, self.steps, self.restarts = 0, 0, 0
         self._push_until = self._stand_at = np.inf
         self._observation, _ = self.env.reset()
-        self._recording: Recording | None = None
+        self._recording: DrivenRecording | None = None
 
     @property
     def commanded(self) -> Array:
@@ -263,9 +263,9 @@ class DrivenRobot:
         self._push(np.zeros((1, 3)))
         self._push_until = self._stand_at = np.inf
 
-    def record(self, policy: str) -> Recording:
+    def record(self, policy: str) -> DrivenRecording:
         """Start to record the control steps of a policy of this name; return the recording, in place of an earlier."""
-        self._recording = Recording(self.env, {"policy": policy, "world": self.world, "seed": _SEED})
+        self._recording = DrivenRecording(self.env, {"policy": policy, "world": self.world, "seed": _SEED})
         return self._recording
 
     def step(self) -> DrivenStep:

@@ -16,7 +16,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.columns import as_column, check_values, column, columns_of
-from surefoot.configuration import Within, from_mapping, to_mapping
+from surefoot.configuration import Within, to_mapping, typed_entries
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
 from surefoot.policy.contract import MEMORY
@@ -314,10 +314,8 @@ def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:
         plain: dict[str, Any] = json.loads(json.dumps(meta, default=_plain))
     except TypeError as error:
         raise SurefootError(f"meta must be what JSON can hold: {error}") from error
-    typed, _ = (
-        from_mapping(kind, {name: plain[name] for name in kind.__dataclass_fields__ if name in plain}, "meta")
-        for kind in (TraceMeta, FurtherMeta)
-    )
+    typed = typed_entries(TraceMeta, plain, "meta")
+    typed_entries(FurtherMeta, plain, "meta")
     return {**to_mapping(typed), **plain}
 
 
