@@ -36,7 +36,7 @@ class RecordedPhase:
     mode: float
     """The robot's mode."""
     use: str
-    """What it is for: fit, check or transition."""
+    """Fit, check or transition."""
     duration: float
     """Length [s]."""
 
@@ -55,11 +55,15 @@ class RecordingMeta:
     """Entries of every recording's meta."""
 
     experiment: str
+    """Name of the experiment."""
     robot: str
+    """Name of the robot."""
     motor_names: tuple[str, ...]
+    """Names of the M motors, in the order of their columns."""
     rack: bool
     """Whether the robot hung on a rack."""
     phases: tuple[RecordedPhase, ...]
+    """Phases of the plan: name, mode, use (fit, check or transition) and duration [s]."""
     mode_changes: tuple[tuple[float, float], ...]
     """The host's time [s] and the mode of all arming and disarming."""
     ended: str
@@ -73,11 +77,15 @@ class RecordingMeta:
     resting_states: Annotated[int, Within(0, 1e9)]
     """Number of states before arming."""
     frames: RecordedFrames
+    """Counts of frames on the link: received, missing and damaged."""
     date: str
+    """When it was recorded."""
     digest: str
     """SHA-256 over all arrays."""
     firmware: str = ""
+    """What runs on the robot."""
     schema: Literal[1] = 1
+    """Version of the format."""
 
 
 _COMMANDS, _STATES, _MOTORS = ("commands",), ("states",), ("states", "motors")

@@ -31,7 +31,6 @@ MEASURED = (
 )
 """Columns that every robot measures."""
 _KIND = "surefoot-partial-trace"
-_VERSION = 2
 _Count = Annotated[int, Within(0, 100_000)]
 
 
@@ -41,7 +40,7 @@ class _Head:
 
     columns: dict[str, _Count]
     start: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    version: Literal[2] = _VERSION
+    version: Literal[2] = 2
 
     @property
     def layout(self) -> RowLayout:
@@ -122,7 +121,7 @@ def head_line(
     """Return the first line of a partial file."""
     head = {
         "kind": _KIND,
-        "version": _VERSION,
+        "version": _Head.version,
         "columns": layout.widths,
         "start": {name: values.tolist() for name, values in (start or {}).items()},
         "meta": meta,
@@ -155,7 +154,7 @@ def recover(path: str | Path) -> EpisodeTrace:
             raise SurefootError(f"is not one: {' '.join(str(error).split())}") from error
         if kind != _KIND:
             raise SurefootError("is not one: it is of another kind")
-        rows_of = from_mapping(_Head if "version" in head else _FormerHead, head)
+        rows_of = from_mapping(_Head, head) if "version" in head else from_mapping(_FormerHead, head)
         width = rows_of.layout.width
         steps = len(body) // (8 * width) if width else 0
         if not steps:

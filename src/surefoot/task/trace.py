@@ -7,7 +7,7 @@ so all worlds are measured alike. numpy only: the robot's computer writes it too
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -278,7 +278,7 @@ class EpisodeTrace:
             except RecursionError:
                 raise SurefootError("not an episode trace: its meta is nested too deep") from None
             archive = pop_bytes(arrays, ROBOT)
-            columns = columns_of(cls)
+            columns = columns_of(EpisodeTrace)
             left_out = {name for name, declared in columns.items() if not declared.always_in_file}
             if odd := set(columns) ^ {*arrays, *left_out}:
                 raise SurefootError(f"not an episode trace: missing or unknown {choices(sorted(odd))}")
@@ -293,7 +293,7 @@ class EpisodeTrace:
         return carried_robot(self.robot_archive, self.meta["robot"])
 
 
-def trace_sizes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict[str, int]:
+def trace_sizes(steps: int, feedback: tuple[int, ...], meta: Mapping[str, Any]) -> dict[str, int]:
     """Return the sizes in the shapes of a trace's columns, for T `steps` and a `feedback` of that shape."""
     legs, motors = len(meta["leg_names"]), len(meta["motor_names"])
     memory = sum(str(name).startswith(f"{MEMORY}.") for name in meta["observation_names"])
