@@ -141,26 +141,13 @@ def task_reference() -> str:
     return "\n\n".join(text)
 
 
-SIZES = {
-    "steps": "T",
-    "states": "T+1",
-    "motors": "M",
-    "legs": "L",
-    "observations": "O",
-    "actions": "A",
-    "commands": "C",
-}
-"""Letters for the sizes of columns; a recording has T `states`."""
-
-
-def columns_table(record: type, letters: dict[str, str]) -> str:
+def columns_table(record: type) -> str:
     """Return the declared columns of a record as a table."""
     rows = ["| column | shape | unit | frame | meaning |", "|---|---|---|---|---|"]
     for name, one in columns_of(record).items():
-        shape = ", ".join(letters[size] if isinstance(size, str) else str(size) for size in one.shape)
         notes = [one.meaning.replace("|", "\\|"), *(["0 to 1"] if one.is_fraction else [])]
         notes += [] if one.known else ["NaN where unknown" if one.always_in_file else "not in the file where unknown"]
-        rows.append(f"| `{name}` | ({shape}) | {one.unit} | {one.frame} | {'; '.join(notes)} |")
+        rows.append(f"| `{name}` | {one.shape} | {one.unit} | {one.frame} | {'; '.join(notes)} |")
     return "\n".join(rows)
 
 
@@ -175,7 +162,7 @@ def trace_reference() -> str:
             "An episode of T control steps, simulated or real: M motors, L legs, O observations, A numbers of "
             "feedback. In columns with T+1 rows, row 0 is the start and row k is after control step k. Frames: x "
             "forward, y left, z up. Read the file with `EpisodeTrace.load` or `numpy.load`.",
-            columns_table(EpisodeTrace, SIZES),
+            columns_table(EpisodeTrace),
             "### Meta of every trace",
             "\n".join(fields_of(TraceMeta)),
             "### Further entries",
@@ -187,7 +174,7 @@ def trace_reference() -> str:
             "the rows written so far remain, and every command that reads traces reads this file too.",
             "## Recording of an experiment",
             "What `surefoot identify` records: C commands to a robot with M motors, and T of its states.",
-            columns_table(Recording, SIZES | {"states": "T"}),
+            columns_table(Recording),
             "### Meta",
             "\n".join(fields_of(RecordingMeta)),
         ]

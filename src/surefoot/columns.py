@@ -1,8 +1,8 @@
 """Columns of records, each declared once, where the record has it.
 
-    motor_angle: Array = column("rad", ("steps", "motors"), "angle that the encoder measured")
+    motor_angle: Array = column("T, M", "rad", "angle that the encoder measured")
 
-Checks, empty columns, rows of numbers that are written one by one, and the page of the docs are made from this.
+Checks, rows of numbers that are written one by one, and the page of the docs are made from the declarations.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from surefoot.errors import SurefootError
 class Column:
     """Declaration of a column of a record."""
 
+    shape: str
+    """Its sizes, that of the rows first: numbers, and letters for sizes that differ between records, such as "T, M"."""
     unit: str
     """Unit; 1 for ratios and counts, empty for columns of mixed units."""
-    shape: tuple[str | int, ...]
-    """Sizes: numbers, or names of sizes that differ between records, such as "motors"; that of the rows comes first."""
     meaning: str
+    """What it is."""
     frame: str = ""
     """Frame of vectors: base, heading or world; empty for columns without a frame."""
     known: bool = True
@@ -38,15 +39,31 @@ class Column:
     """Whether values lie between 0 and 1."""
 
     def sized(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
-        """Return the column's shape in a record of these sizes."""
-        return tuple(sizes[size] if isinstance(size, str) else size for size in self.shape)
+        """Return the shape for sizes by letter."""
+        return tuple(int(size) if size.isdigit() else sizes[size] for size in self.shape.split(", "))
+
+    def checked(self, name: str, value: ArrayLike, sizes: Mapping[str, int], may_be_nan: bool = False) -> Array:
+        """Return a read-only copy in double precision; all NaN for a value that is left out, if it may be.
+
+        Raises:
+            SurefootError: values that are no numbers, or another shape.
+        """
+        array, shape = np.asarray(value), self.sized(sizes)
+        if array.dtype.kind not in "biuf":
+            raise SurefootError(f"{name} holds {array.dtype}, but must hold numbers")
+        if may_be_nan and not array.size:
+            array = np.full(shape, np.nan)
+        if array.shape != shape:
+            raise SurefootError(f"{name} has shape {array.shape}, but must have {shape}")
+        array = array.astype(np.float64)
+        array.setflags(write=False)
+        return array
 
 
-def column(unit: str, shape: tuple[str | int, ...], meaning: str, frame: str = "", **options: bool) -> Any:
+def column(shape: str, unit: str, meaning: str, frame: str = "", **options: bool) -> Any:
     """Declare a field of a record as a column, which is empty where it is left out; see `Column`."""
-    return field(
-        default_factory=lambda: np.empty(0), metadata={"column": Column(unit, shape, meaning, frame, **options)}
-    )
+    declared = Column(shape, unit, meaning, frame, **options)
+    return field(default_factory=lambda: np.empty(0), metadata={"column": declared})
 
 
 @functools.cache
@@ -55,37 +72,9 @@ def columns_of(record: type) -> dict[str, Column]:
     return {item.name: item.metadata["column"] for item in fields(record) if "column" in item.metadata}
 
 
-def as_column(name: str, value: ArrayLike, shape: tuple[int, ...], may_be_nan: bool = False) -> Array:
-    """Return a read-only copy in double precision; all NaN for a value that is left out, if it may be.
-
-    Raises:
-        SurefootError: values that are no numbers, or another shape.
-    """
-    array = np.asarray(value)
-    if array.dtype.kind not in "biuf":
-        raise SurefootError(f"{name} holds {array.dtype}, but must hold numbers")
-    if may_be_nan and not array.size:
-        array = np.full(shape, np.nan)
-    if array.shape != shape:
-        raise SurefootError(f"{name} has shape {array.shape}, but must have {shape}")
-    array = array.astype(np.float64)
-    array.setflags(write=False)
-    return array
-
-
-def check_values(name: str, array: Array, may_be_nan: bool, is_fraction: bool) -> None:
-    """Refuse infinite numbers, and NaN and numbers out of 0 to 1 where they are not allowed."""
-    bad = np.isinf(array) if may_be_nan else ~np.isfinite(array)
-    if np.any(bad):
-        rule = "finite or NaN" if may_be_nan else "finite"
-        raise SurefootError(f"{name} row {np.argwhere(bad)[0][0]} holds {array[bad][0]}, but must be {rule}")
-    if is_fraction and np.any((array < 0.0) | (array > 1.0)):
-        raise SurefootError(f"{name} is a fraction of the control step: 0 to 1")
-
-
 @dataclass(frozen=True)
 class RowLayout:
-    """Columns beside each other in rows of numbers, one row per control step."""
+    """Columns beside each other in rows of numbers."""
 
     widths: dict[str, int]
     """Numbers of each column in a row, by name and in the row's order."""

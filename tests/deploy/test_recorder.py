@@ -19,7 +19,7 @@ from surefoot.deploy.background_file import BackgroundFile
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.run_saver import next_free
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import head_line, make_trace, measured_layout, recover, row_bytes
+from surefoot.task.partial_trace import TraceHead, recover, row_bytes
 
 STEP = 0.006
 META = {
@@ -31,7 +31,8 @@ META = {
     "observation_names": ["x", "y", "z"],
     "ended": "time",
 }
-LAYOUT = measured_layout(META, actions=8, commands=False)
+HEAD = TraceHead.of_robot(META, actions=8, commands=False, robot_archive=b"")
+LAYOUT = HEAD.layout
 
 
 def opened(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -101,20 +102,20 @@ def test_energy_after_a_counter_reset_is_not_counted(recorded):
 
 
 def test_quantities_the_robot_does_not_measure_are_nan_in_the_trace(recorded):
-    trace = make_trace(LAYOUT, recorded[0].rows, META)
+    trace = HEAD.trace(recorded[0].rows, {})
     assert trace.num_steps == 3
     assert np.isnan(trace.base_position_world).all()
     assert np.isnan(trace.foot_contact).all()
     assert trace.motor_torque.shape == (3, 8)
     with pytest.raises(SurefootError, match="no control step was done"):
-        make_trace(LAYOUT, recorded[0].rows[:0], META)
+        HEAD.trace(recorded[0].rows[:0], {})
 
 
 @pytest.fixture
 def partial(recorded, tmp_path):
     """The partial file of the recorder's rows."""
     file = BackgroundFile(tmp_path / "run.partial", 0.1)
-    file.add(head_line(LAYOUT, META))
+    file.add(HEAD.line())
     for row in recorded[0].rows:
         file.add(row_bytes(row[None]))
     file.close()
@@ -125,7 +126,7 @@ def partial(recorded, tmp_path):
 def test_a_partial_file_gives_the_same_trace(recorded, partial):
     trace = recover(partial)
     assert (trace.meta["ended"], trace.meta["reason"]) == ("fault", "cut off")
-    whole = make_trace(LAYOUT, recorded[0].rows, META)
+    whole = HEAD.trace(recorded[0].rows, {})
     for name in ("time", "target", "observation", "energy", "roll_pitch_yaw"):
         assert getattr(trace, name).tolist() == getattr(whole, name).tolist()
 
@@ -142,7 +143,7 @@ def test_a_partial_file_of_version_1_is_read(recorded, tmp_path, commands):
     former = np.column_stack([rows[:, 0], 100.0 + rows[:, 0], rows[:, 1:], np.full((len(rows), commands), 0.5)])
     head = json.dumps({"kind": "surefoot-partial-trace", **counts, "meta": META})
     path.write_bytes(head.encode() + b"\n" + former.astype("<f8").tobytes())
-    trace, whole = recover(path), make_trace(LAYOUT, rows, META)
+    trace, whole = recover(path), HEAD.trace(rows, {})
     for name in ("time", "roll_pitch_yaw", "motor_torque", "observation", "feedback", "target", "energy"):
         assert getattr(trace, name).tolist() == getattr(whole, name).tolist()
     assert np.isfinite(trace.command).all() == bool(commands)
@@ -157,17 +158,19 @@ def test_a_partial_file_of_version_1_is_read(recorded, tmp_path, commands):
         (b"[1]\n", "is not one"),
         (b'{"kind": "other"}\n', "is not one"),
         (b"\xff\xfe\n", "is not one"),
-        (head_line(LAYOUT, {}), "holds no whole control step"),
-        (head_line(RowLayout({}), {}) + bytes(800), "holds no whole control step"),
-        (head_line(LAYOUT, {}) + bytes(8 * LAYOUT.width), "trace: meta.robot is missing"),
-        (head_line(LAYOUT, META).replace(b'"version": 2', b'"version": 3'), "version is 3; choices: 2"),
-        (head_line(RowLayout({"time": -1}), META) + bytes(800), "columns.time is -1; it must be 0 or more"),
+        (TraceHead(LAYOUT, {}).line(), "holds no whole control step"),
+        (TraceHead(RowLayout({}), {}).line() + bytes(800), "holds no whole control step"),
+        (TraceHead(LAYOUT, {}).line() + bytes(8 * LAYOUT.width), "trace: meta.robot is missing"),
+        (HEAD.line().replace(b'"version": 2', b'"version": 3'), "is of version 3; surefoot reads versions 1 and 2"),
+        (TraceHead(RowLayout({"time": -1}), META).line() + bytes(800), "columns.time is -1; it must be 0 or more"),
         (
-            head_line(RowLayout({"base_quat_world": 4}), META, {"base_quat_world": np.zeros(3)}) + bytes(32),
-            r"column base_quat_world has rows of 4 numbers; one has shape \(4,\)",
+            TraceHead(RowLayout({"base_quat_world": 4}), META, {"base_quat_world": np.zeros(3)}).line() + bytes(32),
+            r"column base_quat_world \(T\+1, 4\) has 4 numbers in a row",
         ),
-        (head_line(RowLayout({"roll_pitch_yaw": 6}), META) + bytes(48), "roll_pitch_yaw has rows of 6 numbers"),
-        (head_line(RowLayout({"foot_position_world": 7}), META) + bytes(56), "one has shape \\('legs', 3\\)"),
+        (TraceHead(RowLayout({"roll_pitch_yaw": 6}), META).line() + bytes(48), "has 6 numbers in a row"),
+        (TraceHead(RowLayout({"foot_position_world": 7}), META).line() + bytes(56), "has 7 numbers in a row"),
+        (TraceHead(RowLayout({"time": 1}), META).line() + bytes(8), "has shape"),
+        (b'{"kind": "surefoot-partial-trace", "meta": {}, "motors": 8}', "is not one: 'legs'"),
     ],
 )
 def test_a_file_that_is_no_partial_trace_is_refused(content, match, tmp_path):

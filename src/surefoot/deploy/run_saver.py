@@ -15,7 +15,7 @@ from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.trace_file import TraceFile
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import SUFFIX, head_line, make_trace, measured_layout
+from surefoot.task.partial_trace import SUFFIX, TraceHead
 from surefoot.task.trace import EpisodeTrace, run_meta
 
 
@@ -48,7 +48,7 @@ class RunSaver:
         contract, robot, controller = deployment.contract, deployment.robot, deployment.controller
         self.path, self.link, self._monitor = path, deployment.link, deployment.monitor
         handshake = self.link.handshake
-        self.meta = run_meta(
+        meta = run_meta(
             robot,
             contract.columns,
             controller.gait.reference.period,
@@ -63,9 +63,9 @@ class RunSaver:
             config_hash=contract.config_hash,
             dry_run=deployment.dry_run,
         )
-        layout = measured_layout(self.meta, len(contract.action_names), contract.commands is not None)
-        self.recorder = Recorder(layout, contract.control_step, max_steps, self._keep)
-        self._robot_archive = robot.archive
+        commands = contract.commands is not None
+        self._head = TraceHead.of_robot(meta, len(contract.action_names), commands, robot.archive)
+        self.recorder = Recorder(self._head.layout, contract.control_step, max_steps, self._keep)
         self._file: TraceFile | None = None
         self._stop_reported = False
 
@@ -76,15 +76,12 @@ class RunSaver:
             SurefootError: the folder can't be written.
         """
         if self.path is not None:
-            self._file = TraceFile(self.path, self._head)
+            self._file = TraceFile(self.path, self._head.line)
             self._monitor.recording(f"recording to {self.path}")
-
-    def _head(self) -> bytes:
-        return head_line(self.recorder.layout, self.meta, robot_archive=self._robot_archive)
 
     def _keep(self, rows: Array) -> None:
         start, file = self.recorder.start, self._file
-        self.meta["robot_time_start"] = start if math.isfinite(start) else None
+        self._head.meta["robot_time_start"] = start if math.isfinite(start) else None
         if file is None:
             return
         file.add(rows)
@@ -102,7 +99,6 @@ class RunSaver:
         if not recorder.steps:
             return SavedRun(notes=[*notes, "no control step was done, so there is no trace"])
         meta = {
-            **self.meta,
             "ended": outcome.ended,
             "reason": outcome.reason,
             "what": outcome.text,
@@ -117,7 +113,7 @@ class RunSaver:
             except SurefootError as error:
                 notes.append(f"{error}; the trace has no base motion")
         try:
-            trace = make_trace(recorder.layout, recorder.rows, meta, truth=truth, robot_archive=self._robot_archive)
+            trace = self._head.trace(recorder.rows, meta, truth)
         except SurefootError as error:
             return SavedRun(notes=[*notes, f"the rows make no trace: {error}"], lost=True)
         if file is None:
@@ -127,8 +123,8 @@ class RunSaver:
         return SavedRun(trace, self.path, notes)
 
     def _truth(self, capture: Path) -> dict[str, Array]:
-        start = self.meta["robot_time_start"]
+        start = self._head.meta["robot_time_start"]
         if start is None:
             raise SurefootError("the robot's time of the start is not known")
-        recorder, legs = self.recorder, tuple(self.meta["leg_names"])
+        recorder, legs = self.recorder, tuple(self._head.meta["leg_names"])
         return base_and_feet(read_capture(capture), start, recorder.control_step, recorder.steps, legs)

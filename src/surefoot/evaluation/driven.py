@@ -113,7 +113,7 @@ class DrivenRecording:
 
     def head(self) -> bytes:
         """Return the first line of the file of its rows."""
-        return self._recorder.head(0, self._meta)
+        return self._recorder.head(0, self._meta).line()
 
     def trace(self) -> EpisodeTrace:
         """Return the trace.

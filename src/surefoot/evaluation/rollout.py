@@ -15,7 +15,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.partial_trace import head_line, make_trace, row_layout
+from surefoot.task.partial_trace import TraceHead, row_layout
 from surefoot.task.trace import EpisodeTrace, run_meta, trace_sizes
 from surefoot.world.interface import SimulationFactory
 
@@ -140,18 +140,16 @@ class EpisodeRecorder:
         self._command = self._newest_command()
         return rows
 
-    def head(self, robot: int, meta: dict[str, Any]) -> bytes:
-        """Return the first line of a partial file of a robot's rows, with further entries of its meta."""
+    def head(self, robot: int, meta: dict[str, Any]) -> TraceHead:
+        """Return what makes a trace of a robot's rows, with further entries of its meta."""
         start = {name: values[robot] for name, values in self._start.items()}
-        return head_line(self.layout, self._meta(robot) | meta, start, self.env.robot.archive)
+        return TraceHead(self.layout, self._meta(robot) | meta, start, self.env.robot.archive)
 
     def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
         """Return the trace of a robot's first control steps, with further entries of its meta."""
         if steps < 1:
             raise SurefootError("the simulation diverged in the first control step; no episode can be recorded")
-        rows = np.array([step[robot] for step in self.rows[:steps]])
-        start = {name: values[robot] for name, values in self._start.items()}
-        return make_trace(self.layout, rows, self._meta(robot) | meta, start, robot_archive=self.env.robot.archive)
+        return self.head(robot, meta).trace(np.array([step[robot] for step in self.rows[:steps]]), {})
 
     def _meta(self, robot: int) -> dict[str, Any]:
         env, task = self.env, self.env.task

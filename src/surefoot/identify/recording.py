@@ -88,29 +88,26 @@ class RecordingMeta:
     """Version of the format."""
 
 
-_COMMANDS, _STATES, _MOTORS = ("commands",), ("states",), ("states", "motors")
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
     """An experiment with C commands and T states of a robot with M motors. Robot times are on the robot's clock."""
 
-    sent_number: Array = column("1", _COMMANDS, "number of the frame that carried the command")
-    sent_time: Array = column("s", _COMMANDS, "when it was sent, on the host's clock")
-    sent_phase: Array = column("1", _COMMANDS, "index of the command's phase")
-    sent_value: Array = column("rad or 1", ("commands", "motors"), "motor angle or duty, by the phase's mode")
-    time: Array = column("s", _STATES, "when the robot sent the state")
-    host_time: Array = column("s", _STATES, "when it arrived, on the host's clock")
-    mode: Array = column("1", _STATES, "the robot's mode")
-    command: Array = column("1", _STATES, "number of the command in effect")
-    command_age: Array = column("s", _STATES, "time since that arrived at the robot")
-    motor_angle: Array = column("rad", _MOTORS, "angle, delayed by the control latency")
-    motor_velocity: Array = column("rad/s", _MOTORS, "velocity, equally delayed")
-    motor_torque: Array = column("N m", _MOTORS, "torque, from the currents of the last servo step")
-    roll_pitch_yaw: Array = column("rad", ("states", 3), "orientation, delayed as angles are", "world")
-    angular_velocity_base: Array = column("rad/s", ("states", 3), "angular velocity, equally delayed", "base")
-    voltage: Array = column("V", _STATES, "voltage of the battery, without delay")
-    temperature: Array = column("degC", _MOTORS, "temperature of the motor")
+    sent_number: Array = column("C", "1", "number of the frame that carried the command")
+    sent_time: Array = column("C", "s", "when it was sent, on the host's clock")
+    sent_phase: Array = column("C", "1", "index of the command's phase")
+    sent_value: Array = column("C, M", "rad or 1", "motor angle or duty, by the phase's mode")
+    time: Array = column("T", "s", "when the robot sent the state")
+    host_time: Array = column("T", "s", "when it arrived, on the host's clock")
+    mode: Array = column("T", "1", "the robot's mode")
+    command: Array = column("T", "1", "number of the command in effect")
+    command_age: Array = column("T", "s", "time since that arrived at the robot")
+    motor_angle: Array = column("T, M", "rad", "angle, delayed by the control latency")
+    motor_velocity: Array = column("T, M", "rad/s", "velocity, equally delayed")
+    motor_torque: Array = column("T, M", "N m", "torque, from the currents of the last servo step")
+    roll_pitch_yaw: Array = column("T, 3", "rad", "orientation, delayed as angles are", "world")
+    angular_velocity_base: Array = column("T, 3", "rad/s", "angular velocity, equally delayed", "base")
+    voltage: Array = column("T", "V", "voltage of the battery, without delay")
+    temperature: Array = column("T, M", "degC", "temperature of the motor")
     meta: dict[str, Any] = field(default_factory=dict)
     """The entries of `RecordingMeta`."""
     robot_archive: bytes = b""
@@ -245,10 +242,8 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
             raise SurefootError(f"is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
         if experiment is not None and meta["experiment"] != experiment:
             raise SurefootError(f"is of experiment {meta['experiment']}, not {experiment}")
-        sizes = {"commands": arrays["sent_number"].size, "states": arrays["time"].size, "motors": robot.num_motors}
-        for name, declared in columns.items():
-            if arrays[name].shape != declared.sized(sizes) or arrays[name].dtype != np.float64:
-                raise SurefootError(f"{name} does not fit; it must be what surefoot wrote")
+        sizes = {"C": arrays["sent_number"].size, "T": arrays["time"].size, "M": robot.num_motors}
+        arrays = {name: declared.checked(name, arrays[name], sizes) for name, declared in columns.items()}
         if digest_of(arrays) != meta["digest"]:
             raise SurefootError("was changed after it was made: its digest does not fit")
         if meta["ended"] != COMPLETE:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -31,103 +31,79 @@ MEASURED = (
 )
 """Columns that every robot measures."""
 _KIND = "surefoot-partial-trace"
-_Count = Annotated[int, Within(0, 100_000)]
-
-
-@dataclass(frozen=True)
-class _Head:
-    """What the first line of a file says of its rows."""
-
-    columns: dict[str, _Count]
-    start: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    version: Literal[2] = 2
-
-    @property
-    def layout(self) -> RowLayout:
-        return RowLayout(self.columns)
-
-
-@dataclass(frozen=True)
-class _FormerHead:
-    """The same of version 1, whose rows had the robot's clock too."""
-
-    motors: _Count
-    legs: _Count
-    observations: _Count
-    actions: _Count
-    commands: _Count = 0
-
-    @property
-    def layout(self) -> RowLayout:
-        row = row_layout((*MEASURED, *(("command",) if self.commands else ())), vars(self)).widths
-        return RowLayout({"time": row.pop("time"), "robot_time": 1, **row})
-
-    @property
-    def start(self) -> dict[str, tuple[float, ...]]:
-        return {}
+_VERSION = 2
 
 
 def row_layout(names: tuple[str, ...], sizes: Mapping[str, int]) -> RowLayout:
     """Return the layout of rows of a trace's columns; `sizes` are those of `trace_sizes`."""
-    columns = columns_of(EpisodeTrace)
-    return RowLayout({name: math.prod(columns[name].sized({**sizes, "steps": 1, "states": 1})) for name in names})
+    columns, one_row = columns_of(EpisodeTrace), {**sizes, "T": 1, "T+1": 1}
+    return RowLayout({name: math.prod(columns[name].sized(one_row)) for name in names})
 
 
-def measured_layout(meta: Mapping[str, Any], actions: int, commands: bool) -> RowLayout:
-    """Return the layout of rows of a robot, with commands if its policy is steered."""
-    names = (*MEASURED, "command") if commands else MEASURED
-    return row_layout(names, trace_sizes(0, (actions,), meta))
+@dataclass(frozen=True)
+class TraceHead:
+    """What makes a trace of rows of numbers, one a control step."""
+
+    layout: RowLayout
+    """Columns of the rows; those that a trace does not have are left out of it."""
+    meta: dict[str, Any]
+    """The trace's meta, as far as it is known at the start."""
+    start: Mapping[str, Array] = field(default_factory=dict)
+    """Values at the start of columns that have them, (n,) by name."""
+    robot_archive: bytes = b""
+    """The trace's."""
+
+    @classmethod
+    def of_robot(cls, meta: dict[str, Any], actions: int, commands: bool, robot_archive: bytes) -> TraceHead:
+        """Return the head of what a robot measures, with commands if its policy is steered."""
+        names = (*MEASURED, "command") if commands else MEASURED
+        return cls(row_layout(names, trace_sizes(0, (actions,), meta)), meta, robot_archive=robot_archive)
+
+    def line(self) -> bytes:
+        """Return the first line of a partial file."""
+        head = {
+            "kind": _KIND,
+            "version": _VERSION,
+            "columns": self.layout.widths,
+            "start": {name: values.tolist() for name, values in self.start.items()},
+            "meta": self.meta,
+            "robot": base64.b64encode(self.robot_archive).decode(),
+        }
+        return json.dumps(head).encode() + b"\n"
+
+    def trace(self, rows: Array, meta: Mapping[str, Any], truth: Mapping[str, Array] | None = None) -> EpisodeTrace:
+        """Return the trace of rows (T, width), with further entries of its meta; refuse rows that are none.
+
+        `truth` has further columns, such as base and feet that were measured externally.
+        """
+        if not len(rows):
+            raise SurefootError("no control step was done; there is nothing to save")
+        columns = {}
+        for name, values in self.layout.columns(rows).items():
+            if (declared := columns_of(EpisodeTrace).get(name)) is None:
+                continue
+            rest, width = declared.shape.split(", ")[1:], self.layout.widths[name]
+            try:
+                if declared.shape.startswith("T+1"):
+                    values = np.vstack([self.start.get(name, np.full(width, np.nan)), values])
+                columns[name] = values.reshape(len(values), *(int(size) if size.isdigit() else -1 for size in rest))
+            except ValueError:
+                raise SurefootError(f"column {name} ({declared.shape}) has {width} numbers in a row") from None
+        about = {**self.meta, **meta}
+        return EpisodeTrace(**{**columns, **(truth or {})}, meta=about, robot_archive=self.robot_archive)
 
 
-def make_trace(
-    layout: RowLayout,
-    rows: Array,
-    meta: Mapping[str, Any],
-    start: Mapping[str, Any] | None = None,
-    truth: Mapping[str, Array] | None = None,
-    robot_archive: bytes = b"",
-) -> EpisodeTrace:
-    """Return the trace of rows (T, width), one a control step, with its meta; refuse rows that are none.
+@dataclass(frozen=True)
+class _FirstLine:
+    """Entries of the first line of a partial file."""
 
-    Args:
-        layout: the rows' columns.
-        rows: one a control step.
-        meta: the trace's.
-        start: values at the start of columns that have them, (n,) by name.
-        truth: further columns, such as base and feet that were measured externally.
-        robot_archive: the trace's.
-    """
-    if not len(rows):
-        raise SurefootError("no control step was done; there is nothing to save")
-    columns = {}
-    for name, values in layout.columns(rows).items():
-        if (declared := columns_of(EpisodeTrace).get(name)) is None:
-            continue
-        width, shape = layout.widths[name], [-1 if isinstance(size, str) else size for size in declared.shape[1:]]
-        try:
-            if declared.shape[0] == "states":
-                values = np.vstack([(start or {}).get(name, np.full(width, np.nan)), values])
-            columns[name] = values.reshape(len(values), *shape)
-        except ValueError:
-            raise SurefootError(
-                f"column {name} has rows of {width} numbers; one has shape {declared.shape[1:]}"
-            ) from None
-    return EpisodeTrace(**{**columns, **(truth or {})}, meta=dict(meta), robot_archive=robot_archive)
+    version: int
+    columns: dict[str, Annotated[int, Within(0, 100_000)]]
+    start: dict[str, tuple[float, ...]]
 
-
-def head_line(
-    layout: RowLayout, meta: Mapping[str, Any], start: Mapping[str, Array] | None = None, robot_archive: bytes = b""
-) -> bytes:
-    """Return the first line of a partial file."""
-    head = {
-        "kind": _KIND,
-        "version": _Head.version,
-        "columns": layout.widths,
-        "start": {name: values.tolist() for name, values in (start or {}).items()},
-        "meta": meta,
-        **({"robot": base64.b64encode(robot_archive).decode()} if robot_archive else {}),
-    }
-    return json.dumps(head).encode() + b"\n"
+    def __post_init__(self) -> None:
+        if self.version != _VERSION:
+            raise SurefootError(f"is of version {self.version}; surefoot reads versions 1 and {_VERSION}")
 
 
 def row_bytes(rows: Array) -> bytes:
@@ -147,18 +123,30 @@ def recover(path: str | Path) -> EpisodeTrace:
         line, _, body = path.read_bytes().partition(b"\n")
     with prefix_errors(f"partial trace {path}"):
         try:
-            head = json.loads(line)
-            kind, meta = head.pop("kind"), dict(head.pop("meta"))
-            robot = base64.b64decode(head.pop("robot", ""), validate=True)
+            entries = json.loads(line)
+            kind, meta = entries.pop("kind"), dict(entries.pop("meta"))
+            robot = base64.b64decode(entries.pop("robot", ""), validate=True)
+            if kind == _KIND and "version" not in entries:
+                entries = _from_version_1(entries)
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
             raise SurefootError(f"is not one: {' '.join(str(error).split())}") from error
         if kind != _KIND:
             raise SurefootError("is not one: it is of another kind")
-        rows_of = from_mapping(_Head, head) if "version" in head else from_mapping(_FormerHead, head)
-        width = rows_of.layout.width
+        first = from_mapping(_FirstLine, entries)
+        start = {name: np.array(values) for name, values in first.start.items()}
+        head = TraceHead(RowLayout(first.columns), meta, start, robot)
+        width = head.layout.width
         steps = len(body) // (8 * width) if width else 0
         if not steps:
             raise SurefootError("holds no whole control step")
         rows = np.frombuffer(body, "<f8", steps * width).reshape(steps, width).astype(float)
-        meta |= {"ended": "fault", "reason": "cut off"}
-        return make_trace(rows_of.layout, rows, meta, rows_of.start, robot_archive=robot)
+        return head.trace(rows, {"ended": "fault", "reason": "cut off"})
+
+
+def _from_version_1(entries: dict[str, Any]) -> dict[str, Any]:
+    """Return the first line of a file with counts, whose rows hold the robot's clock after the time, as it is now."""
+    counts = {
+        size: entries[name] for size, name in zip("MLOA", ("motors", "legs", "observations", "actions"), strict=True)
+    }
+    row = row_layout((*MEASURED, "command") if entries.get("commands") else MEASURED, counts).widths
+    return {"version": _VERSION, "columns": {"time": row.pop("time"), "robot_time": 1, **row}, "start": {}}

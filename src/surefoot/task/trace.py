@@ -6,6 +6,7 @@ so all worlds are measured alike. numpy only: the robot's computer writes it too
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.columns import as_column, check_values, column, columns_of
+from surefoot.columns import column, columns_of
 from surefoot.configuration import Within, to_mapping, typed_entries
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
@@ -129,74 +130,53 @@ def run_meta(
     }
 
 
-_STEPS, _LEGS, _MOTORS = ("steps",), ("steps", "legs"), ("steps", "motors")
+_column_of_some = functools.partial(column, known=False, always_in_file=False)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EpisodeTrace:
-    """An episode of T control steps of a robot with M motors, L legs and O observations.
+    """An episode of T control steps of a robot with M motors, L legs, O observations and A numbers of feedback.
 
-    Arrays are float64 and read-only. World and base frames: x forward, y left, z up. Columns with T + 1 rows hold
-    states: row 0 is the start, row k is after control step k.
+    Arrays are float64 and read-only. World and base frames: x forward, y left, z up. In columns with T+1 rows, row 0 is
+    the start and row k is after control step k.
     """
 
-    time: Array = column(
-        "s", _STEPS, "time since the episode's start at which the step's readings were taken: at its end"
-    )
-    base_position_world: Array = column("m", ("states", 3), "position of the base", "world", known=False)
-    base_quat_world: Array = column(
-        "1", ("states", 4), "orientation of the base, unit quaternion w, x, y, z", "world", known=False
-    )
-    roll_pitch_yaw: Array = column(
-        "rad", ("steps", 3), "orientation that the IMU measured, with its delay and noise", "world"
-    )
-    angular_velocity_base: Array = column("rad/s", ("steps", 3), "angular velocity that the IMU measured", "base")
-    motor_angle: Array = column("rad", _MOTORS, "angle that the encoder measured, with its delay")
-    motor_velocity: Array = column("rad/s", _MOTORS, "velocity that the encoder measured, with its delay")
-    motor_torque: Array = column("N m", _MOTORS, "torque at the end of the control step")
-    observation: Array = column("", ("steps", "observations"), "inputs of the policy, in the units of its contract")
+    time: Array = column("T", "s", "time since the start at which the step's readings were taken: at its end")
+    base_position_world: Array = column("T+1, 3", "m", "position of the base", "world", known=False)
+    base_quat_world: Array = column("T+1, 4", "1", "orientation, unit quaternion w, x, y, z", "world", known=False)
+    roll_pitch_yaw: Array = column("T, 3", "rad", "orientation that the IMU measured, delayed and noisy", "world")
+    angular_velocity_base: Array = column("T, 3", "rad/s", "angular velocity that the IMU measured", "base")
+    motor_angle: Array = column("T, M", "rad", "angle that the encoder measured, delayed")
+    motor_velocity: Array = column("T, M", "rad/s", "velocity that the encoder measured, delayed")
+    motor_torque: Array = column("T, M", "N m", "torque at the end of the control step")
+    observation: Array = column("T, O", "", "inputs of the policy, in the units of its contract")
     feedback: Array = column(
+        "T, A",
         "",
-        ("steps", "actions"),
         "the policy's part of the action: each coordinate of leg space in turn, of every leg (A = 2L or 3L; rad, "
         "extension of serial legs in lengths of the straight leg), or an angle (rad) of every motor; then what the "
         "policy keeps, one number for each observation `memory`",
     )
-    target: Array = column("rad", _MOTORS, "motor angle sent to the servo")
-    energy: Array = column("J", _STEPS, "integral over the control step of |torque . velocity|, at servo rate")
+    target: Array = column("T, M", "rad", "motor angle sent to the servo")
+    energy: Array = column("T", "J", "integral over the control step of |torque . velocity|, at servo rate")
     foot_contact: Array = column(
-        "1", _LEGS, "fraction of the control step in which the foot touched", known=False, is_fraction=True
+        "T, L", "1", "fraction of the control step in which the foot touched", known=False, is_fraction=True
     )
-    foot_position_world: Array = column("m", ("steps", "legs", 3), "position of the foot", "world", known=False)
-    true_motor_angle: Array = column(
-        "rad", _MOTORS, "angle at the end of the control step, without the readings' delay", known=False
+    foot_position_world: Array = column("T, L, 3", "m", "position of the foot", "world", known=False)
+    true_motor_angle: Array = column("T, M", "rad", "angle at the end of the control step, not delayed", known=False)
+    command: Array = _column_of_some(
+        "T, 3", "m/s, m/s, rad/s", "commanded speeds forward and to the left, and yaw rate", "heading"
     )
-    command: Array = column(
-        "m/s, m/s, rad/s",
-        ("steps", 3),
-        "commanded speeds forward and to the left, and yaw rate",
-        "heading",
-        known=False,
-        always_in_file=False,
-    )
-    push_force_world: Array = column(
-        "N", ("steps", 3), "force that pushed the base", "world", known=False, always_in_file=False
-    )
-    reward: Array = column(
-        "", _STEPS, "reward of the control step by the task's own terms", known=False, always_in_file=False
-    )
-    motor_saturation: Array = column(
+    push_force_world: Array = _column_of_some("T, 3", "N", "force that pushed the base", "world")
+    reward: Array = _column_of_some("T", "", "reward of the control step by the task's own terms")
+    motor_saturation: Array = _column_of_some(
+        "T, M",
         "1",
-        _MOTORS,
         "fraction of the control step in which the motor was at its limit: DC motors at full duty, joint actuators at "
         "the torque that there is at their speed",
-        known=False,
-        always_in_file=False,
         is_fraction=True,
     )
-    motor_heat: Array = column(
-        "J", _MOTORS, "energy that the motor's windings turned into heat", known=False, always_in_file=False
-    )
+    motor_heat: Array = _column_of_some("T, M", "J", "energy that the motor's windings turned into heat")
     meta: dict[str, Any] = field(default_factory=dict)
     """The entries of `TraceMeta`, those of `FurtherMeta` that apply, and others that JSON can hold."""
     robot_archive: bytes = b""
@@ -206,12 +186,19 @@ class EpisodeTrace:
         with prefix_errors("trace"):
             object.__setattr__(self, "meta", _checked_meta(self.meta))
             sizes = trace_sizes(np.size(self.time), np.shape(self.feedback), self.meta)
-            if not sizes["steps"]:
+            if not sizes["T"]:
                 raise SurefootError("an episode needs at least one control step")
             for name, declared in columns_of(EpisodeTrace).items():
                 may_be_nan = not declared.known or (self.imported and name != "time")
-                array = as_column(name, getattr(self, name), declared.sized(sizes), may_be_nan)
-                check_values(name, array, may_be_nan, declared.is_fraction)
+                array = declared.checked(name, getattr(self, name), sizes, may_be_nan)
+                bad = np.isinf(array) if may_be_nan else ~np.isfinite(array)
+                if np.any(bad):
+                    rule = "finite or NaN" if may_be_nan else "finite"
+                    raise SurefootError(
+                        f"{name} row {np.argwhere(bad)[0][0]} holds {array[bad][0]}, but must be {rule}"
+                    )
+                if declared.is_fraction and np.any((array < 0.0) | (array > 1.0)):
+                    raise SurefootError(f"{name} is a fraction of the control step: 0 to 1")
                 object.__setattr__(self, name, array)
             self._check_rules()
 
@@ -294,18 +281,12 @@ class EpisodeTrace:
 
 
 def trace_sizes(steps: int, feedback: tuple[int, ...], meta: Mapping[str, Any]) -> dict[str, int]:
-    """Return the sizes in the shapes of a trace's columns, for T `steps` and a `feedback` of that shape."""
+    """Return the sizes of a trace's columns by letter, for T `steps` and a `feedback` of that shape."""
     legs, motors = len(meta["leg_names"]), len(meta["motor_names"])
     memory = sum(str(name).startswith(f"{MEMORY}.") for name in meta["observation_names"])
     actions = feedback[-1] if feedback and feedback[-1] - memory in (3 * legs, motors) else 2 * legs + memory
-    return {
-        "steps": steps,
-        "states": steps + 1,
-        "legs": legs,
-        "motors": motors,
-        "observations": len(meta["observation_names"]),
-        "actions": actions,
-    }
+    observations = len(meta["observation_names"])
+    return {"T": steps, "T+1": steps + 1, "M": motors, "L": legs, "O": observations, "A": actions}
 
 
 def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:
