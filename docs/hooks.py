@@ -32,7 +32,7 @@ from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.observation import PARTS
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference import FootConfig, ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import FootConfig, ReferenceConfig, WaveConfig
 from surefoot.task.reward import TERMS
 from surefoot.task.trace import EpisodeTrace, FurtherMeta, TraceMeta
 

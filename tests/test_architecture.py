@@ -23,7 +23,8 @@ ALLOWED: dict[str, set[str]] = {
     "deploy": {
         *("robot", "policy", "world.interface"),
         *("task.contract_mapping", "task.commands", "task.observation", "task.gait"),
-        *("task.follower", "task.height_scan", "task.trace", "task.partial_trace"),
+        *("task.component", "task.gait_components", "task.state"),
+        *("task.height_scan", "task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot", "task.height_scan"},
     "firmware": {"deploy", "robot"},

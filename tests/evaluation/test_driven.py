@@ -14,6 +14,7 @@ from surefoot.errors import SurefootError
 from surefoot.evaluation.driven import FIXED, DrivenRobot
 from surefoot.evaluation.recorded import ground_of
 from surefoot.robot.params import PARAMETERS
+from surefoot.task.randomized_params import RandomizedParams
 
 
 def driven(name: str, world: str = "mujoco", **changes: object) -> DrivenRobot:
@@ -44,8 +45,8 @@ def test_terrain_is_that_of_the_robot_and_of_what_is_recorded():
     robot.step()
     trace = recording.trace()
     assert trace.meta["terrain"] == "blocks:0.03"
-    np.testing.assert_array_equal(ground_of(trace).corners, robot.env.ground.corners)
-    assert robot.env.ground.corners.max() > 0.02
+    np.testing.assert_array_equal(ground_of(trace).corners, robot.env.state.ground.corners)
+    assert robot.env.state.ground.corners.max() > 0.02
 
 
 def test_a_command_is_cut_to_the_limits_and_followed(robot: DrivenRobot):
@@ -63,9 +64,9 @@ def test_a_command_is_cut_to_the_limits_and_followed(robot: DrivenRobot):
 def test_turning_is_the_third_number(robot: DrivenRobot):
     robot.command([0.0, 0.0, 0.8])
     run(robot, 1.5)
-    before = robot.env.truth.roll_pitch_yaw[0, 2]
+    before = robot.env.state.truth.roll_pitch_yaw[0, 2]
     turned = run(robot, 1.0)[:, 2]
-    after = robot.env.truth.roll_pitch_yaw[0, 2]
+    after = robot.env.state.truth.roll_pitch_yaw[0, 2]
     assert turned.sum() * robot.step_time == pytest.approx((after - before) % (2 * np.pi), abs=1e-9)
     assert turned.mean() == pytest.approx(0.8, abs=0.15)
 
@@ -75,7 +76,7 @@ def test_a_push_has_its_duration_and_turns_with_the_heading(robot: DrivenRobot):
     run(robot, 1.6)
     robot.command([0.0, 0.0, 0.0])
     run(robot, 1.0)
-    yaw = robot.env.truth.roll_pitch_yaw[0, 2]
+    yaw = robot.env.state.truth.roll_pitch_yaw[0, 2]
     assert abs(yaw) > 0.8
     robot.push([0.0, 100.0, 0.0], 0.1)
     speed = run(robot, 0.1)[-1]
@@ -160,14 +161,14 @@ def test_a_robot_that_fell_lies_for_a_while_and_starts_again(robot: DrivenRobot)
     assert robot.restarts == restarts
     run(robot, 2.0)
     assert robot.restarts == restarts + 1
-    assert np.abs(robot.env.truth.roll_pitch_yaw[0, :2]).max() < 0.2
+    assert np.abs(robot.env.state.truth.roll_pitch_yaw[0, :2]).max() < 0.2
 
 
 def test_neither_pushes_nor_ranges_of_the_task_act():
     robot = driven("go2-trot-robust")
     run(robot, 1.0)
-    assert not robot.env.randomizer.enabled
-    assert not np.any(robot.env.pusher.force)
+    assert not any(isinstance(one, RandomizedParams) for one in robot.env.components)
+    assert not np.any(robot.env.state.push_force)
 
 
 def test_a_policy_without_commands_takes_none():

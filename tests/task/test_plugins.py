@@ -23,7 +23,7 @@ from surefoot.task.contract_mapping import make_contract, plugin_notes, task_fro
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.plugins import load_plugins, register_plugin, registered_plugins, remove_plugins
-from surefoot.task.reference import ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import ReferenceConfig, WaveConfig
 from surefoot.task.reward import TERMS
 
 HEAD = """
@@ -77,7 +77,7 @@ def test_terms_and_observations_work_as_built_in_ones(write) -> None:
     write(CONSTANT, TWICE)
     env = make_env()
     observation, _ = env.reset()
-    np.testing.assert_allclose(observation[:, 1], 2 * env.readings.motor_angle[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(observation[:, 1], 2 * env.state.readings.motor_angle[:, 0], rtol=1e-6)
     _, reward, *_ = env.step(np.zeros((2, 8)))
     np.testing.assert_allclose(reward, 2.0 * 3.0 * env.world.params.control_step)  # a rate
     assert env.observer.columns == ["roll", "twice"]

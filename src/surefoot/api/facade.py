@@ -106,7 +106,7 @@ def train(
     # Only the main thread has signals.
     signals = ("SIGINT",) if threading.current_thread() is threading.main_thread() else ()
     with folder_lock(folder.path):
-        loop = TrainingLoop(config, folder, find_world(config.world))
+        loop = TrainingLoop.create(config, folder, find_world(config.world))
         with TrainingProgress(config, console) as progress, StopSignals(signals, stop) as stops:
             loop.run(progress.report, lambda: stops.count > 0)
         if not loop.finished:
@@ -285,7 +285,7 @@ def export(
 
     from surefoot.policy.export import export_policy
     from surefoot.task.contract_mapping import make_contract
-    from surefoot.task.env import find_batch
+    from surefoot.task.single_env import find_batch
 
     network = model
     if not isinstance(model, nn.Module):

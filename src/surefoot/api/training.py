@@ -20,9 +20,10 @@ from surefoot.progress import ProgressBar
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.learn.ppo_learner import UpdateFigures
+    from surefoot.learn.evaluation import Evaluation
+    from surefoot.learn.rollout_statistics import UpdateFigures
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.training_loop import Evaluation, TrainingLoop
+    from surefoot.learn.training_loop import TrainingLoop
 
 EPISODE = "episode.npz"
 """File of the median episode's trace among the figures of a run."""

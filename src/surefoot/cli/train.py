@@ -25,9 +25,9 @@ from surefoot.task.plugins import load_plugins
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from surefoot.learn.ppo_learner import UpdateFigures
+    from surefoot.learn.evaluation import Evaluation
+    from surefoot.learn.rollout_statistics import UpdateFigures
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.training_loop import Evaluation
 
 _USAGE = """usage: surefoot train TASK [options]                 learn a gait
        surefoot train --resume RUN [--steps N]         resume a run exactly where it stopped, with its own options
@@ -179,7 +179,8 @@ def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: Logge
         console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
 
     with folder_lock(folder.path):
-        loop = TrainingLoop(config, folder, find_world(config.world), resume=resume, logger=logger)
+        make_loop = TrainingLoop.resume if resume else TrainingLoop.create
+        loop = make_loop(config, folder, find_world(config.world), logger)
         console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}")
         with ExitStack() as stack:
             progress = stack.enter_context(TrainingProgress(config, console, loop.learner.steps))

@@ -18,7 +18,7 @@ from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandGenerator
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.reward import base_rates
+from surefoot.task.state import base_rates
 from surefoot.task.terrain import TerrainConfig
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world, is_modelled
@@ -100,10 +100,10 @@ class DrivenRecording:
         """Add the control step that just ended, unless the recording has; `observation` (1, O) is of its start."""
         if self.ended:
             return
-        if self._env.truth.diverged[0]:
+        if self._env.state.truth.diverged[0]:
             self.end("fault")
             return
-        self.on_rows(self._recorder.record(self._env.readings.time, observation))
+        self.on_rows(self._recorder.record(self._env.state.readings.time, observation))
         if fell or self.duration >= MAX_RECORDING:
             self.end("fall" if fell else "time")
 
@@ -163,7 +163,7 @@ class DrivenRobot:
     @property
     def push_force_world(self) -> Array:
         """Force (3,) [N] that pushes the base now."""
-        force: Array = self.env.pusher.force[0]
+        force: Array = self.env.state.push_force[0]
         return force
 
     @property
@@ -195,12 +195,12 @@ class DrivenRobot:
         vector = np.asarray(force, float)
         if vector.shape != (3,) or not (np.linalg.norm(vector) <= _MAX_FORCE) or not 0.0 < duration <= 10.0:
             raise SurefootError(f"push: must be up to {_MAX_FORCE:g} N, for up to 10 s")
-        yaw = self.env.truth.roll_pitch_yaw[0, 2]
+        yaw = self.env.state.truth.roll_pitch_yaw[0, 2]
         self._push(in_heading_frame(vector[None], np.array([-yaw])))
         self._push_until = self.time + duration
 
     def _push(self, force_world: Array) -> None:
-        self.env.pusher.force[:] = force_world
+        self.env.state.push_force[:] = force_world
         self.env.world.push(force_world)
 
     def knobs(self) -> list[Knob]:
@@ -276,7 +276,7 @@ class DrivenRobot:
         if self.time >= self._push_until:
             self._push(np.zeros((1, 3)))
             self._push_until = np.inf
-        before, observation = env.truth, self._observation
+        before, observation = env.state.truth, self._observation
         self._observation, _, fell, over, _ = env.step(env.gait.action(self.policy.feedback(observation)))
         self.steps += 1
         if self._recording is not None:
@@ -284,10 +284,10 @@ class DrivenRobot:
         if fell[0] or over[0]:
             self.falls += int(fell[0])
             self._stand_at = self.time + _LIE_TIME
-        truth = env.truth
+        truth = env.state.truth
         (velocity,), (turn,) = base_rates(before, truth, self.step_time)
         velocity[2] = turn[2]
-        state, torque = env.command_state, truth.motor_torque[0]
+        state, torque = env.state.gait_state, truth.motor_torque[0]
         command = np.full(3, np.nan) if state is None else state.command[0]
         heat = float(truth.heat.sum()) / self.step_time
         row = DrivenStep(

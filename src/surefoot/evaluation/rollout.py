@@ -55,32 +55,32 @@ def run_to_end(
         a row a robot, with the columns of `measure_runs` from `return` on.
     """
     limit = np.full(env.num_envs, env.task.max_steps) if steps is None else steps
-    env.over |= limit == 0
+    env.state.over |= limit == 0
     terminated, diverged = np.zeros((2, env.num_envs), np.bool_)
     time, energy = np.zeros((2, env.num_envs))
-    position = env.start_position[:, 0].copy()
-    while not env.over.all():
-        going = ~env.over
-        start, seen = env.readings.time, np.where(going[:, None], observation, np.float32(0.0))
+    position = env.state.start_position[:, 0].copy()
+    while not env.state.over.all():
+        going = ~env.state.over
+        start, seen = env.state.readings.time, np.where(going[:, None], observation, np.float32(0.0))
         observation, _, ended, _, _ = env.step(act(seen))
         if record is not None:
             record(start, seen)
-        sound = going & ~env.truth.diverged
-        position[sound], time[sound] = env.truth.base_position_world[sound, 0], env.readings.time[sound]
-        energy[sound] += env.truth.energy[sound]
+        sound = going & ~env.state.truth.diverged
+        position[sound], time[sound] = env.state.truth.base_position_world[sound, 0], env.state.readings.time[sound]
+        energy[sound] += env.state.truth.energy[sound]
         terminated |= ended
         diverged |= going & ~sound
-        env.over |= env.steps >= limit
+        env.state.over |= env.state.steps >= limit
         if progress is not None:
-            progress(float(np.where(env.over, limit, env.steps).sum() / limit.sum()))
-    distance, duration = position - env.start_position[:, 0], np.where(time > 0, time, np.inf)
+            progress(float(np.where(env.state.over, limit, env.state.steps).sum() / limit.sum()))
+    distance, duration = position - env.state.start_position[:, 0], np.where(time > 0, time, np.inf)
     return pd.DataFrame(
         {
-            "return": env.returns.copy(),
+            "return": env.state.returns.copy(),
             "distance": distance,
             "speed": distance / duration,
             "power": energy / duration,
-            "steps": env.steps - diverged,
+            "steps": env.state.steps - diverged,
             "fell": terminated & ~diverged,
             "balanced": ~terminated,
         }
@@ -91,28 +91,29 @@ class EpisodeRecorder:
     """Records every control step of all robots of an environment from now on; `pushed`: forces of pushes too."""
 
     def __init__(self, env: LocomotionEnv, pushed: bool) -> None:
-        self.env, self._pushed, self._started = env, pushed, env.readings.time.copy()
-        sizes = trace_sizes(0, env.feedback.shape, self._meta(0))
+        self.env, self._pushed, self._started = env, pushed, env.state.readings.time.copy()
+        sizes = trace_sizes(0, env.state.feedback.shape, self._meta(0))
         self.layout = row_layout(tuple(columns_of(EpisodeTrace)), sizes)
         self.rows: list[Array] = []
         """Rows (N, width) of the control steps."""
-        self._start = self._base()
+        self._start = {name: values.copy() for name, values in self._base().items()}
         self._command = self._newest_command()
 
     def _base(self) -> dict[str, Array]:
-        truth = self.env.truth
+        truth = self.env.state.truth
         return {"base_position_world": truth.base_position_world, "base_quat_world": truth.base_quat_world}
 
     def _newest_command(self) -> Array:
-        source, robots = self.env.source, self.env.num_envs
-        return np.full((robots, 3), np.nan) if source is None else source.command.copy()
+        has_commands, command = self.env.task.commands.enabled, self.env.state.command
+        return command.copy() if has_commands else np.full_like(command, np.nan)
 
     def record(self, time: Array, observation: NDArray[np.float32]) -> Array:
         """Record the control step that just ended; return its rows (N, width).
 
         `time` (N,) [s] and `observation` are of its start.
         """
-        env, readings, truth = self.env, self.env.readings, self.env.truth
+        env, state = self.env, self.env.state
+        readings, truth = state.readings, state.truth
         rows = self.layout.rows(
             {
                 **self._base(),
@@ -123,8 +124,8 @@ class EpisodeRecorder:
                 "motor_velocity": readings.motor_velocity,
                 "motor_torque": truth.motor_torque,
                 "observation": observation[:, : env.observer.width],
-                "feedback": env.feedback,
-                "target": env.target,
+                "feedback": state.feedback,
+                "target": state.target,
                 "energy": truth.energy,
                 "foot_contact": truth.foot_contact,
                 "foot_position_world": env.world.foot_positions(),
@@ -132,8 +133,8 @@ class EpisodeRecorder:
                 "motor_heat": truth.heat,
                 "true_motor_angle": truth.motor_angle,
                 "command": self._command,
-                "reward": env.reward,
-                "push_force_world": env.pusher.force if self._pushed else np.full((env.num_envs, 3), np.nan),
+                "reward": state.reward,
+                "push_force_world": state.push_force if self._pushed else np.full((env.num_envs, 3), np.nan),
             }
         )
         self.rows.append(rows)

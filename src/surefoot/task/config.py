@@ -18,7 +18,7 @@ from surefoot.task.commands import CommandConfig
 from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
 from surefoot.task.observation import IMU_AND_MOTORS_12D, OVER_HOLES
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference import ReferenceConfig, make_reference
+from surefoot.task.reference_config import ReferenceConfig, make_reference
 from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
 from surefoot.task.terrain import TerrainConfig
 

@@ -6,13 +6,16 @@ need no sensors.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.task.commands import CommandState
-from surefoot.task.foot_references import FollowingReference
-from surefoot.task.reference import Reference
+from surefoot.task.component import RobotComponent
+from surefoot.task.reference import FollowingReference
+from surefoot.task.state import RobotState
 
 BEHIND = 0.12
 """A foot has met something that is further than this behind its command, in lengths l of the straight leg: a free one
@@ -29,16 +32,16 @@ _SHORTEST = 0.07
 """Shortest stride [l] that has a direction in which a foot can meet something."""
 
 
-class TouchLift:
-    """How much further feet of N robots with L legs are lifted.
+class ContactReflex(RobotComponent):
+    """Additional lift of the feet of N robots with L legs after contact in swing.
 
     Args:
         reference: with `touch_clearance`.
         num_envs: robots.
     """
 
-    arrays = ("lift", "behind", "commanded")
-    """Names of the arrays that change over time."""
+    prefix = "touch"
+    changing = ("lift", "behind", "commanded")
 
     def __init__(self, reference: FollowingReference, num_envs: int) -> None:
         self.reference, legs = reference, reference.robot.leg_geometry
@@ -50,17 +53,22 @@ class TouchLift:
         self.commanded = np.zeros((*self.lift.shape, 3))
         """Feet of the last command but one, from the legs' mounts [m] (N, L, 3): actuators take that long."""
 
-    @classmethod
-    def of(cls, reference: Reference, num_envs: int) -> TouchLift | None:
-        """Return that of a reference; None, if it lifts no feet further."""
-        if isinstance(reference, FollowingReference) and reference.touch_clearance:
-            return cls(reference, num_envs)
-        return None
-
-    def reset(self, rows: NDArray[np.int64]) -> None:
+    def reset(self, rows: NDArray[np.int64], state: RobotState) -> None:
         """Let robots stand that have met nothing."""
         for array in (self.lift, self.behind, self.commanded):
             array[rows] = 0.0
+        self.publish(state)
+
+    def after_step(self, state: RobotState) -> None:
+        """Compare the measured feet with the commanded feet, and lift those that met something."""
+        assert state.gait_state is not None
+        self.update(state.target, state.readings.motor_angle, state.gait_state, state.duration)
+        self.publish(state)
+
+    def publish(self, state: RobotState) -> None:
+        """Write the lift to what the gait follows."""
+        assert state.gait_state is not None
+        state.gait_state = replace(state.gait_state, lift=self.lift)
 
     def update(self, target: Array, measured: Array, state: CommandState, step: Array) -> None:
         """Go on by a control step.

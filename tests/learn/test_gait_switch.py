@@ -14,24 +14,25 @@ from surefoot.api.training import check_config
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError
 from surefoot.learn.config import PPOConfig, TrainConfig
+from surefoot.learn.gait_switch import GaitSwitch, GaitSwitchArchitecture
 from surefoot.learn.run_folder import RunFolder
 from surefoot.learn.training_loop import TrainingLoop
-from surefoot.learn.two_gaits import TwoGaits, with_first_gait
 from surefoot.policy.graph import Graph
 from surefoot.policy.network import INPUT
 from surefoot.policy.torch_graph import trace_module
 from surefoot.task.config import TaskConfig, load_task
+from surefoot.task.footholds import Footholds
 from surefoot.world.sim_world import SimWorld
 
 
-def both() -> TwoGaits:
+def both() -> GaitSwitch:
     """Return a network whose gaits give 1 + the second input, and 10 times it; the first input is the share."""
     first, over = nn.Linear(2, 1), nn.Linear(2, 1)
     with torch.no_grad():
         for layer, weight, bias in ((first, 1.0, 1.0), (over, 10.0, 0.0)):
             layer.weight[:] = torch.tensor([0.0, weight])
             layer.bias.fill_(bias)
-    return TwoGaits(nn.Sequential(first), nn.Sequential(over), 0, 0.5)
+    return GaitSwitch(nn.Sequential(first), nn.Sequential(over), 0, 0.5)
 
 
 def test_the_share_blends_both_gaits():
@@ -59,7 +60,7 @@ def test_it_can_be_a_policy_file():
 def test_parameters_of_a_policy_of_one_gait_are_those_of_the_first(bias: float):
     one = {"mlp.0.weight": torch.ones(1), "mlp.0.bias": torch.tensor([bias]), "distribution.std": torch.ones(1)}
     two = {f"mlp.{part}.0.{name}": torch.zeros(1) for part in ("first", "over_holes") for name in ("weight", "bias")}
-    joined = with_first_gait({**two, "distribution.std": torch.zeros(1)}, one)
+    joined = GaitSwitchArchitecture().adopt({**two, "distribution.std": torch.zeros(1)}, one)
     assert {name: float(value) for name, value in joined.items()} == {
         "mlp.first.0.weight": 1.0,
         "mlp.first.0.bias": bias,
@@ -78,7 +79,7 @@ def config(task: TaskConfig, start_from: Path | None = None) -> TrainConfig:
 
 
 def run(config: TrainConfig, folder: Path) -> TrainingLoop:
-    loop = TrainingLoop(config, RunFolder.create(config, folder), SimWorld)
+    loop = TrainingLoop.create(config, RunFolder.create(config, folder), SimWorld)
     loop.run(lambda *_: None)
     return loop
 
@@ -105,18 +106,20 @@ def test_a_policy_of_one_gait_gets_one_over_holes_which_alone_learns(tmp_path: P
     seen = {name: float(rng.normal()) for name in before.learner.env.observer.columns}
     before.learner.policy.load_state_dict(before.best_actor)
     walks = actions(before, 0.0, seen)
-    seeing = TrainingLoop(config(task, before.folder.path), RunFolder.create(config(task), tmp_path), SimWorld)
+    seeing = TrainingLoop.create(config(task, before.folder.path), RunFolder.create(config(task), tmp_path), SimWorld)
     np.testing.assert_allclose(actions(seeing, 0.0, seen), walks, atol=1e-5)
     over = actions(seeing, 1.0, seen)
     assert np.abs(over - walks).max() > 1e-3
-    follower = seeing.learner.env.follower
-    assert follower is not None
-    assert follower.footholds is not None
-    follower.footholds.over_holes[:] = 1.0  # as if there were holes
+    seeing.learner.env.component(Footholds).over_holes[:] = 1.0  # as if there were holes
     seeing.run(lambda *_: None)
     np.testing.assert_allclose(actions(seeing, 0.0, seen), walks, atol=1e-5)
     assert np.abs(actions(seeing, 1.0, seen) - over).max() > 1e-4
     # A run goes on from it with both.
     last = seeing.learner.policy.state_dict()
-    third = TrainingLoop(config(task, seeing.folder.path), RunFolder.create(config(task), tmp_path / "3"), SimWorld)
+    again = config(task, seeing.folder.path)
+    third = TrainingLoop.create(again, RunFolder.create(again, tmp_path / "3"), SimWorld)
     assert all(torch.equal(value, last[name]) for name, value in third.learner.policy.state_dict().items())
+    # One without a gait over holes can't.
+    walking = config(replace(task, reference=replace(task.reference, over_holes=None)), seeing.folder.path)
+    with pytest.raises(SurefootError, match=r"has the networks of reference\.over_holes, which this run's task lacks"):
+        TrainingLoop.create(walking, RunFolder.create(walking, tmp_path / "4"), SimWorld)

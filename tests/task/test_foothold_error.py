@@ -1,4 +1,4 @@
-"""Landings: what feet count that land beside their footholds, worked by hand."""
+"""Error of touchdowns relative to their footholds, worked by hand."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.foothold_error import FootholdError
 from surefoot.task.footholds import Footholds
-from surefoot.task.landings import Landings
 from surefoot.world.interface import Truth
 from surefoot.world.sim_world import SimWorld
 
@@ -35,13 +35,12 @@ class Walk:
     def __init__(self, yaw: float = 0.0) -> None:
         task = seeing_task()
         self.reference = task.gait(GO2).reference
-        made = Footholds.of(self.reference, 1)
-        assert made is not None
-        self.footholds, self.landings = made, Landings(made)
+        self.footholds = Footholds(self.reference, 1)
+        self.landings = FootholdError(self.footholds)
         env = LocomotionEnv(replace(task, terrain=replace(task.terrain, sizes={}, shares={})), 1, SimWorld, threads=1)
         half = 0.5 * yaw
         self.truth = replace(
-            env.truth,
+            env.state.truth,
             base_position_world=np.array([[2.0, -1.0, 0.3]]),
             roll_pitch_yaw=np.array([[0.0, 0.0, yaw]]),
             base_quat_world=np.array([[np.cos(half), 0.0, 0.0, np.sin(half)]]),
@@ -67,7 +66,7 @@ class Walk:
     def judge(self, truth: Truth, part: float) -> float:
         """Return what landings count at a part of the front left foot's swing."""
         self.go(part)
-        return float(self.landings.judge(truth)[0])
+        return float(self.landings.compute(truth)[0])
 
     def land(self, beside: tuple[float, float], landing: tuple[float, float]) -> float:
         """Return what a foot counts that was to land at `landing` beside its place [m], and does at `beside`."""

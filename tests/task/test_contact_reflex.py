@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +14,9 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import TaskConfig, load_task
+from surefoot.task.contact_reflex import ContactReflex
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.foot_references import FollowingReference
-from surefoot.task.touch import TouchLift
+from surefoot.task.reference import FollowingReference
 from surefoot.world.sim_world import SimWorld
 
 GO2 = RobotDescription.load("go2")
@@ -47,9 +48,9 @@ def angles(reference: FollowingReference, ahead: float = 0.0) -> np.ndarray:
     return GO2.to_motors(GO2.leg_geometry.foot_pose(reference.places + np.array([ahead, 0.0, 0.0]))[None])
 
 
-def hold_behind(reference: FollowingReference, behind: float, steps: int, **changes: float) -> TouchLift:
+def hold_behind(reference: FollowingReference, behind: float, steps: int, **changes: float) -> ContactReflex:
     """Return what robots do in whose swing feet are so far [m] behind their commands for some control steps."""
-    touch = TouchLift(reference, 1)
+    touch = ContactReflex(reference, 1)
     for _ in range(steps + 1):
         touch.update(angles(reference, behind), angles(reference), walking(0.8, **changes), STEP)
     return touch
@@ -57,7 +58,7 @@ def hold_behind(reference: FollowingReference, behind: float, steps: int, **chan
 
 def test_over_holes_no_foot_is_lifted_further(reference):
     # It goes to footholds far beside its stride, and is behind without having met anything.
-    touch = TouchLift(reference, 1)
+    touch = ContactReflex(reference, 1)
     for _ in range(11):
         state = replace(walking(0.8), over_holes=np.array([0.1]))
         touch.update(angles(reference, 0.2), angles(reference), state, STEP)
@@ -86,7 +87,7 @@ def test_what_is_behind_counts_in_the_direction_of_the_stride(reference):
 
 
 def test_actuators_have_a_control_step_to_follow(reference):
-    touch = TouchLift(reference, 1)
+    touch = ContactReflex(reference, 1)
     for k in range(20):
         touch.update(angles(reference, 0.01 * k), angles(reference, 0.01 * (k - 1)), walking(0.8), STEP)
     assert touch.behind[0, FRONT_LEFT] == pytest.approx(0.0, abs=1e-5)
@@ -97,7 +98,7 @@ def test_the_lift_is_forgotten_in_stance(reference):
     for _ in range(10):
         touch.update(angles(reference), angles(reference), walking(0.3), STEP)
     assert touch.lift[0, FRONT_LEFT] == pytest.approx(0.3 * LENGTH * np.exp(-0.16 / (15 * NATURAL)))
-    touch.reset(np.arange(1))
+    touch.reset(np.arange(1), SimpleNamespace(gait_state=walking(0.0)))
     assert not touch.lift.any()
     assert not touch.behind.any()
 
@@ -159,18 +160,15 @@ def test_robots_meet_steps_and_go_on_exactly_from_a_state():
     env = on("stairs:0.1", 250)
     action = np.zeros((4, len(env.gait.action_names)))
     assert_resumes_exactly(env, [action] * 20)
-    assert env.follower is not None
-    assert env.follower.touch is not None
-    assert env.follower.touch.lift.any()
+    assert env.component(ContactReflex).lift.any()
 
 
 def test_robots_meet_nothing_on_level_ground():
     env = on("flat", 250)
-    assert env.follower is not None
-    assert env.follower.touch is not None
-    assert not env.follower.touch.lift.any()
+    assert not env.component(ContactReflex).lift.any()
 
 
 def test_a_gait_without_lift_by_touch_has_none():
-    gait = lifting_task(0.0).gait(GO2)
-    assert TouchLift.of(gait.reference, 1) is None
+    env = LocomotionEnv(lifting_task(0.0), 1, SimWorld, threads=1)
+    assert not any(isinstance(component, ContactReflex) for component in env.components)
+    assert env.state.gait_state.lift is None
