@@ -217,6 +217,12 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     return config
 
 
+def typed_entries(kind: type[T], data: Mapping[str, Any], where: str = "") -> T:
+    """Make a dataclass from those entries of a mapping that it has; see `from_mapping`."""
+    names = {item.name for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    return from_mapping(kind, {name: value for name, value in data.items() if name in names}, where)
+
+
 def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
     """Return a value as the type that a field has; `base` is what the field has without it."""
     origin, args, is_bool = typing.get_origin(hint), typing.get_args(hint), isinstance(value, bool)

@@ -41,9 +41,9 @@ def run(robot: DrivenRobot, seconds: float) -> np.ndarray:
 def test_terrain_is_that_of_the_robot_and_of_what_is_recorded():
     policy, _, task, _ = load_gait(find_policy("go2-steer"), None)
     robot = DrivenRobot(policy, task, "mujoco", "blocks:0.03")
-    recording = robot.record()
+    recording = robot.record("go2-steer")
     robot.step()
-    trace = recording.trace("go2-steer", "mujoco")
+    trace = recording.trace()
     assert trace.meta["terrain"] == "blocks:0.03"
     np.testing.assert_array_equal(ground_of(trace).corners, robot.env.state.ground.corners)
     assert robot.env.state.ground.corners.max() > 0.02
@@ -182,14 +182,14 @@ def test_a_policy_without_commands_takes_none():
 def test_a_recording_is_a_trace_with_its_pushes_and_ends_with_a_restart(robot: DrivenRobot):
     robot.command([0.5, 0.0, 0.0])
     run(robot, 0.5)
-    recording, begin, step = robot.record(), robot.rows[-1].position, robot.step_time
+    recording, begin, step = robot.record("go2-steer"), robot.rows[-1].position, robot.step_time
     run(robot, 10 * step)
     robot.push([0.0, 60.0, 0.0], 4 * step)
     force = np.linalg.norm(robot.push_force_world)
     run(robot, 20 * step)
     robot.restart()
     run(robot, 0.2)
-    trace = recording.trace("go2-steer", "mujoco")
+    trace = recording.trace()
     assert (trace.num_steps, trace.duration) == (30, pytest.approx(30 * step))
     assert trace.base_position_world[0] == pytest.approx(begin)
     assert trace.meta["ended"] == "stopped"
@@ -201,15 +201,15 @@ def test_a_recording_is_a_trace_with_its_pushes_and_ends_with_a_restart(robot: D
 
 
 def test_a_recording_ends_with_a_fall_and_at_its_greatest_length(robot: DrivenRobot, monkeypatch: pytest.MonkeyPatch):
-    recording = robot.record()
+    recording = robot.record("go2-steer")
     with pytest.raises(SurefootError, match="no control step was recorded"):
-        recording.trace("go2-steer", "mujoco")
+        recording.trace()
     robot.push([0.0, 1500.0, 0.0], 0.3)
     run(robot, 1.2)
     assert recording.ended == "fall"
     assert recording.duration < 1.2
     robot.restart()
     monkeypatch.setattr("surefoot.evaluation.driven.MAX_RECORDING", 10 * robot.step_time)
-    recording = robot.record()
+    recording = robot.record("go2-steer")
     run(robot, 0.4)
     assert (recording.ended, recording.duration) == ("time", pytest.approx(10 * robot.step_time))

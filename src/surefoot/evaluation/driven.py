@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -74,18 +76,25 @@ class DrivenStep:
     """Share of the step in which each foot touched the ground (L,)."""
 
 
-class Recording:
-    """Control steps of a driven robot, up to a fall, a restart, `MAX_RECORDING` or its end."""
+class DrivenRecording:
+    """Control steps of a driven robot, up to a fall, a restart, `MAX_RECORDING` or its end.
 
-    def __init__(self, env: LocomotionEnv) -> None:
-        self._env, self._recorder = env, EpisodeRecorder(env, pushed=True)
+    Args:
+        env: the robot's.
+        meta: entries of the trace's meta.
+    """
+
+    def __init__(self, env: LocomotionEnv, meta: dict[str, Any]) -> None:
+        self._env, self._recorder, self._meta = env, EpisodeRecorder(env, pushed=True), meta
         self.ended = ""
         """How it ended, as in a trace's meta; empty while it goes on."""
+        self.on_rows: Callable[[Array], None] = lambda rows: None
+        """Called with the row (1, width) of every control step."""
 
     @property
     def duration(self) -> float:
         """Length [s]."""
-        return len(self._recorder.steps) * float(self._env.world.params.control_step[0])
+        return len(self._recorder.rows) * float(self._env.world.params.control_step[0])
 
     def add(self, observation: NDArray[np.float32], fell: bool) -> None:
         """Add the control step that just ended, unless the recording has; `observation` (1, O) is of its start."""
@@ -94,7 +103,7 @@ class Recording:
         if self._env.state.truth.diverged[0]:
             self.end("fault")
             return
-        self._recorder.record(self._env.state.readings.time, observation)
+        self.on_rows(self._recorder.record(self._env.state.readings.time, observation))
         if fell or self.duration >= MAX_RECORDING:
             self.end("fall" if fell else "time")
 
@@ -102,16 +111,20 @@ class Recording:
         """End the recording, if it goes on."""
         self.ended = self.ended or ended
 
-    def trace(self, policy: str, world: str) -> EpisodeTrace:
+    def head(self) -> bytes:
+        """Return the first line of the file of its rows."""
+        return self._recorder.head(0, self._meta).line()
+
+    def trace(self) -> EpisodeTrace:
         """Return the trace.
 
         Raises:
             SurefootError: no control step was recorded.
         """
-        meta = {"policy": policy, "world": world, "seed": _SEED, "ended": self.ended or "stopped"}
-        if not self._recorder.steps:
+        if not self._recorder.rows:
             raise SurefootError("no control step was recorded")
-        return self._recorder.trace(0, len(self._recorder.steps), meta)
+        meta = {**self._meta, "ended": self.ended or "stopped"}
+        return self._recorder.trace(0, len(self._recorder.rows), meta)
 
 
 class DrivenRobot:
@@ -139,7 +152,7 @@ class DrivenRobot:
         self.falls, self.steps, self.restarts = 0, 0, 0
         self._push_until = self._stand_at = np.inf
         self._observation, _ = self.env.reset()
-        self._recording: Recording | None = None
+        self._recording: DrivenRecording | None = None
 
     @property
     def commanded(self) -> Array:
@@ -250,9 +263,9 @@ class DrivenRobot:
         self._push(np.zeros((1, 3)))
         self._push_until = self._stand_at = np.inf
 
-    def record(self) -> Recording:
-        """Start to record the control steps from now on, in place of an earlier recording; return the recording."""
-        self._recording = Recording(self.env)
+    def record(self, policy: str) -> DrivenRecording:
+        """Start to record the control steps of a policy of this name; return the recording, in place of an earlier."""
+        self._recording = DrivenRecording(self.env, {"policy": policy, "world": self.world, "seed": _SEED})
         return self._recording
 
     def step(self) -> DrivenStep:
