@@ -63,8 +63,8 @@ ROBOT_SIDE = [
 ]
 """Modules that the robot's computer runs, besides `surefoot.deploy`."""
 NOT_ON_THE_ROBOT = {
-    *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas", "pybullet"),
-    *("torch", "tensordict", "rsl_rl", "tensorboard", "onnx", "stable_baselines3"),
+    *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas", "pybullet", "tomli_w"),
+    *("torch", "tensordict", "rsl_rl", "tensorboard", "onnx", "stable_baselines3", "filelock"),
     *("matplotlib", "imageio_ffmpeg", "PIL", "viser", "websockets"),
 }
 """Packages outside the bare install."""
