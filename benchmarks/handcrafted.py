@@ -32,10 +32,10 @@ from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import COLORS, MARKERS, new_figure
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.randomization import load_ranges
-from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.studies.tune import has_converged, read_curve
 from surefoot.tables import markdown, print_table, write_csv
 from surefoot.task.config import TaskConfig
+from surefoot.task.handcrafted import HandcraftedGait
 from surefoot.world.registry import find_world
 
 SHIPPED = ("trot-robust", "gallop-robust")

@@ -18,7 +18,8 @@ pytest.importorskip("matplotlib")
 from surefoot.studies.paper import load_content
 from surefoot.studies.result_numbers import fill
 from surefoot.studies.search import make_config
-from surefoot.studies.search_report import SearchResult, write_report
+from surefoot.studies.search_report import write_report
+from surefoot.studies.search_result import SearchResult
 from surefoot.task.trace import EpisodeTrace
 
 BULLET = runs_table("bullet", 0.5, 0.7)

@@ -11,9 +11,9 @@ from surefoot.cli.helpers.options import Count, check_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
 from surefoot.progress import ProgressBar
-from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.studies.tune import TuneConfig, Tuner, curve_path, has_converged, read_curve
 from surefoot.tables import write_csv
+from surefoot.task.handcrafted import HandcraftedGait
 
 
 @dataclass(frozen=True)
