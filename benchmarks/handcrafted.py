@@ -2,7 +2,7 @@
 
     python benchmarks/handcrafted.py results/handcrafted
 
-Handcrafted gaits are the YAML files of the folder, from `surefoot tune`, with the curves of their tuning (.csv).
+Handcrafted gaits are the YAML files of the folder, from `surefoot study tune`, with the curves of their tuning (.csv).
 Learned ones are its ONNX files, NAME-seed_N.onnx for each of several trainings of a gait, and policies that ship. Each
 runs in MuJoCo, in MuJoCo with table I drawn for every episode, and in Bullet. Runs are kept in runs.csv; a second call
 makes only those that are missing, or whose gait has changed.

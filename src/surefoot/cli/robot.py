@@ -1,4 +1,4 @@
-"""`surefoot robot new FILE` and `surefoot robot check FOLDER`: from a URDF or MJCF to a robot to train."""
+"""`surefoot robot`: from a URDF or MJCF to a robot to train, checks of its description, and its firmware."""
 
 from __future__ import annotations
 
@@ -132,4 +132,5 @@ def _run_checks(robot: RobotDescription, as_json: bool = False) -> int:
 ACTIONS = {
     "new": ("read a robot from a URDF or MJCF, and write its folder", _new),
     "check": ("check a robot's description", _check),
+    "firmware": ("write the firmware of its microcontroller, and turn a motor", "surefoot.cli.robot_firmware"),
 }

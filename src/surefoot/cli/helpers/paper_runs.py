@@ -164,7 +164,7 @@ def tune(gait: str, speed: float) -> Stage:
         # The gait is written after every generation; the file of this name is of the last one.
         part = Path(makes).with_suffix(".part.yaml")
         small = runs.quick_options("--generations", 12)
-        command(runs, "tune", "--gait", gait, "--speed", speed, "--out", part, *small)
+        command(runs, "study", "tune", "--gait", gait, "--speed", speed, "--out", part, *small)
         (runs.folder / part).rename(runs.folder / makes)
 
     return Stage(makes, make)
@@ -197,7 +197,7 @@ def search(runs: PaperRuns) -> None:
     out = Path("results") / "search"
     resume = ["--resume"] if (runs.folder / out / "search.yaml").exists() else []
     small = runs.quick_options("--trials", 4, "--steps", 60_000)
-    command(runs, "search", "gallop", "--out", out, *runs.workers_options(), *small, *resume)
+    command(runs, "study", "search", "gallop", "--out", out, *runs.workers_options(), *small, *resume)
 
 
 STAGES = (

@@ -1,4 +1,4 @@
-"""`surefoot paper`: the page of a clone, and the runs behind it."""
+"""`surefoot study paper`: the page of a clone, and the runs behind it."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from surefoot.cli.evaluate import EvaluateCommand
 from surefoot.cli.helpers import paper_runs
 from surefoot.cli.helpers.paper_runs import PaperRuns, Stage, command, evaluations
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.search import SearchCommand
 from surefoot.cli.sensitivity import SensitivityCommand
 from surefoot.cli.study import StudyCommand
-from surefoot.cli.tune import TuneCommand
+from surefoot.cli.study_search import SearchCommand
+from surefoot.cli.study_tune import TuneCommand
 from surefoot.errors import SurefootError
 from surefoot.studies.paper import evaluations_on_page
 
 
 def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
-    done = surefoot("paper", "--root", repository, "--out", tmp_path / "page.html")
+    done = surefoot("study", "paper", "--root", repository, "--out", tmp_path / "page.html")
     assert (done.returncode, done.stdout) == (0, f"wrote {tmp_path / 'page.html'}\n")
     assert (tmp_path / "page.html").read_text(encoding="utf-8").endswith("</html>\n")
 
@@ -46,7 +46,10 @@ def test_paper_refuses_options_that_do_not_go_together(
     words: list[str], parts: list[str], repository: Path, tmp_path: Path
 ):
     (tmp_path / "file").touch()
-    refused(surefoot("paper", *(word.replace("REPOSITORY", str(repository)) for word in words), cwd=tmp_path), *parts)
+    refused(
+        surefoot("study", "paper", *(word.replace("REPOSITORY", str(repository)) for word in words), cwd=tmp_path),
+        *parts,
+    )
 
 
 @pytest.fixture
@@ -75,10 +78,10 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
     stages = (Stage("once", once), Stage("results/evaluations.csv", evaluations), Stage("stopped", stopped))
     monkeypatch.setattr(paper_runs, "STAGES", stages)
     monkeypatch.setattr(paper_runs, "evaluations_on_page", lambda: ["trot"])
-    words = ("paper", "--root", repository, "--quick", "--out", shipped)
+    words = ("study", "paper", "--root", repository, "--quick", "--out", shipped)
     done = surefoot(*words)
     assert done.returncode == 130
-    assert f"surefoot paper --root {repository} --quick" in done.stderr
+    assert f"surefoot study paper --root {repository} --quick" in done.stderr
     (row,) = csv.DictReader((shipped / "results/evaluations.csv").open())
     assert (row["name"], row["episodes"]) == ("trot", "5")
     assert not (shipped / "paper.html").exists()
@@ -96,7 +99,7 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
 def test_a_training_keeps_its_policy_and_pictures(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(paper_runs, "STAGES", (paper_runs.train("trot", 8192),))
     folder = tmp_path / "runs"
-    done = surefoot("paper", "--root", repository, "--quick", "--out", folder)
+    done = surefoot("study", "paper", "--root", repository, "--quick", "--out", folder)
     assert done.returncode == 0, done.stderr
     assert (folder / "policies/trot.onnx").exists()
     assert (folder / "policies/trot/footfalls.png").exists()
@@ -107,7 +110,7 @@ def test_a_command_that_fails_ends_the_runs_in_one_line(
 ):
     stages = (Stage("never", lambda runs: command(runs, "evaluate", "none.onnx")),)
     monkeypatch.setattr(paper_runs, "STAGES", stages)
-    done = surefoot("paper", "--root", repository, "--full", "--out", shipped)
+    done = surefoot("study", "paper", "--root", repository, "--full", "--out", shipped)
     assert done.returncode == 2
     assert done.stderr.endswith("surefoot: error: surefoot evaluate none.onnx: ended with exit code 2\n")
 
@@ -212,6 +215,6 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
 
 def test_a_run_without_its_file_is_an_error(repository: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(paper_runs, "STAGES", (Stage("results/none.json", lambda runs: None),))
-    done = surefoot("paper", "--root", repository, "--quick", "--out", shipped)
+    done = surefoot("study", "paper", "--root", repository, "--quick", "--out", shipped)
     refused_late = "surefoot: error: results/none.json was not made; see the output above\n"
     assert (done.returncode, done.stderr.endswith(refused_late)) == (2, True)

@@ -1,4 +1,4 @@
-"""`surefoot paper`: the paper and surefoot's results on one page."""
+"""`surefoot study paper`: the paper and surefoot's results on one page."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PaperCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    command = parse(PaperCommand, argv, "surefoot paper")
+    command = parse(PaperCommand, argv, "surefoot study paper")
     if not (command.quick or command.full):
         check_suffix("out", command.out, ".html")
     if not (command.root / "results").is_dir():
@@ -55,7 +55,7 @@ def main(argv: list[str]) -> int:
         page = root / "paper.html"
         runs = PaperRuns(command.root.resolve(), root, command.quick, command.workers, command.ray)
         if not make_all(runs):
-            runs.console.print(f"Stopped. To go on:\n  {shlex.join(['surefoot', 'paper', *argv])}")
+            runs.console.print(f"Stopped. To go on:\n  {shlex.join(['surefoot', 'study', 'paper', *argv])}")
             return 130
         note = QUICK_NOTE if command.quick else ""
     elif command.workers or command.ray:

@@ -1,4 +1,4 @@
-"""`surefoot search TASK`: many trainings with settings that Optuna proposes, and what they came to."""
+"""`surefoot study search`: many trainings with settings that Optuna proposes, and what they came to."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class SearchCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    command = parse(SearchCommand, argv, "surefoot search")
+    command = parse(SearchCommand, argv, "surefoot study search")
     from surefoot.learn.folder_lock import folder_lock
 
     config = make_config(command.task, command.space, command.seed, command.steps)
@@ -73,7 +73,7 @@ def main(argv: list[str]) -> int:
         for note in search.notes:
             console.print(note)
         if not command.report_only and _train(search, command, console):
-            again = shlex.join(["surefoot", "search", *argv, *([] if command.resume else ["--resume"])])
+            again = shlex.join(["surefoot", "study", "search", *argv, *([] if command.resume else ["--resume"])])
             console.print(f"Stopped; every trial under way is saved. To go on:\n  {again}")
             return 130
         from surefoot.studies.search_report import write_report
@@ -82,7 +82,7 @@ def main(argv: list[str]) -> int:
         make_figures_folder(out)
         with console.status("evaluating") as status:
             result = collect_result(search, status.update)
-        console.print(f"Report: {write_report(result, out, shlex.join(['surefoot', 'search', *argv]))}")
+        console.print(f"Report: {write_report(result, out, shlex.join(['surefoot', 'study', 'search', *argv]))}")
     return 0
 
 

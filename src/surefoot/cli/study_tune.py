@@ -1,4 +1,4 @@
-"""`surefoot tune`: find a handcrafted gait for a robot and a speed."""
+"""`surefoot study tune`: find a handcrafted gait for a robot and a speed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class TuneCommand(TuneConfig):
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    command = parse(TuneCommand, argv, "surefoot tune")
+    command = parse(TuneCommand, argv, "surefoot study tune")
     check_suffix("gait", command.out, ".yaml")
     config = TuneConfig(**{item.name: getattr(command, item.name) for item in fields(TuneConfig)})
     start = {} if command.start_from is None else HandcraftedGait.load(command.start_from).about.get("parameters")
