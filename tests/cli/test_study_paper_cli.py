@@ -9,6 +9,7 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
+from paper_page import load_content
 from processes import refused, surefoot
 
 pytest.importorskip("matplotlib")
@@ -23,7 +24,6 @@ from surefoot.cli.study import StudyCommand
 from surefoot.cli.study_search import SearchCommand
 from surefoot.cli.study_tune import TuneCommand
 from surefoot.errors import SurefootError
-from surefoot.studies.paper import evaluations_on_page
 
 
 def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
@@ -35,7 +35,7 @@ def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
-        (["--root", "."], ["root is .", "with the folder results"]),
+        (["--root", "."], ["root is .", "with docs/paper_page.py"]),
         (["--out", "page.pdf"], ["out page.pdf: the name must end in .html"]),
         (["--root", "REPOSITORY", "--quick", "--full"], ["--quick and --full are given; give one of them"]),
         (["--root", "REPOSITORY", "--workers", "2"], ["--workers", "go with --quick or --full"]),
@@ -77,7 +77,7 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
 
     stages = (Stage("once", once), Stage("results/evaluations.csv", evaluations), Stage("stopped", stopped))
     monkeypatch.setattr(paper_runs, "STAGES", stages)
-    monkeypatch.setattr(paper_runs, "evaluations_on_page", lambda: ["trot"])
+    monkeypatch.setattr(paper_runs, "run_script", lambda *_: "trot\n")
     words = ("study", "paper", "--root", repository, "--quick", "--out", shipped)
     done = surefoot(*words)
     assert done.returncode == 130
@@ -116,8 +116,6 @@ def test_a_command_that_fails_ends_the_runs_in_one_line(
 
 
 def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repository: Path):
-    from surefoot.studies.paper import load_content
-
     folders = {Path(stage.makes).with_suffix("").parts[:2] for stage in paper_runs.STAGES}
     sections = load_content().sections
     lines = [line for part in sections for item in part.items for line in item.lines()]
@@ -139,8 +137,8 @@ PARSERS = {
     "evaluate": EvaluateCommand,
     "sensitivity": SensitivityCommand,
     "study": StudyCommand,
-    "tune": TuneCommand,
-    "search": SearchCommand,
+    "study tune": TuneCommand,
+    "study search": SearchCommand,
 }
 
 
@@ -150,7 +148,8 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     def main(words: list[str]) -> int:
         """Take the words as the command would, and leave what later runs need."""
         calls.append(words)
-        name, *rest = words
+        length = 2 if " ".join(words[:2]) in PARSERS else 1
+        name, rest = " ".join(words[:length]), words[length:]
         if name in PARSERS:
             # Ranges and bounds that --randomize and --push-force take are words like others here.
             parse(PARSERS[name], rest, name)
@@ -160,7 +159,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
             folder = Path(rest[rest.index("--out") + 1])
             folder.mkdir(parents=True, exist_ok=True)
             (folder / "push_force.png").touch()
-        if name == "tune":
+        if name == "study tune":
             Path(rest[rest.index("--out") + 1]).touch()
         if name == "train":
             run = Path(rest[1]) if rest[0] == "--resume" else Path("runs") / Path(rest[0]).stem / "first"
@@ -170,7 +169,8 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
         return 0
 
     monkeypatch.setattr("surefoot.cli.main.main", main)
-    run = mock.Mock(return_value=mock.Mock(returncode=0))
+    listed = paper_runs.run_script(repository / paper_runs.PAGE, "--list-evaluations")
+    run = mock.Mock(return_value=mock.Mock(returncode=0, stdout=listed, stderr=""))
     monkeypatch.setattr(paper_runs.subprocess, "run", run)
     (tmp_path / "results/search").mkdir(parents=True)
     quick = PaperRuns(repository, tmp_path, True, workers=2)
@@ -183,16 +183,17 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     assert "trot,policies/trot.onnx" in (tmp_path / "results/evaluations.csv").read_text()
     assert (tmp_path / "results/handcrafted/trot-60.yaml").exists()
     evaluated = {words for words in commands if words[0] == "evaluate"}
-    assert len(evaluated) == len(evaluations_on_page())
+    assert len(evaluated) == len(listed.split()) > 5
     assert any("--push-force" in words for words in evaluated)
     assert (tmp_path / "docs/pushes.png").exists()
-    assert [Path(call.args[0][1]).name for call in run.call_args_list] == ["open_loop.py", "handcrafted.py"]
+    scripts = [Path(call.args[0][1]).name for call in run.call_args_list]
+    assert scripts == ["paper_page.py", "open_loop.py", "handcrafted.py"]
     assert run.call_args.args[0][1:3] == [str(repository / "benchmarks/handcrafted.py"), "results/handcrafted"]
     assert run.call_args.args[0][-4:] == ["--episodes", "5", "--conditions", "mujoco"]
-    studies = [words for words in calls if words[0] == "study"]
+    studies = [words for words in calls if words[0] == "study" and words[1].endswith(".yaml")]
     assert [Path(words[1]).is_file() for words in studies] == [True] * 3
     assert studies[0][2:6] == ["--workers", "2", "--steps", "60000"]
-    assert " ".join(calls[-1]) == "search gallop --out results/search --workers 2 --trials 4 --steps 60000"
+    assert " ".join(calls[-1]) == "study search gallop --out results/search --workers 2 --trials 4 --steps 60000"
 
     # The full version has none of the words that make it small, and what was stopped goes on.
     calls.clear()
@@ -201,7 +202,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     for stage in paper_runs.STAGES:
         stage.make(full)
     assert ["train", "--resume", str(tmp_path / "runs/trot/first")] in calls
-    assert " ".join(calls[-1]) == "search gallop --out results/search --workers 0 --ray head:6379 --resume"
+    assert " ".join(calls[-1]) == "study search gallop --out results/search --workers 0 --ray head:6379 --resume"
     assert not {"--steps", "--episodes", "--only", "--generations"} & {
         word for words in calls for word in words if words[0] != "evaluate" and "--push-force" not in words
     }

@@ -11,12 +11,13 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from result_numbers import fill
 from run_tables import runs_table
 
 pytest.importorskip("matplotlib")
 
-from surefoot.studies.paper import load_content
-from surefoot.studies.result_numbers import fill
+from paper_page import load_content
+
 from surefoot.studies.search import make_config
 from surefoot.studies.search_report import write_report
 from surefoot.studies.search_result import SearchResult

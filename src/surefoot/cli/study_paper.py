@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surefoot.cli.helpers.options import Ray, Workers, check_folder, check_suffix
+from surefoot.cli.helpers.paper_runs import PAGE, QUICK_NOTE, PaperRuns, make_all, run_script
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
 
@@ -15,7 +16,8 @@ from surefoot.errors import SurefootError
 class PaperCommand:
     """Write one page with every table, figure and number of the paper, each beside surefoot's.
 
-    The page is one HTML file that loads nothing from elsewhere. It reads the results that a clone of surefoot holds.
+    The page is one HTML file that loads nothing from elsewhere. A clone's docs/paper_page.py writes it, of the results
+    in the clone.
     With --quick or --full it makes results anew, in a folder of their own: every training, search and evaluation.
     Ctrl-C stops; the same command goes on.
     """
@@ -38,15 +40,12 @@ def main(argv: list[str]) -> int:
     command = parse(PaperCommand, argv, "surefoot study paper")
     if not (command.quick or command.full):
         check_suffix("out", command.out, ".html")
-    if not (command.root / "results").is_dir():
-        raise SurefootError(f"root is {command.root}; it must be a clone of surefoot, with the folder results")
+    if not (command.root / PAGE).is_file():
+        raise SurefootError(f"root is {command.root}; it must be a clone of surefoot, with {PAGE}")
     if command.quick and command.full:
         raise SurefootError("--quick and --full are given; give one of them, or neither")
-    from surefoot.studies.paper import write_page
-
     root, page, note = command.root, command.out or Path("paper.html"), ""
     if command.quick or command.full:
-        from surefoot.cli.helpers.paper_runs import QUICK_NOTE, PaperRuns, make_all
         from surefoot.studies.workers import check_address
 
         check_address(command.ray)
@@ -60,8 +59,5 @@ def main(argv: list[str]) -> int:
         note = QUICK_NOTE if command.quick else ""
     elif command.workers or command.ray:
         raise SurefootError("--workers and --ray go with --quick or --full, and neither is given")
-    missing = write_page(root, page, note, command.root)
-    print(f"wrote {page}")
-    for name in missing:
-        print(f"not there: {name}")
+    print(run_script(command.root / PAGE, "--root", root, "--out", page, "--note", note), end="")
     return 0
