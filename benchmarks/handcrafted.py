@@ -2,7 +2,7 @@
 
     python benchmarks/handcrafted.py results/handcrafted
 
-Handcrafted gaits are the YAML files of the folder, from `surefoot tune`, with the curves of their tuning (.csv).
+Handcrafted gaits are the YAML files of the folder, from `surefoot study tune`, with the curves of their tuning (.csv).
 Learned ones are its ONNX files, NAME-seed_N.onnx for each of several trainings of a gait, and policies that ship. Each
 runs in MuJoCo, in MuJoCo with table I drawn for every episode, and in Bullet. Runs are kept in runs.csv; a second call
 makes only those that are missing, or whose gait has changed.
@@ -32,10 +32,10 @@ from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import COLORS, MARKERS, new_figure
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.randomization import load_ranges
-from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.studies.tune import has_converged, read_curve
 from surefoot.tables import markdown, print_table, write_csv
 from surefoot.task.config import TaskConfig
+from surefoot.task.handcrafted import HandcraftedGait
 from surefoot.world.registry import find_world
 
 SHIPPED = ("trot-robust", "gallop-robust")

@@ -22,7 +22,8 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-from surefoot.cli.main import COMMANDS, main
+from surefoot.cli.main import GROUPS as COMMAND_GROUPS
+from surefoot.cli.main import main
 from surefoot.columns import columns_of
 from surefoot.configuration import field_bounds
 from surefoot.identify.recording import Recording, RecordingMeta
@@ -191,13 +192,21 @@ def help_of(*words: str) -> str:
 def command_reference() -> str:
     """Return the page with the help of every command and of its actions."""
     text = ["# Commands", "What `surefoot COMMAND --help` prints."]
-    for name in COMMANDS:
-        usage = help_of(name)
-        text += [f"## {name}", f"```text\n{usage}\n```"]
-        parts = re.findall(r"^  ([a-z][a-z-]+) ", usage, re.M) if re.search("ACTION|EXPERIMENT", usage) else []
-        for part in ["trot"] if name == "train" else parts:
-            text += [f"### {name} {part}", f"```text\n{help_of(name, part)}\n```"]
+    for group, names in COMMAND_GROUPS.items():
+        text.append(f"## {group.capitalize()}")
+        for name in names:
+            text += help_sections(name)
     return "\n\n".join(text)
+
+
+def help_sections(*words: str) -> list[str]:
+    """Return the sections with the help of a command and of its actions."""
+    usage = help_of(*words)
+    text = [f"{'#' * (len(words) + 2)} {' '.join(words)}", f"```text\n{usage}\n```"]
+    parts = re.findall(r"^  ([a-z][a-z-]+) ", usage, re.M) if re.search("ACTION|EXPERIMENT", usage) else []
+    for part in ["trot"] if words == ("train",) else parts:
+        text += help_sections(*words, part)
+    return text
 
 
 def reference(title: str, modules: list[str]) -> str:

@@ -3,7 +3,7 @@
     python docs/page_numbers.py [PAGE...]         # rewrite what is stale
     python docs/page_numbers.py --check           # one line for each stale number or table; exit code 1
 
-A marker names the source of the number right before it, as in src/surefoot/studies/result_numbers.py:
+A marker names the source of the number right before it, as in docs/result_numbers.py:
 
     It goes .66<!--= evaluations trot: speed_mean --> m/s, and 27 of 100<!--= evaluations trot/table1: falls --> fall.
 
@@ -24,7 +24,7 @@ A line with {0} stands there once for each item of the list; {1} is what follows
 `all of FILE` is the first column of a CSV file. Other braces hold what a marker holds, then the format.
 A backslash at the end of a line continues it.
 
-The claims of the paper that were not reproduced, or those that were, from src/surefoot/studies/paper.yaml:
+The claims of the paper that were not reproduced, or those that were, from docs/paper.yaml:
 
     <!-- claims: untried, no, partly -->
     (lines that this script writes)
@@ -39,10 +39,11 @@ import re
 import sys
 from pathlib import Path
 
+from paper_page import claims_markdown
+from result_numbers import fill, find_file, first_column, look_up, substitute
+
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.files import atomic_write
-from surefoot.studies.paper import claims_markdown
-from surefoot.studies.result_numbers import fill, find_file, first_column, look_up, substitute
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "policies/README.md", "docs/*.md")

@@ -64,7 +64,7 @@ if __name__ == "__main__":
         page.wait_for_timeout(4000)
         page.screenshot(path=FOLDER / "show.png")
         written = Path(folder) / "paper.html"
-        subprocess.run([*SUREFOOT, "paper", "--out", written], check=True)
+        subprocess.run([*SUREFOOT, "study", "paper", "--out", written], check=True)
         page = browser.new_page(viewport={"width": 985, "height": 1100})
         page.goto(written.as_uri())
         page.screenshot(path=FOLDER / "paper.png")

@@ -23,7 +23,7 @@ COMMANDS = (
     ["train", "gallop", "--name", "demo", "--learning-threads", "1", *GALLOP, *sys.argv[1:]],
     ["evaluate", "trot-robust", "--randomize", "table1", "--episodes", "20", "--out", f"{OUT}/trot-robust"],
     ["sensitivity", "trot", "trot-robust", "--episodes", "4", "--out", f"{OUT}/sensitivity"],
-    ["play", "trot-robust", "--out", f"{OUT}/trot-robust.mp4"],
+    ["show", "trot-robust", "--out", f"{OUT}/trot-robust.mp4"],
 )
 
 if __name__ == "__main__":

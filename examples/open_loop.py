@@ -17,9 +17,9 @@ from surefoot.evaluation.gap import away_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import RobotDescription
-from surefoot.studies.handcrafted import OpenLoop
 from surefoot.tables import print_table, write_csv
 from surefoot.task.config import load_task
+from surefoot.task.handcrafted import OpenLoop
 from surefoot.world.registry import WORLDS, find_world
 
 

@@ -78,7 +78,7 @@ def test_a_policy_is_evaluated_played_and_deployed(robot, policy, emulate, tmp_p
     result = surefoot("evaluate", policy, "--episodes", 1, "--json", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert json.loads(result.stdout)["robot"] == robot.name
-    result = surefoot("play", policy, "--out", "run.mp4", "--duration", 0.1, cwd=tmp_path)
+    result = surefoot("show", policy, "--out", "run.mp4", "--duration", 0.1, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert (tmp_path / "run.mp4").stat().st_size > 1000
     port = emulate("--lockstep", "--robot", robot.name).port

@@ -1,4 +1,4 @@
-"""`surefoot evaluate` and `surefoot play`, in this process where the process is not what is tested."""
+"""`surefoot evaluate` and `surefoot show POLICY`, in this process where the process is not what is tested."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_help_is_fast_and_names_the_commands():
     # The processor time: a busy computer takes longer.
     assert after.children_user + after.children_system - before.children_user - before.children_system < 1.0
     assert done.returncode == 0
-    for command in ("train", "evaluate", "play"):
+    for command in ("train", "evaluate", "show"):
         assert command in done.stdout
     assert surefoot("--version").stdout.startswith("surefoot ")
 
@@ -126,8 +126,8 @@ def test_settings_and_pushes_change_the_result(policy: Path):
         ("evaluate POLICY --out /dev/null/out", "/dev/null"),
         ("evaluate POLICY --episodes x", "x"),
         ("evaluate nowhere", "policy 'nowhere' does not exist"),
-        ("play POLICY --duration 0", "duration is 0"),
-        ("play POLICY --out film.gif", "the name must end in .mp4"),
+        ("show POLICY --duration 0", "duration is 0"),
+        ("show POLICY --out film.gif", "the name must end in .mp4"),
         ("evaluate", "no POLICY and no --trace is given"),
         ("evaluate trot --trace run.npz", "--trace and a policy are given"),
         ("evaluate --trace run.npz --seed 3", "--trace and --seed are given"),
@@ -136,7 +136,7 @@ def test_settings_and_pushes_change_the_result(policy: Path):
         ("evaluate --trace run.npz", "trace folder run.npz does not exist"),
     ],
 )
-def test_evaluate_and_play_refuse_options_that_do_not_fit(policy: Path, line: str, part: str, tmp_path: Path):
+def test_evaluate_and_show_refuse_options_that_do_not_fit(policy: Path, line: str, part: str, tmp_path: Path):
     refused(surefoot(*line.replace("POLICY", str(policy)).split(), cwd=tmp_path), part)
     assert list(tmp_path.iterdir()) == []
 
@@ -146,11 +146,12 @@ def test_a_damaged_policy_is_refused(tmp_path: Path, policy: Path):
     refused(surefoot("evaluate", tmp_path / "cut.onnx"), "is damaged or not ONNX")
 
 
-def test_play_writes_a_video_where_there_is_no_display(policy: Path, tmp_path: Path):
+def test_show_writes_a_video_of_a_policy_where_there_is_no_display(policy: Path, tmp_path: Path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    done = surefoot("play", policy, "--duration", "0.4", cwd=tmp_path)
+    done = surefoot("show", policy, "--duration", "0.4", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "wrote untrained.mp4\n"
+    assert done.stderr == f"surefoot: {policy} is a policy: it runs in mujoco, for a video\n"
     frames = ffmpeg.read_frames(str(tmp_path / "untrained.mp4"))
     meta = next(frames)
     assert meta["size"] == (320, 180)
@@ -173,7 +174,7 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
         monkeypatch.setitem(sys.modules, module, None)
     without = surefoot("evaluate", policy, "--out", tmp_path / "out")
     refused(without, f"this needs matplotlib, which is not installed: {install_command('report')}")
-    refused(surefoot("play", policy, cwd=tmp_path), "this needs imageio_ffmpeg", install_command("report"))
+    refused(surefoot("show", policy, cwd=tmp_path), "this needs imageio_ffmpeg", install_command("report"))
     assert list(tmp_path.iterdir()) == []
 
 

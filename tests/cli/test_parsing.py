@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from processes import refused, surefoot
 
 pytest.importorskip("mujoco")
+
+from surefoot.cli.helpers.parsing import positional_words
 
 INVALID = [
     ("train trot --seed 12345678901234567890123", "seed is 12345678901234567890123; it must be 4294967295 or less"),
@@ -23,7 +26,7 @@ INVALID = [
     ("study name.yaml", "name is '../../x'; a name has letters"),
     ("evaluate trot --trace", "--trace has no value; it takes one or more"),
     ("evaluate trot --params /dev/zero", "/dev/zero: can't be read: not a regular file"),
-    ("play trot --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
+    ("show trot --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
     ("sensitivity trot --values 1000000000", "values is 1000000000; it must be 1000 or less"),
     ("emulate --duration 1e30", "duration is 1e+30; it must be 10000000 or less"),
     ("evaluate trot --actuator servo", "servo"),
@@ -33,7 +36,7 @@ INVALID = [
     ("evaluate trot --servo-latency -0.001 --out o", "servo_latency is -0.001; minitaur allows"),
     ("evaluate trot --actuator constraint --thermal-protection --out o", "it requires actuator dc"),
     ("train trot --actuator constraint --task.thermal-protection", "thermal_protection is on; it requires actuator dc"),
-    ("play trot --control-latency 1", "control_latency is 1; minitaur allows 0 to 0.1"),
+    ("show trot --control-latency 1", "control_latency is 1; minitaur allows 0 to 0.1"),
     (
         "train trot --randomize.control_latency 0.03 0.01",
         "[0.03, 0.01]; the lower bound must come first",
@@ -50,16 +53,18 @@ INVALID = [
     ("train gallop --task.observations roll smell", "observation 'smell' does not exist; choices: roll, pitch"),
     ("train --resume nowhere", "nowhere: is not a run folder"),
     ("train --resume run --params robot.toml", "--params is not an option; for every option: surefoot train --help"),
-    ("play trot --duraton 3", "--duraton is not an option; did you mean --duration? for every option: surefoot play"),
+    ("study serach trot", "'serach' is not an action; did you mean search? choices: run, search"),
+    ("show trot --duraton 3", "--duraton is not an option; did you mean --duration?"),
     ("train trot --task.robot go2", "--task.robot is not an option; did you mean --robot?"),
     ("train trot --task.reward.progres 1", "did you mean --task.reward.progress?"),
     ("show a.npz --html a.html", "--html is not an option; for every option: surefoot show --help"),
     ("evaluate trot trot", "trot is one word too many; for every option: surefoot evaluate --help"),
-    ("play", "POLICY is missing; for every option: surefoot play --help"),
-    ("play trot --world", "--world has no value"),
+    ("show", "no POLICY and no TRACE is given; for every option: surefoot show --help"),
+    ("show --world bullet", "no POLICY and no TRACE is given"),
+    ("show trot --world", "--world has no value"),
     ("gap trot --to-actuator d", "--to-actuator is 'd'; did you mean dc? choices: dc, constraint"),
-    ("evalute trot", "'evalute' is not a command; did you mean evaluate? choices: train, robot"),
-    ("robot chek go2", "'chek' is not an action; did you mean check? choices: new, check"),
+    ("evalute trot", "'evalute' is not a command; did you mean evaluate? choices: train, adopt"),
+    ("robot chek go2", "'chek' is not an action; did you mean check? choices: new, check, firmware"),
     ("evaluate tort", "policy 'tort' does not exist; did you mean trot? choices: gallop"),
     ("evaluate trot --robot g2", "did you mean go2? choices: go2, minitaur"),
     ("train key.yaml", "observation is not a key; did you mean observations? choices: name, robot"),
@@ -99,3 +104,26 @@ def test_error_is_one_short_line_without_control_characters(tmp_path: Path):
     refused(done)
     assert len(done.stderr) < 2500
     assert "\033" not in done.stderr
+
+
+@dataclass(frozen=True)
+class Options:
+    name: str = ""
+    loud: bool = False
+    values: tuple[float, ...] = ()
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("a b", "a b"),
+        ("--name a b", "b"),
+        ("--name=a b", "b"),
+        ("--loud a --name b", "a"),
+        ("--no-such a b --help c", "b c"),
+        ("--values 1 2 a", "2 a"),
+        ("--loud", ""),
+    ],
+)
+def test_positional_words_are_not_values_of_options(line: str, found: str):
+    assert positional_words(line.split(), Options) == found.split()

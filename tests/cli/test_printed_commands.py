@@ -56,7 +56,7 @@ def printed(folder: Path) -> dict[str, dict[str, list[str]]]:
     time = 0.01 * np.arange(40)
     command = robot.resting_angles + 0.1 * np.sin(9.0 * time)[:, None]
     np.savez(folder / "log.npz", time=time, command=command, motor_angle=command, imu=np.zeros((40, 4)))
-    run("trace", "import", "log.npz", "--robot", "my robot", "--out", "my log.npz")
+    run("identify", "import", "log.npz", "--robot", "my robot", "--out", "my log.npz")
     with emulators(EmulatorHere) as start:
         port = start("--lockstep", "--robot", folder / "my robot").port
         run("deploy", policy, "--port", port, "--lockstep", "--duration", "0.3")
@@ -68,7 +68,7 @@ def printed(folder: Path) -> dict[str, dict[str, list[str]]]:
     ("command", "purposes"),
     [
         ("train", ["look at", "drive it"]),
-        *((name, ["look at"]) for name in ("evaluate", "gap", "trace", "deploy")),
+        *((name, ["look at"]) for name in ("evaluate", "gap", "identify", "deploy")),
     ],
 )
 def test_a_printed_command_works_in_another_folder_without_the_robots_folder(
@@ -93,8 +93,8 @@ def test_other_commands_take_what_carries_its_robot(printed: object, folder: Pat
     (run,) = folder.glob("my runs/*/*")
     for words in (
         ("evaluate", "--trace", folder / "my figures"),
-        ("replay", folder / "my log.npz"),
-        ("play", run, "--duration", "0.1", "--out", tmp_path / "x.mp4"),
+        ("identify", "replay", folder / "my log.npz"),
+        ("show", run, "--duration", "0.1", "--out", tmp_path / "x.mp4"),
     ):
         done = surefoot(*words, cwd=tmp_path)
         assert done.returncode == 0, (words, done.stderr)

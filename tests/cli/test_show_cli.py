@@ -24,6 +24,7 @@ pytest.importorskip("playwright")
 from chromium import errors_of, in_browser, new_page, running_browser
 from recordings import swinging
 
+from surefoot.cli import show
 from surefoot.cli.main import main
 from surefoot.report.drawing.scene import poses
 from surefoot.robot import RobotDescription
@@ -105,7 +106,8 @@ def served(trace: Path, *words: str) -> Iterator[str]:
         assert process.stdout is not None
         yield process.stdout.readline().split()[0]
         process.send_signal(signal.SIGINT)
-        assert process.communicate(timeout=20)[1] == "surefoot: interrupted\n"
+        noted = f"surefoot: {trace} is a recorded run\n"
+        assert process.communicate(timeout=20)[1] == f"{noted}surefoot: interrupted\n"
     finally:
         process.kill()
 
@@ -224,13 +226,14 @@ def test_show_refuses_invalid_traces_and_unknown_robots(
     cut.write_bytes(traces[0].read_bytes()[:1000])
     np.savez(arrays, time=np.arange(3.0), command=np.zeros((3, 12)))
     for words, message in (
-        ([], "no TRACE is given"),
+        ([], "no POLICY and no TRACE is given"),
         ([foreign], "which does not ship; give its folder with --robot"),
         ([renamed], "is of robot 'minitaur'"),
         ([traces[0], cut], "cut.npz: is cut off, damaged"),
         ([arrays], "arrays.npz: not an episode trace"),
         ([tmp_path / "none.npz"], "does not exist"),
         ([traces[0], "--out", "x.txt"], "must end in .html"),
+        ([*traces, "--out", "x.mp4"], "2 runs are given; a video shows one"),
         ([traces[0]] * 17, "17 traces are given"),
     ):
         assert main(["show", "--out", str(tmp_path / "x.html"), *map(str, words)]) == 2
@@ -263,3 +266,47 @@ def test_show_draws_a_log_with_the_robot_option(tmp_path: Path, capsys: pytest.C
     assert main(["show", str(tmp_path / "log.npz"), "--robot", "go2", "--out", str(tmp_path / "log.html")]) == 0
     assert "wrote" in capsys.readouterr().out
     assert "12 of 12 motors were not read" in (tmp_path / "log.html").read_text()
+
+
+def test_show_films_a_single_run(traces: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    pytest.importorskip("imageio_ffmpeg")
+    assert main(["show", str(traces[0]), "--out", str(tmp_path / "run.mp4")]) == 0
+    assert capsys.readouterr().out == f"wrote {tmp_path / 'run.mp4'}\n"
+    assert (tmp_path / "run.mp4").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("files", "word", "is_recorded"),
+    [
+        (["run_000.npz"], "run_000.npz", True),
+        ([], "none.npz", True),
+        (["cut.npz.partial"], "cut.npz.partial", True),
+        (["gap/a.npz"], "gap", True),
+        (["run/policy.onnx", "run/figures/episode.npz"], "run", False),
+        (["run/run.json", "run/figures/episode.npz"], "run", False),
+        (["runs/one/policy.onnx"], "runs", False),
+        (["run/policy.onnx", "run/figures/episode.npz"], "run/figures", True),
+        (["trot/a.npz"], "trot", False),
+        ([], "gait.yaml", False),
+    ],
+)
+def test_show_decides_by_the_argument(
+    files: list[str], word: str, is_recorded: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    for file in files:
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    monkeypatch.chdir(tmp_path)
+    called = []
+    monkeypatch.setattr(show, "_show_policy", lambda argv: called.append((argv, False)) or 0)
+    monkeypatch.setattr(show, "_show_runs", lambda argv: called.append((argv, True)) or 0)
+    words = ["--terrain", "map.npz", word, "--out", "x.npz"]
+    assert main(["show", *words]) == 0
+    assert called == [(words, is_recorded)]
+
+
+def test_the_help_of_show_has_the_options_of_policies_and_of_runs(capsys: pytest.CaptureFixture[str]):
+    assert main(["show", "--help"]) == 0
+    output = capsys.readouterr().out
+    assert output.startswith("usage: surefoot show POLICY ...")
+    assert all(option in output for option in ("--push-force", "--layout", "--page-port"))

@@ -108,13 +108,15 @@ def test_a_log_replays_exactly_on_the_robot_that_recorded_it(
     tmp_path: Path, run: tuple[Messages, np.ndarray], capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag, trace = write_bag(tmp_path / "bag", run[0]), tmp_path / "trace.npz"
-    assert main(["trace", "import", str(bag), "--robot", "go2", "--out", str(trace)]) == 0
+    assert main(["identify", "import", str(bag), "--robot", "go2", "--out", str(trace)]) == 0
     assert "500 rows, 1.00 s; steps of 2.00 to 2.00 ms" in capsys.readouterr().out
     # Its readings are ideal: not delayed. Gains come with the commands.
-    assert main(["replay", str(trace), "--rack", "--set", "control_latency=0", "--json"]) == 0
+    assert main(["identify", "replay", str(trace), "--rack", "--set", "control_latency=0", "--json"]) == 0
     exact = json.loads(capsys.readouterr().out)
     assert exact["rms"] < 2e-3
-    assert main(["replay", str(trace), "--rack", "--set", "control_latency=0", "servo_kp=40", "--json"]) == 0
+    assert (
+        main(["identify", "replay", str(trace), "--rack", "--set", "control_latency=0", "servo_kp=40", "--json"]) == 0
+    )
     assert json.loads(capsys.readouterr().out)["rms"] > 5 * exact["rms"]
 
 
@@ -238,5 +240,5 @@ def test_a_bag_that_is_no_log_is_refused(
             import_log(write_bag(tmp_path / name, messages), GO2)
     monkeypatch.setattr(go2, "MAX_MESSAGES", 2)
     bag = write_bag(tmp_path / "long", log(2, 4, 6))
-    assert main(["trace", "import", str(bag), "--robot", "go2", "--out", str(tmp_path / "trace.npz")]) == 2
+    assert main(["identify", "import", str(bag), "--robot", "go2", "--out", str(tmp_path / "trace.npz")]) == 2
     assert capsys.readouterr().err.endswith("has 3 states and commands; at most 2 are read: split the bag\n")

@@ -11,14 +11,16 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from result_numbers import fill
 from run_tables import runs_table
 
 pytest.importorskip("matplotlib")
 
-from surefoot.studies.paper import load_content
-from surefoot.studies.result_numbers import fill
+from paper_page import load_content
+
 from surefoot.studies.search import make_config
-from surefoot.studies.search_report import SearchResult, write_report
+from surefoot.studies.search_report import write_report
+from surefoot.studies.search_result import SearchResult
 from surefoot.task.trace import EpisodeTrace
 
 BULLET = runs_table("bullet", 0.5, 0.7)
@@ -73,7 +75,7 @@ def test_selection_bias_is_the_claimed_return_less_that_of_fresh_episodes(result
 
 def test_the_report_has_all_sections(result: SearchResult, tmp_path: Path) -> None:
     (tmp_path / "gait_pace.png").touch()
-    report = write_report(result, tmp_path, "surefoot search gallop").read_text()
+    report = write_report(result, tmp_path, "surefoot study search gallop").read_text()
     assert not (tmp_path / "gait_pace.png").exists()
     assert "6 trials (4 complete, 1 pruned, 1 fail) of 1,000,000 control steps" in report
     assert "Claimed less fresh, mean of these 3: +0.200 [+0.200, +0.200] m." in report
@@ -89,7 +91,7 @@ def test_the_report_has_all_sections(result: SearchResult, tmp_path: Path) -> No
 
 
 def test_the_table_of_the_best_has_each_and_all_of_them(result: SearchResult, tmp_path: Path) -> None:
-    write_report(result, tmp_path, "surefoot search gallop")
+    write_report(result, tmp_path, "surefoot study search gallop")
     rows: list[dict[str, Any]] = list(csv.DictReader((tmp_path / "top.csv").open()))
     assert [(row["rank"], row["trial"]) for row in rows] == [("1", "5"), ("2", "3"), ("3", "1"), ("all", "")]
     # Returns of 3.5, 2.5 and 1.5 m, .2 m less in fresh episodes, by which their intervals over policies agree.
@@ -103,7 +105,7 @@ def test_the_table_of_the_best_has_each_and_all_of_them(result: SearchResult, tm
 
 
 def test_the_page_of_the_paper_finds_its_numbers_in_the_report(result: SearchResult, tmp_path: Path) -> None:
-    write_report(result, tmp_path / "results/search", "surefoot search gallop")
+    write_report(result, tmp_path / "results/search", "surefoot study search gallop")
     lines = [line for section in load_content().sections for item in section.items for line in item.lines()]
     read = [line.surefoot for line in lines if "{search/" in line.surefoot]
     assert len(read) > 10
@@ -113,7 +115,7 @@ def test_the_page_of_the_paper_finds_its_numbers_in_the_report(result: SearchRes
 
 def test_without_bullet_the_table_of_the_best_has_no_columns_of_it(result: SearchResult, tmp_path: Path) -> None:
     home = result.fresh[result.fresh.world == "mujoco"]
-    write_report(replace(result, fresh=home), tmp_path, "surefoot search gallop")
+    write_report(replace(result, fresh=home), tmp_path, "surefoot study search gallop")
     rows: list[dict[str, Any]] = list(csv.DictReader((tmp_path / "top.csv").open()))
     assert len(rows) == 4
     assert not [name for name in rows[0] if "bullet" in name]

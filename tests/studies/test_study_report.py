@@ -17,9 +17,10 @@ from run_tables import sensitivity_table
 pytest.importorskip("matplotlib")
 
 from surefoot.evaluation.sensitivity import make_test_worlds
+from surefoot.report.figures.learning import bin_curve, learning_curve
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges
-from surefoot.studies.comparison import Comparison, bin_curve, late_gain, learning_curve, policy_row, study_tables
+from surefoot.studies.comparison import Comparison, late_gain, policy_row, study_tables
 from surefoot.studies.study_config import GroupConfig, StudyConfig
 from surefoot.studies.study_report import write_report
 from surefoot.task.trace import EpisodeTrace

@@ -10,9 +10,9 @@ import pytest
 
 pytest.importorskip("cma")
 
-from surefoot.studies.handcrafted import OpenLoop
-from surefoot.studies.raibert import RaibertController
 from surefoot.studies.tune import GAINS, PATH, PHASES, TuneConfig, Tuner, foot_config, has_converged
+from surefoot.task.handcrafted import OpenLoop
+from surefoot.task.raibert import RaibertController
 from surefoot.world.sim_world import SimWorld
 
 USUAL = {name: usual for name, (_, _, usual) in PATH.items()}

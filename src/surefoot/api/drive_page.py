@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from surefoot.evaluation.driven import DrivenRobot
     from surefoot.report.pages.server import PageServer
     from surefoot.report.pages.view import RobotView
-    from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
 
 SPEEDS = (1.0, 0.5, 0.25, 0.1)
@@ -62,8 +61,7 @@ def serve(drive: DrivePage, host: str | None, port: int, commands: str | None = 
         SurefootError: a port that is taken, or a source that can't be opened.
     """
     from surefoot.deploy.command_sources import open_commands
-    from surefoot.report.pages.server import PageServer
-    from surefoot.report.pages.view import RobotView
+    from surefoot.report.pages.server import robot_page
 
     with contextlib.ExitStack() as stack:
         if commands is not None:
@@ -71,10 +69,7 @@ def serve(drive: DrivePage, host: str | None, port: int, commands: str | None = 
                 raise SurefootError(f"--commands is given; policy '{drive.policy}' has no commands to follow")
             drive.source, drive.source_name = open_commands(commands, drive.robot.limits), commands
             stack.callback(drive.source.close)
-        view = RobotView()
-        stack.callback(view.stop)
-        page = PageServer(host, port, view.port)
-        stack.callback(page.stop)
+        page, view = stack.enter_context(robot_page(host, port))
         page.print_addresses()
         drive.run(page, view, threading.Event())
 
@@ -100,7 +95,7 @@ class DrivePage:
         policy: str,
         world: str,
         robot: str | None = None,
-        adjust: Callable[[TaskConfig, RobotDescription], TaskConfig] = lambda task, _: task,
+        adjust: Callable[[TaskConfig], TaskConfig] = lambda task: task,
         recordings: Path = RECORDINGS,
         terrain: str = "flat",
     ) -> None:
@@ -139,8 +134,8 @@ class DrivePage:
         """Return a robot with a policy in a world on a terrain, and the policy's own name."""
         from surefoot.evaluation.driven import DrivenRobot
 
-        runtime, description, task, origin = load_gait(find_policy(policy), self._robot_name)
-        task = self._adjust(task, description) if policy == self._first else task
+        runtime, _, task, origin = load_gait(find_policy(policy), self._robot_name)
+        task = self._adjust(task) if policy == self._first else task
         robot = DrivenRobot(runtime, task, world, terrain)
         for name, value in self._settings.items():
             with contextlib.suppress(SurefootError):  # this world or robot does not have it

@@ -1,9 +1,6 @@
-"""Recordings of the drive page: traces in a folder, and pages and videos that another process makes of them.
+"""Recordings of the drive page: traces in a folder, and pages and videos that `surefoot show` makes of them.
 
 A trace is written while it is recorded: of a page that is killed, all but the last moments remain (.npz.partial).
-
-`python -m surefoot.api.drive_recordings OUT ROBOT TRACE...` writes OUT, a page (.html) or a video (.mp4) of the
-traces of a robot.
 """
 
 from __future__ import annotations
@@ -24,7 +21,6 @@ from surefoot.evaluation.driven import MAX_RECORDING
 
 if TYPE_CHECKING:
     from surefoot.evaluation.driven import DrivenRecording, DrivenRobot
-    from surefoot.robot import RobotDescription
 
 KINDS = ("html", "mp4")
 """What can be made of a recorded trace."""
@@ -107,9 +103,12 @@ class DriveRecordings:
             raise SurefootError(f"the {self._kind} is still being made")
         out = self.files["npz"].with_suffix(f".{kind}")
         traces = [self.files[name] for name in ("npz", "ghost") if name in self.files]
-        words = [sys.executable, "-m", __name__, str(out), str(self._robot.folder), *map(str, traces)]
-        self._kind = kind
-        self._process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        words = [*map(str, traces if kind == "html" else traces[:1]), "--robot", str(self._robot.folder)]
+        words = [sys.executable, "-m", "surefoot", "show", *words, "--layout", "over", "--out", str(out)]
+        self._kind, silent = kind, subprocess.DEVNULL
+        self._process = subprocess.Popen(words, stdin=silent, stdout=silent, stderr=subprocess.PIPE, text=True)
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, self._process.pid, _NICENESS)
 
     def update(self) -> None:
         """Notice what has ended: the recorded episode, the files that are written."""
@@ -123,7 +122,7 @@ class DriveRecordings:
             if self._process.returncode == 0:
                 self.files[self._kind] = self.files["npz"].with_suffix(f".{self._kind}")
             else:
-                last = (output.strip().splitlines() or ["its process ended"])[-1]
+                last = (output.strip().splitlines() or ["its process ended"])[-1].removeprefix("surefoot: error: ")
                 self.error = f"the {self._kind} was not made: {last[:200]}"
             self._process = None
 
@@ -150,40 +149,3 @@ class DriveRecordings:
         if self._process is not None:
             self._process.terminate()
             self._process.communicate()
-
-
-def write_recording(out: Path, robot: RobotDescription, traces: list[Path]) -> None:
-    """Write a page (.html) of traces of a robot, laid over each other, or a video (.mp4) of the first."""
-    from surefoot.api.episodes import film
-    from surefoot.files import atomic_write
-    from surefoot.report.pages.recorded_runs import ShownTrace, recording_page
-    from surefoot.task.trace import EpisodeTrace
-
-    loaded = [EpisodeTrace.load(path) for path in traces]
-    if out.suffix == ".mp4":
-        film(robot, loaded[0], out)
-        return
-    names = [str(trace.meta["policy"]) or path.stem for trace, path in zip(loaded, traces, strict=True)]
-    if len(set(names)) < len(names):
-        names = [path.stem for path in traces]
-    shown = [ShownTrace(name, robot, trace) for name, trace in zip(names, loaded, strict=True)]
-    atomic_write(out, recording_page(shown, "over"))
-
-
-def main(argv: list[str]) -> int:
-    """Run the process with the arguments OUT ROBOT TRACE...; return the exit code."""
-    from surefoot.robot import RobotDescription
-
-    with contextlib.suppress(OSError):
-        os.nice(_NICENESS)
-    out, robot, *traces = argv
-    try:
-        write_recording(Path(out), RobotDescription.load(robot), [Path(trace) for trace in traces])
-    except (SurefootError, ImportError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

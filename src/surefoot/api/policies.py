@@ -17,9 +17,9 @@ from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription
-from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import plugin_notes, task_from_contract
+from surefoot.task.handcrafted import HandcraftedGait
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import base64
 import threading
+from contextlib import ExitStack
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from surefoot.api.extras import report_missing_extras
-from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -143,19 +143,14 @@ class Drive:
     """
 
     def __init__(self, page: DrivePage, host: str | None, port: int) -> None:
-        from surefoot.report.pages.server import PageServer
-        from surefoot.report.pages.view import RobotView
+        from surefoot.report.pages.server import robot_page
 
         self.page = page
         """The simulation behind it."""
-        self._view = RobotView()
-        try:
-            self._server = PageServer(host, port, self._view.port, in_notebook=True)
-        except SurefootError:
-            self._view.stop()
-            raise
+        self._stack = ExitStack()
+        self._server, view = self._stack.enter_context(robot_page(host, port, in_notebook=True))
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=page.run, args=(self._server, self._view, self._stop), daemon=True)
+        self._thread = threading.Thread(target=page.run, args=(self._server, view, self._stop), daemon=True)
         self._thread.start()
 
     @property
@@ -167,8 +162,7 @@ class Drive:
         """Stop the simulation and the page."""
         self._stop.set()
         self._thread.join(timeout=10.0)
-        self._server.stop()
-        self._view.stop()
+        self._stack.close()
 
     def __enter__(self) -> Self:
         return self

@@ -144,9 +144,8 @@ def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], No
     from surefoot.evaluation.rollout import run_episodes
     from surefoot.evaluation.runs import summarize
     from surefoot.policy.runtime import PolicyRuntime
+    from surefoot.report.figures.learning import learning_curve, learning_curves
     from surefoot.robot import RobotDescription
-    from surefoot.studies.comparison import learning_curve
-    from surefoot.studies.study_figures import learning_curves
 
     loop.export(folder.policy)
     task, policy, world = loop.config.task, PolicyRuntime.load(folder.policy), loop.config.world

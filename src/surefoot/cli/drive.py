@@ -5,28 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from surefoot.cli.helpers.options import (
-    PAGE_PORT,
-    Host,
-    PagePort,
-    PluginNames,
-    PolicyName,
-    RobotName,
-    Terrain,
-    World,
-    check_folder,
-)
+from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, check_folder
 from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.simulator import SimulationOptions
 
 
 @dataclass(frozen=True)
-class DriveCommand:
-    """Drive a simulated robot from a page in the browser."""
+class DriveCommand(SimulationOptions):
+    """Drive a simulated robot from a page in the browser.
+
+    Options of the simulation are of this policy; others that the page offers run as they were trained.
+    """
 
     policy: PolicyName
-    world: World = "mujoco"
-    robot: RobotName = None
-    terrain: Terrain = "flat"
     page_port: PagePort = PAGE_PORT
     commands: str | None = None
     """What steers in place of the page: a file (CSV: time, forward, sideways, yaw_rate), keyboard or gamepad at this
@@ -34,7 +25,6 @@ class DriveCommand:
     host: Host = None
     out: Path = Path("recordings")
     """Folder of what the page records: traces (.npz), pages (.html) and videos (.mp4); it is made when needed."""
-    plugin: PluginNames = ()
 
 
 def main(argv: list[str]) -> int:
@@ -43,6 +33,7 @@ def main(argv: list[str]) -> int:
     check_folder(command.out)
     from surefoot.api.drive_page import DrivePage, serve
 
-    drive = DrivePage(command.policy, command.world, command.robot, recordings=command.out, terrain=command.terrain)
+    change, folder = command.in_simulator, command.out
+    drive = DrivePage(command.policy, command.world, command.robot, change, folder, command.terrain)
     serve(drive, command.host, command.page_port, command.commands)
     return 0

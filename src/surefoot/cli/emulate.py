@@ -90,7 +90,7 @@ class EmulateCommand:
     duration: Annotated[float, Within(0, 1e7, above=True)] | None = None
     """End after so much robot time [s]."""
     firmware: Path | None = None
-    """Program of a firmware in C, which `make host` compiles in a folder of `surefoot firmware new`; the robot's
+    """Program of a firmware in C, which `make host` compiles in a folder of `surefoot robot firmware new`; the robot's
     microcontroller runs it instead of surefoot's own program."""
     viewer: bool = False
     """Show the robot in a window."""

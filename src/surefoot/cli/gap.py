@@ -221,8 +221,8 @@ def _report(
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
     from surefoot.evaluation.gap import PolicyGap, gap_text
     from surefoot.evaluation.runs import measure_runs
+    from surefoot.report.figures.gap import gap_figure
     from surefoot.report.figures.runs import side_by_side
-    from surefoot.studies.study_figures import gap_figure
     from surefoot.tables import plain_rows, print_files, print_table, write_csv
 
     out, gaps, episodes, figures = command.out, [], [], []

@@ -8,13 +8,12 @@ from __future__ import annotations
 import datetime
 import sys
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
 from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
 from surefoot.cli.helpers.options import Json, Seed, check_folder, check_suffix
-from surefoot.cli.helpers.output import next_command, print_json, table_lines
+from surefoot.cli.helpers.output import next_command, print_json, run_action, table_lines
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, suggest
@@ -29,10 +28,19 @@ STOPPED = 3
 RECORDING = "recording.npz"
 RUNS = Path("runs/identify")
 TRACE = "--trace"
-FIGURE = "motor-figure"
+ACTIONS = {
+    "replay": ("replay a recorded run in simulation, and compare", "surefoot.cli.identify_replay"),
+    "import": ("make a trace of a log that others recorded: NPZ, CSV, pickle, MCAP or ROS bag",
+               "surefoot.cli.identify_import"),
+    "motor-figure": ("one motor follows a sine: servo and DC motor, constraint motor, and a recording",
+                     "surefoot.cli.helpers.identify_motor_figure"),
+}  # fmt: skip
+"""What needs no experiment: purpose, and the module that runs it."""
 _USAGE = """usage: surefoot identify EXPERIMENT --port PORT ...
        surefoot identify EXPERIMENT --recording FOLDER ...
        surefoot identify --trace FOLDER ...
+       surefoot identify replay TRACE ...
+       surefoot identify import LOG ...
 
 Identify a robot's physical parameters by experiments, and write them to a file for surefoot train --params FILE.
 
@@ -42,7 +50,7 @@ experiments on a robot, in this order, each with --params FILE of earlier result
 without an experiment:
 {others}
 
-surefoot identify EXPERIMENT --help lists its options."""
+surefoot identify EXPERIMENT --help lists its options, as for replay, import and motor-figure."""
 
 
 @dataclass(frozen=True)
@@ -86,21 +94,20 @@ def main(argv: list[str]) -> int:
         print(_usage(), file=sys.stdout if argv else sys.stderr)
         return 0 if argv else 2
     word = argv[0]
-    if word == FIGURE:
-        code: int = import_module("surefoot.cli.helpers.identify_motor_figure").main(argv[1:])
-        return code
+    if word in ACTIONS:
+        return run_action(argv, "identify", ACTIONS)
     if word.startswith("--"):
         return _identify_from_traces(argv)
     if word in EXPERIMENTS:
         return _run_experiment(EXPERIMENTS[word], argv[1:])
-    raise SurefootError(f"'{word}' is no experiment; {suggest(word, [*EXPERIMENTS, FIGURE])}, or {TRACE} FOLDER")
+    raise SurefootError(f"'{word}' is no experiment; {suggest(word, [*EXPERIMENTS, *ACTIONS])}, or {TRACE} FOLDER")
 
 
 def _usage() -> str:
     experiments = {name: f"{one.what} (on {'rack' if one.rack else 'ground'})" for name, one in EXPERIMENTS.items()}
     others = {
         f"{TRACE} FOLDER": "motors and delays from traces of runs; a robot with joint actuators from logs",
-        FIGURE: "one motor follows a sine: servo and DC motor, constraint motor, and a recording",
+        **{name: purpose for name, (purpose, _) in ACTIONS.items()},
     }
     width = max(map(len, [*experiments, *others]))
     return _USAGE.format(experiments=table_lines(experiments, width), others=table_lines(others, width))

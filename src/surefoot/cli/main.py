@@ -14,35 +14,49 @@ from surefoot.cli.helpers.output import table_lines
 from surefoot.errors import SurefootError, suggest
 from surefoot.stop_signals import enable_interrupt, was_interrupted
 
-COMMANDS = {
-    "train": ("surefoot.cli.train", "learn a gait in simulation"),
-    "robot": ("surefoot.cli.robot", "take any quadruped from its URDF or MJCF, and check its description"),
-    "adopt": ("surefoot.cli.adopt", "bring in a policy that others trained"),
-    "export": ("surefoot.cli.export", "write a policy for another deployer"),
-    "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
-    "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
-    "drive": ("surefoot.cli.drive", "steer, push and change a simulated robot, on a page in the browser"),
-    "show": ("surefoot.cli.show", "show recorded runs, on a page in the browser or as one file"),
-    "search": ("surefoot.cli.search", "train many times with searched settings, and see what emerges"),
-    "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
-    "tune": ("surefoot.cli.tune", "find a handcrafted gait for a robot and a speed"),
-    "identify": ("surefoot.cli.identify", "experiments on a robot, and how well the simulator repeats them"),
-    "trace": ("surefoot.cli.trace", "make traces of logs that others recorded"),
-    "replay": ("surefoot.cli.replay", "replay a recorded run in simulation, and compare"),
-    "emulate": ("surefoot.cli.emulate", "emulate a robot: microcontroller and physics behind a pseudo-terminal"),
-    "firmware": ("surefoot.cli.firmware", "write the firmware of a robot's microcontroller, in C"),
-    "doctor": ("surefoot.cli.doctor", "check a policy, a link and a robot before it runs"),
-    "deploy": ("surefoot.cli.deploy", "run a policy on a robot, or on an emulated one"),
-    "paper": ("surefoot.cli.paper", "write one page: the paper and surefoot's results side by side"),
-    "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
-    "compare": ("surefoot.cli.compare", "measure policies side by side: same commands, same robots"),
-    "gap": ("surefoot.cli.gap", "measure what policies lose in another world, or on a robot"),
+GROUPS = {
+    "make a gait": {
+        "train": "learn a gait in simulation",
+        "adopt": "bring in a policy that others trained",
+        "export": "write a policy for another deployer",
+    },
+    "look at it": {
+        "show": "watch a policy in a window or as a video, and recorded runs in the browser",
+        "drive": "steer, push and change a simulated robot, on a page in the browser",
+    },
+    "measure it": {
+        "evaluate": "run a policy in simulation and measure it",
+        "compare": "measure policies side by side: same commands, same robots",
+        "sensitivity": "find which physical parameters break a policy",
+        "gap": "measure what policies lose in another world, or on a robot",
+    },
+    "robot": {
+        "robot": "describe any quadruped from its URDF or MJCF, check it, write its firmware",
+        "identify": "identify a robot's parameters by experiments or from logs; replay a recorded run",
+        "emulate": "emulate a robot: microcontroller and physics behind a pseudo-terminal",
+        "doctor": "check a policy, a link and a robot before it runs",
+        "deploy": "run a policy on a robot, or on an emulated one",
+    },
+    "science": {
+        "study": "compare groups of trainings, search settings, tune handcrafted gaits, report on the paper",
+    },
 }
+"""Purpose of each command, by the heading of its group; command NAME is module surefoot.cli.NAME."""
+COMMANDS = {name: purpose for group in GROUPS.values() for name, purpose in group.items()}
+FORMER = {
+    "play": "surefoot show POLICY, or for its --browser surefoot drive POLICY",
+    "replay": "surefoot identify replay TRACE",
+    "trace": "surefoot identify import LOG",
+    "firmware": "surefoot robot firmware",
+    "search": "surefoot study search TASK",
+    "tune": "surefoot study tune",
+    "paper": "surefoot study paper",
+}
+"""Commands of earlier versions, and what to type now."""
 _USAGE = """usage: surefoot COMMAND ...
 
 Agile gaits for quadruped robots, learned in simulation and carried to the robot.
 
-commands:
 {commands}
 
 surefoot COMMAND --help lists a command's options; surefoot --version prints the version."""
@@ -88,18 +102,21 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
-        commands = table_lines({name: purpose for name, (_, purpose) in COMMANDS.items()})
-        print(_USAGE.format(commands=commands), file=sys.stdout if words else sys.stderr)
+        width = max(map(len, COMMANDS))
+        groups = "\n\n".join(f"{title}:\n{table_lines(group, width)}" for title, group in GROUPS.items())
+        print(_USAGE.format(commands=groups), file=sys.stdout if words else sys.stderr)
         return 0 if words else 2
     if words[0] == "--version":
         print(f"surefoot {__version__}")
         return 0
+    if words[0] in FORMER:
+        raise SurefootError(f"'{words[0]}' is no command any more; type {FORMER[words[0]]}")
     if words[0] not in COMMANDS:
         raise SurefootError(f"'{words[0]}' is not a command; {suggest(words[0], COMMANDS)}")
     if not all(word.isprintable() for word in words):
         raise SurefootError("the arguments hold characters that can't be printed; use UTF-8 without control characters")
     enable_interrupt()
-    code: int = importlib.import_module(COMMANDS[words[0]][0]).main(words[1:])
+    code: int = importlib.import_module(f"surefoot.cli.{words[0]}").main(words[1:])
     return code
 
 

@@ -1,31 +1,60 @@
-"""`surefoot show`: recorded runs on a page in the browser, or as one file of HTML."""
+"""`surefoot show`: a policy in a window or as a video; recorded runs on a page in the browser, or as one file."""
 
 from __future__ import annotations
 
+import sys
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, check_suffix
-from surefoot.cli.helpers.parsing import parse
+from surefoot.api.policies import POLICY, find_policy, shipped_policies
+from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, check_suffix
+from surefoot.cli.helpers.parsing import parse, positional_words
+from surefoot.cli.helpers.simulator import RunOptions
+from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, choices, quote
 from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
+from surefoot.task.commands import schedule_duration
+from surefoot.task.partial_trace import SUFFIX
 from surefoot.world.terrain import is_map
 
 if TYPE_CHECKING:
     from surefoot.report.pages.recorded_runs import ShownTrace
     from surefoot.task.trace import EpisodeTrace
 
+_DURATION = 6.0
+"""Minimum duration of a run [s], if none is given."""
+_USAGE = """usage: surefoot show POLICY ...           run a policy once, in a window or as a video
+       surefoot show TRACE [TRACE ...]     recorded runs, on a page in the browser or as one file
+
+A file of a run (.npz), or a folder of them without a policy, is a TRACE; anything else is a POLICY.
+"""
+
 
 @dataclass(frozen=True)
-class ShowCommand:
+class ShowPolicyCommand(RunOptions):
+    """Run a policy once and show it: in MuJoCo's viewer where there is a display, else as an MP4.
+
+    `surefoot drive` runs it on a page in the browser.
+    """
+
+    policy: PolicyName
+    duration: Duration | None = None
+    """How long the robot runs, in simulated time; 6 s or, with --commands, its file to the end, if not given."""
+    out: Path | None = None
+    """MP4 to write, display or not; POLICY.mp4 here, if not given and there is no display."""
+
+
+@dataclass(frozen=True)
+class ShowRunsCommand:
     """Show recorded runs on a page in the browser: robots in 3D, a time line, and plots that follow it.
 
-    Runs may be of different robots and worlds: simulated, deployed, or logs made traces by `surefoot trace import`.
+    Runs may be of different robots and worlds: simulated, deployed, or logs made traces by `surefoot identify import`.
     """
 
     trace: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TRACE [TRACE ...]")]
@@ -38,38 +67,118 @@ class ShowCommand:
     layout: Literal["side", "over", "one"] = "side"
     """Robots side by side, laid over each other, or one at a time; the page can change it."""
     out: Path | None = None
-    """File to write (.html) in place of serving: the whole page, which opens in a browser without anything else."""
+    """File to write in place of serving: the whole page (.html), which opens in a browser without anything else, or of
+    a single run a video (.mp4)."""
     page_port: PagePort = PAGE_PORT
     host: Host = None
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    command = parse(ShowCommand, argv, "surefoot show")
-    check_suffix("page", command.out, ".html")
-    if command.terrain is not None and not is_map(str(command.terrain)):
-        raise SurefootError(f"--terrain is {command.terrain}; it must be a map (.npz, .png): traces hold other terrain")
-    if not command.trace:
-        raise SurefootError("no TRACE is given; give one or more files (.npz), or folders of them")
-    from surefoot.report.pages.recorded_runs import recording_page
-    from surefoot.report.pages.server import PageServer
+    words = positional_words(argv, ShowPolicyCommand, ShowRunsCommand)
+    if not words:
+        return _print_help(argv)
+    return _show_runs(argv) if _is_recorded(words[0]) else _show_policy(argv)
 
-    page = recording_page(_load_traces(command), command.layout)
-    if command.out is not None:
-        command.out.parent.mkdir(parents=True, exist_ok=True)
-        atomic_write(command.out, page)
-        print(f"wrote {command.out}: {len(page) / 1e6:.1f} MB; opens in a browser")
-        return 0
-    server = PageServer(command.host, command.page_port, None, page)
-    try:
-        server.print_addresses()
-        threading.Event().wait()
-    finally:
-        server.stop()
+
+def _print_help(argv: list[str]) -> int:
+    """Print the options of both, or refuse a command line that names nothing to show."""
+    if not {"-h", "--help"} & set(argv):
+        raise SurefootError("no POLICY and no TRACE is given; for every option: surefoot show --help")
+    print(_USAGE)
+    for kind in (ShowPolicyCommand, ShowRunsCommand):
+        try:
+            parse(kind, ["--help"], "surefoot show")
+        except SystemExit:
+            print()
     return 0
 
 
-def _load_traces(command: ShowCommand) -> list[ShownTrace]:
+def _is_recorded(word: str) -> bool:
+    """Return whether a word names recorded runs, not a policy."""
+    path = Path(word)
+    if path.is_dir():
+        is_policy = word in shipped_policies() or (path / "run.json").is_file()
+        return not (is_policy or (path / POLICY).is_file() or any(path.glob(f"*/{POLICY}")))
+    return path.name.endswith((".npz", f".npz{SUFFIX}"))
+
+
+def _note(text: str) -> None:
+    """Say what the command takes its argument for."""
+    print(f"surefoot: {text}", file=sys.stderr, flush=True)
+
+
+def _show_policy(argv: list[str]) -> int:
+    command = parse(ShowPolicyCommand, argv, "surefoot show")
+    check_suffix("video", command.out, ".mp4")
+    from surefoot.api.episodes import film
+    from surefoot.api.policies import load_gait, run_policy
+    from surefoot.api.simulator import with_duration
+    from surefoot.cli.helpers.viewer import has_display, replay
+    from surefoot.world.registry import find_world
+
+    path = find_policy(command.policy)
+    find_world(command.world)
+    policy, robot, task, origin = load_gait(path, command.robot)
+    task = command.apply(task, robot)
+    # The video's camera stands beside a robot that heads along x.
+    task = replace(task, terrain=replace(task.terrain, heading=0.0))
+    duration = command.duration or max(_DURATION, schedule_duration(task.commands.schedule))
+    task = with_duration(task, robot, duration)
+    window = command.out is None and has_display()
+    # Imported before anything is simulated, so that a missing package is reported at once.
+    for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):
+        import_module(module)
+    _note(f"{command.policy} is a policy: it runs in {command.world}, {'in a window' if window else 'for a video'}")
+    (trace,) = run_policy(policy, task, 1, command.world, command.seed, name=origin["name"])
+    ground = task.terrain.build(command.seed).ground
+    if window:
+        replay(robot, trace, ground)
+    else:
+        print(f"wrote {film(robot, trace, command.out or Path(f'{path.stem}.mp4'), ground)}")
+    return 0
+
+
+def _show_runs(argv: list[str]) -> int:
+    command = parse(ShowRunsCommand, argv, "surefoot show")
+    out = command.out
+    if out is not None and out.suffix.lower() not in (".html", ".mp4"):
+        raise SurefootError(f"out {out}: the name must end in .html, or in .mp4 for a single run")
+    if command.terrain is not None and not is_map(str(command.terrain)):
+        raise SurefootError(f"--terrain is {command.terrain}; it must be a map (.npz, .png): traces hold other terrain")
+    shown = _load_traces(command)
+    what = f"{command.trace[0]} is a recorded run" if len(shown) == 1 else f"{len(shown)} recorded runs"
+    if out is not None and out.suffix.lower() == ".mp4":
+        return _film_run(shown, out, what)
+    from surefoot.report.pages.recorded_runs import recording_page
+    from surefoot.report.pages.server import PageServer
+
+    page = recording_page(shown, command.layout)
+    _note(what)
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        atomic_write(out, page)
+        print(f"wrote {out}: {len(page) / 1e6:.1f} MB; opens in a browser")
+        return 0
+    with PageServer(command.host, command.page_port, None, page) as server:
+        server.print_addresses()
+        threading.Event().wait()
+    return 0
+
+
+def _film_run(shown: list[ShownTrace], out: Path, what: str) -> int:
+    """Write the video of a single run."""
+    from surefoot.api.episodes import film
+    from surefoot.evaluation.recorded import ground_of
+
+    if len(shown) > 1:
+        raise SurefootError(f"{len(shown)} runs are given; a video shows one, and a page (.html) all of them")
+    _note(what)
+    print(f"wrote {film(shown[0].robot, shown[0].trace, out, ground_of(shown[0].trace, shown[0].map_file))}")
+    return 0
+
+
+def _load_traces(command: ShowRunsCommand) -> list[ShownTrace]:
     """Load traces and robots; a trace is named by its policy, and by world or file where that is not unique."""
     from surefoot.api.policies import distinct_names
     from surefoot.evaluation.recorded import find_traces, load_robot

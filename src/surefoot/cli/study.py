@@ -1,4 +1,4 @@
-"""`surefoot study FILE.yaml`: groups of trainings, several seeds each, one evaluation of all of them, a report."""
+"""`surefoot study`: groups of trainings with several seeds and one evaluation of all of them; other studies by name."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 
 from surefoot.cli.helpers.options import PluginNames, Ray, Workers
-from surefoot.cli.helpers.output import make_console
+from surefoot.cli.helpers.output import Actions, make_console, run_action
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Seed
@@ -55,7 +55,13 @@ class StudyCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    command = parse(StudyCommand, argv, "surefoot study")
+    word = argv[0] if argv else ""
+    is_file = word.endswith((".yaml", ".yml")) or Path(word).is_file()
+    return _run(argv) if word and word not in ACTIONS and is_file else run_action(argv, "study", ACTIONS)
+
+
+def _run(argv: list[str]) -> int:
+    command = parse(StudyCommand, argv, "surefoot study run")
     if command.train_only and command.report_only:
         raise SurefootError("--train-only and --report-only leave nothing to do; give one of them, or neither")
     from surefoot.cli.helpers.study_results import check_evaluations, evaluate_runs, report
@@ -103,3 +109,11 @@ def train(study: StudyConfig, runs: list[Training], command: StudyCommand, conso
             check_config(run.config)
     title = f"{study.name}: {len(runs)} trainings, {len(runs) - len(waiting)} finished"
     return train_many(title, waiting, command.workers, command.ray, console)
+
+
+ACTIONS: Actions = {
+    "run": ("run the study of a file (`surefoot study FILE.yaml` does, too): groups of trainings, compared", _run),
+    "search": ("train many times with searched settings, and see what emerges", "surefoot.cli.study_search"),
+    "tune": ("find a handcrafted gait for a robot and a speed", "surefoot.cli.study_tune"),
+    "paper": ("write one page: the paper and surefoot's results side by side", "surefoot.cli.study_paper"),
+}

@@ -76,7 +76,9 @@ class FirmwareProcess:
         self._taken_until = 0
         schema, name = _GREETING.unpack(self._read(_GREETING.size))
         if (schema, name.rstrip(b"\0")) != (codec.schema, robot.encode()):
-            raise SurefootError(f"firmware {program} is not one of robot {robot}; make it with `surefoot firmware new`")
+            raise SurefootError(
+                f"firmware {program} is not one of robot {robot}; `surefoot robot firmware new` writes it"
+            )
 
     @property
     def armed(self) -> bool:

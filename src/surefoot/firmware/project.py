@@ -42,7 +42,8 @@ def robot_header(robot: RobotDescription, limits: Limits | None = None, handshak
     limit = actuator.torque_limit if isinstance(actuator, JointActuatorData) else 1.0
     names = ", ".join(_text(reason.name.lower()) for reason in Reason)
     lines = [
-        f"/* Numbers of {robot.name}, made by `surefoot firmware new` of its data sheet. Times of limits are in us. */",
+        f"/* Numbers of {robot.name}, made by `surefoot robot firmware new` of its data sheet. Times of limits are "
+        "in us. */",
         *("#ifndef ROBOT_H", "#define ROBOT_H", "", "#include <math.h>", "", '#include "surefoot_wire.h"', ""),
         f'#define ROBOT_SCHEMA_TEXT "{Codec(robot.num_motors).schema:#010x}"',
         *_limits(limits),

@@ -1,1 +1,1 @@
-"""Studies for science: searches, comparisons, handcrafted gaits, the paper's page. Only `cli` imports this package."""
+"""Studies for science: searches, comparisons, tuned gaits, the paper's page. Only `cli` imports this package."""

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.evaluation.gap import PolicyGap
@@ -29,6 +28,7 @@ from surefoot.evaluation.statistics import (
     welch_interval,
 )
 from surefoot.files import atomic_write
+from surefoot.report.figures.learning import bin_curve, learning_curve
 from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, evaluation_names, find_gap, gap_from_result
 from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import plain_rows, write_csv
@@ -49,31 +49,6 @@ _EPISODE_COLUMNS = (
     *("group", "seed", "evaluation", "world", "row", "value", "run", "return", "speed", "fell"),
     *("distance", "power", "steps", "balanced"),
 )
-
-
-def learning_curve(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
-    """Return the curve of a training's log, an update a row.
-
-    Returns:
-        control steps so far, mean return [m] and speed [m/s] of the episodes that ended, the share that fell [%] (NaN
-        where none ended), and how many ended (`episodes`); of a task with commands, their errors by name too.
-    """
-    log = pd.DataFrame(rows, columns=["steps", "return_mean", "speed_mean", "falls", "episodes"]).astype(np.float64)
-    if rows[0].get("rmse"):
-        log = log.join(pd.DataFrame([row["rmse"] for row in rows], dtype=np.float64))
-    log["falls"] *= 100 / log.episodes.where(log.episodes > 0)
-    return log.rename(columns={"return_mean": "return", "speed_mean": "speed"})
-
-
-def bin_curve(curve: pd.DataFrame, name: str, edges: ArrayLike) -> Array:
-    """Return means of a column between steps `edges` (B + 1,), each with its upper end; NaN where no episode ended.
-
-    Each update counts by its episodes: in most updates only the falls end, and all the others end together.
-    """
-    ended = curve[np.isfinite(curve[name]) & (curve.episodes > 0)]
-    bins = pd.cut(ended.steps, np.asarray(edges))
-    total, weight = (x.groupby(bins, observed=False).sum() for x in (ended[name] * ended.episodes, ended.episodes))
-    return np.asarray(total / weight.where(weight > 0), np.float64)
 
 
 def late_gain(curve: pd.DataFrame) -> float:

@@ -156,6 +156,11 @@ def get(config: TrainConfig, field: str) -> Any:
     return data
 
 
+def short_name(field: str) -> str:
+    """Return the dotted name of a field without its first part, as tables and figures show it."""
+    return field.removeprefix("task.").removeprefix("ppo.")
+
+
 def suggest(space: Space, trial: Trial) -> dict[str, Any]:
     """Return the values of a trial, drawn by the sampler if it has none.
 

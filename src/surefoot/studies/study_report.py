@@ -10,13 +10,14 @@ from typing import Any
 import pandas as pd
 
 from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
-from surefoot.files import atomic_write
+from surefoot.report.figures.gap import gap_figure
+from surefoot.report.figures.learning import learning_curves
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
-from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import capital
 from surefoot.studies.comparison import CONTENTS, FAR, Comparison, study_tables, write_tables
-from surefoot.studies.evaluations import EVALUATIONS, ResultFigure, load_gait_trace
-from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
+from surefoot.studies.evaluations import EVALUATIONS, ResultFigure
+from surefoot.studies.figures import group_figure
+from surefoot.studies.report import gait_image, image, stride_cells, write_readme
 from surefoot.tables import markdown
 
 _BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std", "gap_away", "gap", "gap_balanced")
@@ -49,9 +50,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         {one.name: comparison.interval(group, one).text(one.digits) for one in figures} for group in comparison.groups
     ]
     seeds = comparison.policies.to_dict("records")
-    text = [
-        f"# Study: {comparison.study.name}",
-        f"```sh\n{command}\n```",
+    parts = [
         *([f"**Not complete.** Not in this report: {missing}."] if missing else []),
         "## How to read",
         _HOW_TO_READ,
@@ -64,7 +63,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         *(_gaps(comparison, tables, folder) if comparison.gap_kind else []),
         "## Results",
         *_by_figure(figures, [{"group": label(group)} for group in comparison.groups], levels),
-        "![Groups side by side](groups.png)",
+        image("Groups side by side", "groups.png"),
         "## Differences",
         *_differences(comparison, tables["differences"], comparison.figures),
         "## Every seed",
@@ -75,11 +74,9 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         ),
         *(_gaits(comparison, folder) if "gait" in comparison.kinds else []),
         *(_parameters(comparison, folder) if "sensitivity" in comparison.kinds else []),
-        "## Files",
-        "\n".join(f"- [{file.name}]({file.name}): {CONTENTS.get(file.stem, 'all but the episodes')}" for file in files),
     ]
-    atomic_write(folder / "README.md", "\n\n".join(text) + "\n")
-    return folder / "README.md"
+    listed = {file.name: CONTENTS.get(file.stem, "all but the episodes") for file in files}
+    return write_readme(folder, f"Study: {comparison.study.name}", command, parts, listed)
 
 
 def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
@@ -164,7 +161,7 @@ def _curves(comparison: Comparison, folder: Path) -> list[str]:
         file = f"learning_curves_{name}.png" if comparison.study.bars else "learning_curves.png"
         curves = {comparison.study.label(group): list(comparison.of_group(group).curve) for group in groups}
         learning_curves(curves, folder / file)
-        lines.append(f"![Learning curves]({file})")
+        lines.append(image("Learning curves", file))
     return lines
 
 
@@ -175,12 +172,10 @@ def _gaits(comparison: Comparison, folder: Path) -> list[str]:
         label, policies = comparison.study.label(group), comparison.of_group(group)
         for policy in policies.itertuples():
             gait = policy.results["gait"]
-            stride, duty = (decimal(math.nan if gait[name] is None else gait[name]) for name in ("stride", "duty"))
             row = {"group": label, "seed": str(policy.seed), "gait": gait["gait"], "agree": f"{gait['agree']} of 5"}
             row |= {"pattern": gait["pattern"], "why unnamed": gait["reason"] or ""}
-            rows.append(row | {"stride (s)": stride, "duty factor": duty})
-        footfall_diagram(load_gait_trace(policies.policy.iloc[0]), folder / f"gait_{group}.png")
-        figures.append(f"![Footfalls: {label}, seed {policies.seed.iloc[0]}](gait_{group}.png)")
+            rows.append(row | stride_cells(gait))
+        figures.append(gait_image(policies.policy.iloc[0], folder, group, f"{label}, seed {policies.seed.iloc[0]}"))
     return ["## Gaits", markdown(rows), *figures]
 
 
@@ -193,7 +188,7 @@ def _parameters(comparison: Comparison, folder: Path) -> list[str]:
         parameter_figure(row, groups, folder / "parameters" / f"{row}.png")
     return [
         "## One parameter at a time",
-        "![Return against each parameter](parameters.png)",
+        image("Return against each parameter", "parameters.png"),
         "With falls: " + ", ".join(f"[{row.replace('_', ' ')}](parameters/{row}.png)" for row in rows),
     ]
 
@@ -206,7 +201,7 @@ def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Pa
         file = f"gap_{name}.png"
         gap_figure([comparison.gap(group) for group in names], folder / file, over_policies=True)
         finding = comparison.finding(comparison.study.bars.get(name, names))
-        lines += [f"### {capital(name)}", f"![Return of all policies at home and away]({file})"]
+        lines += [f"### {capital(name)}", image("Return of all policies at home and away", file)]
         lines += [f"In the paper: {finding}"] if finding else []
         lines.append(_gap_table(groups[(groups.policies == "all") & groups.group.isin(names)]))
     chosen = [f"{label(group)} {', '.join(map(str, best.of_group(group).seed))}" for group in best.groups]
@@ -218,7 +213,7 @@ def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Pa
     for name, names in comparison.sets().items():
         file = f"gap_{name}_top.png"
         gap_figure([best.gap(group) for group in names], folder / file)
-        lines += [f"![Return of the best {top} policies at home and away]({file})"]
+        lines += [image(f"Return of the best {top} policies at home and away", file)]
         lines.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
     return [*lines, *_differences(best, tables["top_differences"], EVALUATIONS[comparison.gap_kind].figures)]
 

@@ -24,14 +24,14 @@ from surefoot.evaluation.footfalls import FEET
 from surefoot.evaluation.rollout import run_to_end
 from surefoot.robot import DEFAULT_ROBOT, GRAVITY, RobotDescription
 from surefoot.seeding import generator
-from surefoot.studies.handcrafted import HandcraftedGait, OpenLoop
-from surefoot.studies.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.foot_paths import FootPaths
 from surefoot.task.gait import HybridGait
+from surefoot.task.handcrafted import HandcraftedGait, OpenLoop
 from surefoot.task.observation import IMU_4D
 from surefoot.task.periodic_references import FootReference
+from surefoot.task.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.reference_config import FootConfig, ReferenceConfig, make_reference
 from surefoot.world.interface import SimulationFactory
 

@@ -172,37 +172,33 @@ class Page:
 def main() -> None:
     """Run the page's process."""
     run_in_background()
-    from surefoot.report.pages.server import PageServer
-    from surefoot.report.pages.view import RobotView
+    from surefoot.report.pages.server import robot_page
 
     messages, inbox = read_messages(sys.stdin), queue.Queue[dict[str, Any] | None]()
     setup = next(message for message in messages if "robot" in message)
-    view = RobotView()
-    try:
-        server = PageServer(None, setup["port"], view.port)
-    except SurefootError as error:
-        print(json.dumps({"error": str(error)}), flush=True)
-        view.stop()
-        return
-    print(json.dumps({"address": server.address}), flush=True)
-    page = Page(setup, server, view)
-
-    def read() -> None:
-        for message in messages:
-            inbox.put(message)
-        inbox.put(None)
-
-    threading.Thread(target=read, daemon=True).start()
-    message: dict[str, Any] | None = {}
-    while message is not None:
-        page.update(message)
-        page.step()
+    with contextlib.ExitStack() as stack:
         try:
-            message = inbox.get(timeout=0.02)
-        except queue.Empty:
-            message = {}
-    server.stop()
-    view.stop()
+            server, view = stack.enter_context(robot_page(None, setup["port"]))
+        except SurefootError as error:
+            print(json.dumps({"error": str(error)}), flush=True)
+            return
+        print(json.dumps({"address": server.address}), flush=True)
+        page = Page(setup, server, view)
+
+        def read() -> None:
+            for message in messages:
+                inbox.put(message)
+            inbox.put(None)
+
+        threading.Thread(target=read, daemon=True).start()
+        message: dict[str, Any] | None = {}
+        while message is not None:
+            page.update(message)
+            page.step()
+            try:
+                message = inbox.get(timeout=0.02)
+            except queue.Empty:
+                message = {}
 
 
 if __name__ == "__main__":

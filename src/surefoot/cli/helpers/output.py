@@ -8,12 +8,17 @@ import shlex
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
 
 from rich.console import Console
 
 from surefoot.errors import SurefootError, suggest
+
+Actions = Mapping[str, tuple[str, Callable[[list[str]], int] | str]]
+"""Actions of a command by name: a line of help, and a function that takes the other words and returns the exit code, or
+the name of a module with such a function `main`, which is imported when it runs."""
 
 
 def plugin_paths() -> list[str]:
@@ -73,13 +78,13 @@ def table_lines(rows: Mapping[str, str], width: int = 0) -> str:
     return "\n".join(f"  {name:<{width}}  {meaning}" for name, meaning in rows.items())
 
 
-def run_action(argv: list[str], command: str, actions: Mapping[str, tuple[str, Callable[[list[str]], int]]]) -> int:
+def run_action(argv: list[str], command: str, actions: Actions) -> int:
     """Run the action of a command that the first word names; print the actions if there is none.
 
     Args:
         argv: words after the command.
         command: its name.
-        actions: by name, a line of help and the function that takes the other words and returns the exit code.
+        actions: the actions.
 
     Raises:
         SurefootError: a word that is not an action.
@@ -91,4 +96,6 @@ def run_action(argv: list[str], command: str, actions: Mapping[str, tuple[str, C
         return 0 if argv else 2
     if argv[0] not in actions:
         raise SurefootError(f"'{argv[0]}' is not an action; {suggest(argv[0], actions)}")
-    return actions[argv[0]][1](argv[1:])
+    run = actions[argv[0]][1]
+    code: int = import_module(run).main(argv[1:]) if isinstance(run, str) else run(argv[1:])
+    return code

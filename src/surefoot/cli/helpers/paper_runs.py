@@ -21,7 +21,6 @@ from surefoot.cli.helpers.output import make_console
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import atomic_write
-from surefoot.studies.paper import evaluations_on_page
 from surefoot.tables import write_csv
 
 QUICK_NOTE = (
@@ -32,6 +31,8 @@ POLICIES = ("gallop", "trot", "trot-robust", "gallop-robust")
 """Tasks whose policies stand on the page."""
 HYBRIDS = ("trot-hybrid", "gallop-hybrid")
 """Tasks of the clone's examples: learned feedback on top of handcrafted trajectories."""
+PAGE = Path("docs/paper_page.py")
+"""Script of a clone that writes the page."""
 _PICTURES = ("learning_curve.png", "footfalls.png")
 
 
@@ -110,7 +111,7 @@ def train(task: str, steps: int) -> Stage:
 def evaluations(runs: PaperRuns) -> None:
     """Evaluate policies for the rows that the page has, with the options that the clone names for them."""
     names, rows = read_yaml(runs.root / "results" / "evaluations.yaml"), []
-    for name in evaluations_on_page():
+    for name in run_script(runs.root / PAGE, "--list-evaluations").split():
         policy, _, kind = name.partition("/")
         about = names["policies"].get(policy)
         path = runs.root / about["file"] if about else f"policies/{policy}.onnx"
@@ -164,7 +165,7 @@ def tune(gait: str, speed: float) -> Stage:
         # The gait is written after every generation; the file of this name is of the last one.
         part = Path(makes).with_suffix(".part.yaml")
         small = runs.quick_options("--generations", 12)
-        command(runs, "tune", "--gait", gait, "--speed", speed, "--out", part, *small)
+        command(runs, "study", "tune", "--gait", gait, "--speed", speed, "--out", part, *small)
         (runs.folder / part).rename(runs.folder / makes)
 
     return Stage(makes, make)
@@ -172,11 +173,22 @@ def tune(gait: str, speed: float) -> Stage:
 
 def script(runs: PaperRuns, name: str, *words: object) -> None:
     """Run a script of the clone in the folder of the runs."""
-    path = runs.root / name
+    runs.console.print(shlex.join(["python", str(runs.root / name), *map(str, words)]), style="bold")
+    run_script(runs.root / name, *words, cwd=runs.folder, capture=False)
+
+
+def run_script(path: Path, *words: object, cwd: Path | None = None, capture: bool = True) -> str:
+    """Run a script of a clone; return what it printed, if that is captured.
+
+    Raises:
+        SurefootError: the script failed; the message is the last line of what it printed.
+    """
     argv = [sys.executable, str(path), *map(str, words)]
-    runs.console.print(shlex.join(["python", *argv[1:]]), style="bold")
-    if code := subprocess.run(argv, cwd=runs.folder).returncode:
-        raise SurefootError(f"{path}: ended with exit code {code}")
+    done = subprocess.run(argv, cwd=cwd, capture_output=capture, text=True)
+    if done.returncode:
+        lines = (done.stderr or "").strip().splitlines() or [f"ended with exit code {done.returncode}"]
+        raise SurefootError(f"{path}: {lines[-1]}")
+    return done.stdout or ""
 
 
 def open_loop(runs: PaperRuns) -> None:
@@ -197,7 +209,7 @@ def search(runs: PaperRuns) -> None:
     out = Path("results") / "search"
     resume = ["--resume"] if (runs.folder / out / "search.yaml").exists() else []
     small = runs.quick_options("--trials", 4, "--steps", 60_000)
-    command(runs, "search", "gallop", "--out", out, *runs.workers_options(), *small, *resume)
+    command(runs, "study", "search", "gallop", "--out", out, *runs.workers_options(), *small, *resume)
 
 
 STAGES = (

@@ -85,6 +85,24 @@ def _check_words(types: Mapping[str, Any], words: Sequence[str], prog: str) -> N
             raise SurefootError(f"{word} has no value; it takes one or more")
 
 
+def positional_words(words: Sequence[str], *kinds: type) -> list[str]:
+    """Return the words that are neither options of these dataclasses nor the value that follows an option.
+
+    Further values of an option that takes several count as positional: a command decides by the first word.
+    """
+    types = {name: hint for kind in kinds for name, hint in options(kind).items()}
+    found, is_value = [], False
+    for word in words:
+        if word.startswith("-"):
+            name = word.replace("_", "-")
+            is_value = "=" not in word and types.get(name, bool if name in ("-h", "--help") else str) is not bool
+        elif is_value:
+            is_value = False
+        else:
+            found.append(word)
+    return found
+
+
 def options(kind: type, default: Any = None, prefix: str = "--") -> dict[str, Any]:
     """Return the types of a dataclass's options, positional ones too, by tyro's names.
 

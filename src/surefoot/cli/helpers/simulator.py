@@ -57,21 +57,35 @@ SimulatorOptions = Annotated[Simulator, tyro.conf.OmitArgPrefixes]
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions:
-    """Options of commands that run one policy in one world."""
+class SimulationOptions:
+    """Options of commands that simulate one policy in one world."""
 
-    pushes: Pushes = False
-    push_force: PushForce = None
-    """Push the robot with forces from LOW to HIGH [N] in horizontal directions, as often as its task says."""
     settings: Settings = ()
     """Physical parameters that differ from the task's, such as motor_strength=0.8."""
     plugin: PluginNames = ()
-    seed: Seed = 1
     world: World = "mujoco"
     simulator: SimulatorOptions = Simulator()
     """Another simulator than the policy's own."""
     robot: RobotName = None
     terrain: Terrain = "flat"
+
+    def in_simulator(self, task: TaskConfig) -> TaskConfig:
+        """Return a policy's task in this simulator.
+
+        Raises:
+            SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.
+        """
+        return self.simulator.apply(task, parse_settings([word for group in self.settings for word in group]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(SimulationOptions):
+    """Options of commands that run episodes of one policy in one world."""
+
+    pushes: Pushes = False
+    push_force: PushForce = None
+    """Push the robot with forces from LOW to HIGH [N] in horizontal directions, as often as its task says."""
+    seed: Seed = 1
     commands: Path | None = None
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
     drawn as in its training, if not given. The run lasts until two seconds after its last row, or longer."""
@@ -88,11 +102,10 @@ class RunOptions:
             thermal_protection: switch off motors that overheat, also if the task does not.
 
         Raises:
-            SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.
+            SurefootError: as `in_simulator`.
         """
-        settings = parse_settings([word for group in self.settings for word in group])
         task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
-        task = self.simulator.apply(task, settings)
+        task = self.in_simulator(task)
         return evaluation_task(task, robot, ranges or {}, self.pushes, self.push_force, self.commands, self.terrain)
 
 

@@ -120,7 +120,7 @@ def _motion_from_arrays(name: str, arrays: dict[str, NDArray[Any]], robot: Robot
         lacks = missing or ["motor_angle and imu"]
         raise SurefootError(
             f"has no {' and no '.join(lacks)}; a log has time, command, and motor_angle or imu. It has "
-            f"{choices(sorted(arrays)[:20])}; with other names: surefoot trace import --map MAPPING.yaml"
+            f"{choices(sorted(arrays)[:20])}; with other names: surefoot identify import --map MAPPING.yaml"
         )
     steps, motors = np.shape(arrays["time"])[:1] or (0,), robot.num_motors
     shapes = {"time": steps, "command": (*steps, motors), "motor_angle": (*steps, motors), "imu": (*steps, len(IMU))}

@@ -16,9 +16,9 @@ import secrets
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import websockets
 from websockets.asyncio.client import connect
@@ -28,7 +28,7 @@ from websockets.http11 import Request, Response
 
 from surefoot.errors import SurefootError
 from surefoot.report.pages.html import document
-from surefoot.report.pages.view import bare_viewer
+from surefoot.report.pages.view import RobotView, bare_viewer
 
 LOCAL = ("localhost", "127.0.0.1", "[::1]")
 _MAX_MESSAGE_BYTES = 2000
@@ -116,6 +116,12 @@ class PageServer:
         """Send a message to all tabs."""
         text = json.dumps(message)
         self._call(lambda: broadcast(self._tabs, text))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
 
     def stop(self) -> None:
         """Close all tabs' connections and the port."""
@@ -257,6 +263,17 @@ class PageServer:
     def _send_options(self) -> None:
         for place, tab in enumerate(self._tabs):
             broadcast([tab], json.dumps({**self._options, "driver": place == 0, "tabs": len(self._tabs)}))
+
+
+@contextlib.contextmanager
+def robot_page(host: str | None, port: int, in_notebook: bool = False) -> Iterator[tuple[PageServer, RobotView]]:
+    """Serve a page with robots in 3D while entered; yield page and view. The arguments are those of `PageServer`."""
+    view = RobotView()
+    try:
+        with PageServer(host, port, view.port, in_notebook=in_notebook) as page:
+            yield page, view
+    finally:
+        view.stop()
 
 
 def _refuse_constant(word: str) -> float:

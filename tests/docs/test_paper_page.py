@@ -12,9 +12,10 @@ from chromium import CHROMIUM, in_browser
 
 pytest.importorskip("matplotlib")
 
+from paper_page import claims_markdown, difference, load_content, write_page
+from result_numbers import fill
+
 from surefoot.errors import SurefootError
-from surefoot.studies.paper import claims_markdown, difference, load_content, write_page
-from surefoot.studies.result_numbers import fill
 
 
 @pytest.fixture

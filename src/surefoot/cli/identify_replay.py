@@ -1,4 +1,4 @@
-"""`surefoot replay`: the commands of a recorded run through the simulated robot, compared with the record."""
+"""`surefoot identify replay`: the commands of a recorded run through the simulated robot, compared with the record."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class ReplayCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    command = parse(ReplayCommand, argv, "surefoot replay")
+    command = parse(ReplayCommand, argv, "surefoot identify replay")
     check_suffix("out", command.out, ".png")
     if command.out is not None:
         import_module("matplotlib")

@@ -1,4 +1,4 @@
-"""`surefoot paper`: the paper and surefoot's results on one page."""
+"""`surefoot study paper`: the paper and surefoot's results on one page."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surefoot.cli.helpers.options import Ray, Workers, check_folder, check_suffix
+from surefoot.cli.helpers.paper_runs import PAGE, QUICK_NOTE, PaperRuns, make_all, run_script
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
 
@@ -15,7 +16,8 @@ from surefoot.errors import SurefootError
 class PaperCommand:
     """Write one page with every table, figure and number of the paper, each beside surefoot's.
 
-    The page is one HTML file that loads nothing from elsewhere. It reads the results that a clone of surefoot holds.
+    The page is one HTML file that loads nothing from elsewhere. A clone's docs/paper_page.py writes it, of the results
+    in the clone.
     With --quick or --full it makes results anew, in a folder of their own: every training, search and evaluation.
     Ctrl-C stops; the same command goes on.
     """
@@ -35,18 +37,15 @@ class PaperCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    command = parse(PaperCommand, argv, "surefoot paper")
+    command = parse(PaperCommand, argv, "surefoot study paper")
     if not (command.quick or command.full):
         check_suffix("out", command.out, ".html")
-    if not (command.root / "results").is_dir():
-        raise SurefootError(f"root is {command.root}; it must be a clone of surefoot, with the folder results")
+    if not (command.root / PAGE).is_file():
+        raise SurefootError(f"root is {command.root}; it must be a clone of surefoot, with {PAGE}")
     if command.quick and command.full:
         raise SurefootError("--quick and --full are given; give one of them, or neither")
-    from surefoot.studies.paper import write_page
-
     root, page, note = command.root, command.out or Path("paper.html"), ""
     if command.quick or command.full:
-        from surefoot.cli.helpers.paper_runs import QUICK_NOTE, PaperRuns, make_all
         from surefoot.studies.workers import check_address
 
         check_address(command.ray)
@@ -55,13 +54,10 @@ def main(argv: list[str]) -> int:
         page = root / "paper.html"
         runs = PaperRuns(command.root.resolve(), root, command.quick, command.workers, command.ray)
         if not make_all(runs):
-            runs.console.print(f"Stopped. To go on:\n  {shlex.join(['surefoot', 'paper', *argv])}")
+            runs.console.print(f"Stopped. To go on:\n  {shlex.join(['surefoot', 'study', 'paper', *argv])}")
             return 130
         note = QUICK_NOTE if command.quick else ""
     elif command.workers or command.ray:
         raise SurefootError("--workers and --ray go with --quick or --full, and neither is given")
-    missing = write_page(root, page, note, command.root)
-    print(f"wrote {page}")
-    for name in missing:
-        print(f"not there: {name}")
+    print(run_script(command.root / PAGE, "--root", root, "--out", page, "--note", note), end="")
     return 0

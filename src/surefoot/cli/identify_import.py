@@ -1,4 +1,4 @@
-"""`surefoot trace import FILE`: a log of somebody else's robot becomes a trace."""
+"""`surefoot identify import`: a trace from a log that others recorded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from surefoot.cli.helpers.options import Json, check_suffix
-from surefoot.cli.helpers.output import print_json, run_action, show_command
+from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import choices
 from surefoot.robot import RobotDescription
@@ -40,11 +40,7 @@ class ImportCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    return run_action(argv, "trace", ACTIONS)
-
-
-def _import(argv: list[str]) -> int:
-    command = parse(ImportCommand, argv, "surefoot trace import")
+    command = parse(ImportCommand, argv, "surefoot identify import")
     check_suffix("out", command.out, ".npz")
     robot = RobotDescription.load(command.robot)
     from surefoot.identify.motion.importing import import_log
@@ -72,6 +68,3 @@ def _import(argv: list[str]) -> int:
     print(f"wrote {command.out}")
     print(show_command([command.out]))
     return 0
-
-
-ACTIONS = {"import": ("make a trace of a log: NPZ, CSV, pickle, MCAP or ROS bag", _import)}

@@ -16,9 +16,9 @@ from surefoot.configuration import from_mapping, read_yaml, to_mapping
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
-from surefoot.studies.raibert import RaibertConfig, RaibertController
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.periodic_references import FootReference
+from surefoot.task.raibert import RaibertConfig, RaibertController
 from surefoot.task.reference_config import make_reference
 
 KEY = "handcrafted"

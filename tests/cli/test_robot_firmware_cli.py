@@ -1,4 +1,4 @@
-"""`surefoot firmware new`: a robot's firmware as a folder of C."""
+"""`surefoot robot firmware new`: a robot's firmware as a folder of C."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from surefoot.firmware.project import build_firmware
 @needs_gcc
 def test_a_robots_firmware_is_written_and_compiles_and_runs_the_emulated_robot(tmp_path, capsys):
     folder = tmp_path / "fw"
-    assert main(["firmware", "new", "solo8", "--out", str(folder)]) == 0
+    assert main(["robot", "firmware", "new", "solo8", "--out", str(folder)]) == 0
     assert f"make -C {folder}" in capsys.readouterr().out
     program = build_firmware(folder)
     words = ["--firmware", str(program), "--duration", "0.05"]
@@ -24,7 +24,7 @@ def test_a_robots_firmware_is_written_and_compiles_and_runs_the_emulated_robot(t
     assert "frames received 0" in capsys.readouterr().err
     assert main(["emulate", "--robot", "go2", *words]) == 2
     assert "is not one of robot go2" in capsys.readouterr().err
-    assert main(["firmware", "new", "solo8", "--out", str(folder)]) == 2
+    assert main(["robot", "firmware", "new", "solo8", "--out", str(folder)]) == 2
     assert "fw exists; give another name" in capsys.readouterr().err
 
 
@@ -40,7 +40,7 @@ def test_one_motor_is_turned_without_a_servo(fault, code, text, capsys):
     robot = EmulatorHere("--lockstep", "--rack", *(("--fault", fault) if fault else ()))
     words = ["back_left_1_motor", "--port", robot.port, "--lockstep", "--yes", "--duty", "-0.05"]
     try:
-        assert main(["firmware", "motor", *words]) == code
+        assert main(["robot", "firmware", "motor", *words]) == code
     finally:
         robot.stop()
     output = capsys.readouterr().out
@@ -50,12 +50,12 @@ def test_one_motor_is_turned_without_a_servo(fault, code, text, capsys):
 
 def test_a_motor_that_is_none_and_a_missing_yes_are_refused(capsys):
     for words, text in (("x --yes", "'x' is no motor of minitaur"), ("front_left_1_motor", "say so with --yes")):
-        assert main(["firmware", "motor", *words.split(), "--port", "/dev/null"]) == 2
+        assert main(["robot", "firmware", "motor", *words.split(), "--port", "/dev/null"]) == 2
         assert text in capsys.readouterr().err
 
 
 def test_a_word_that_is_no_action_or_no_robot_is_refused(capsys):
-    assert main(["firmware", "old"]) == 2
+    assert main(["robot", "firmware", "old"]) == 2
     assert "'old' is not an action" in capsys.readouterr().err
-    assert main(["firmware", "new", "no-such-robot"]) == 2
+    assert main(["robot", "firmware", "new", "no-such-robot"]) == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -11,9 +11,9 @@ from references import read_reference
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.studies.raibert import OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.foot_paths import FootPaths
 from surefoot.task.periodic_references import FootReference
+from surefoot.task.raibert import OBSERVATIONS, RaibertConfig, RaibertController
 
 ROBOT = RobotDescription.load("minitaur")
 LEG = ROBOT.leg_geometry

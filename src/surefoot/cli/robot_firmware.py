@@ -1,4 +1,4 @@
-"""`surefoot firmware`: a robot's firmware as a folder of C, and the first motion of a motor."""
+"""`surefoot robot firmware`: a robot's firmware as a folder of C, and the first motion of a motor."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ class MotorCommand(SerialOptions):
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    return run_action(argv, "firmware", ACTIONS)
+    return run_action(argv, "robot firmware", ACTIONS)
 
 
 def _new(argv: list[str]) -> int:
-    command = parse(NewCommand, argv, "surefoot firmware new")
+    command = parse(NewCommand, argv, "surefoot robot firmware new")
     from surefoot.firmware.project import write_sources
 
     robot = RobotDescription.load(command.robot)
@@ -75,7 +75,7 @@ def _new(argv: list[str]) -> int:
 
 
 def _motor(argv: list[str]) -> int:
-    command = parse(MotorCommand, argv, "surefoot firmware motor")
+    command = parse(MotorCommand, argv, "surefoot robot firmware motor")
     robot = RobotDescription.load(command.robot)
     if command.motor not in robot.motor_names:
         raise SurefootError(f"'{command.motor}' is no motor of {robot.name}; it has {choices(robot.motor_names)}")

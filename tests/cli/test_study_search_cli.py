@@ -1,4 +1,4 @@
-"""`surefoot search`: a computer that is lost, a search that is killed, the report, and bad input."""
+"""`surefoot study search`: a computer that is lost, a search that is killed, the report, and bad input."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ task.reward.energy: {low: -0.02, high: -0.002, log: true}
 """
 STEPS = 16384
 UPDATES = STEPS // 256
-SEARCH = ("search", "tiny.yaml", "--space", "space.yaml", "--steps", str(STEPS), "--out", "out", "--seed", "5")
+SEARCH = ("study", "search", "tiny.yaml", "--space", "space.yaml", "--steps", str(STEPS), "--out", "out", "--seed", "5")
 
 
 def rows(folder: Path, number: int) -> list[dict[str, object]]:
@@ -120,7 +120,7 @@ def check_same(folder: Path, number: int) -> None:
 def check_report(out: Path, trials: int) -> None:
     report = (out / "README.md").read_text()
     assert f"{trials} trials ({trials} complete) of {STEPS:,} control steps, 8 episodes an evaluation, seed 5" in report
-    assert "surefoot search tiny.yaml --space space.yaml" in report
+    assert "surefoot study search tiny.yaml --space space.yaml" in report
     assert "Claimed less fresh, mean of these 3: " in report
     gaits = re.findall(r"\((gait_\w+\.png)\)", report)
     assert gaits
@@ -156,7 +156,7 @@ def test_search_refuses_bad_input_in_one_line(
     (tmp_path / "unknown.yaml").write_text("ppo.leg: {low: 0, high: 1}")
     (tmp_path / "reversed.yaml").write_text("ppo.gamma: {low: 0.9, high: 0.8}")
     (tmp_path / "robot.yaml").write_text("task.robot: {choices: [minitaur, centipede]}")
-    result = surefoot("search", *(word.replace("PORT", str(free_port())) for word in words), cwd=tmp_path)
+    result = surefoot("study", "search", *(word.replace("PORT", str(free_port())) for word in words), cwd=tmp_path)
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert result.stderr.startswith("surefoot: error: ")

@@ -11,10 +11,10 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.learn.config import load_train_config
-from surefoot.studies.handcrafted import HandcraftedGait, OpenLoop
-from surefoot.studies.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.config import FeedbackConfig, TaskConfig
+from surefoot.task.handcrafted import HandcraftedGait, OpenLoop
 from surefoot.task.observation import IMU_4D
+from surefoot.task.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.reference_config import FootConfig, ReferenceConfig
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.sim_world import SimWorld

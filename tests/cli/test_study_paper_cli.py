@@ -1,4 +1,4 @@
-"""`surefoot paper`: the page of a clone, and the runs behind it."""
+"""`surefoot study paper`: the page of a clone, and the runs behind it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
+from paper_page import load_content
 from processes import refused, surefoot
 
 pytest.importorskip("matplotlib")
@@ -18,16 +19,15 @@ from surefoot.cli.evaluate import EvaluateCommand
 from surefoot.cli.helpers import paper_runs
 from surefoot.cli.helpers.paper_runs import PaperRuns, Stage, command, evaluations
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.search import SearchCommand
 from surefoot.cli.sensitivity import SensitivityCommand
 from surefoot.cli.study import StudyCommand
-from surefoot.cli.tune import TuneCommand
+from surefoot.cli.study_search import SearchCommand
+from surefoot.cli.study_tune import TuneCommand
 from surefoot.errors import SurefootError
-from surefoot.studies.paper import evaluations_on_page
 
 
 def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
-    done = surefoot("paper", "--root", repository, "--out", tmp_path / "page.html")
+    done = surefoot("study", "paper", "--root", repository, "--out", tmp_path / "page.html")
     assert (done.returncode, done.stdout) == (0, f"wrote {tmp_path / 'page.html'}\n")
     assert (tmp_path / "page.html").read_text(encoding="utf-8").endswith("</html>\n")
 
@@ -35,7 +35,7 @@ def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
-        (["--root", "."], ["root is .", "with the folder results"]),
+        (["--root", "."], ["root is .", "with docs/paper_page.py"]),
         (["--out", "page.pdf"], ["out page.pdf: the name must end in .html"]),
         (["--root", "REPOSITORY", "--quick", "--full"], ["--quick and --full are given; give one of them"]),
         (["--root", "REPOSITORY", "--workers", "2"], ["--workers", "go with --quick or --full"]),
@@ -46,7 +46,10 @@ def test_paper_refuses_options_that_do_not_go_together(
     words: list[str], parts: list[str], repository: Path, tmp_path: Path
 ):
     (tmp_path / "file").touch()
-    refused(surefoot("paper", *(word.replace("REPOSITORY", str(repository)) for word in words), cwd=tmp_path), *parts)
+    refused(
+        surefoot("study", "paper", *(word.replace("REPOSITORY", str(repository)) for word in words), cwd=tmp_path),
+        *parts,
+    )
 
 
 @pytest.fixture
@@ -74,11 +77,11 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
 
     stages = (Stage("once", once), Stage("results/evaluations.csv", evaluations), Stage("stopped", stopped))
     monkeypatch.setattr(paper_runs, "STAGES", stages)
-    monkeypatch.setattr(paper_runs, "evaluations_on_page", lambda: ["trot"])
-    words = ("paper", "--root", repository, "--quick", "--out", shipped)
+    monkeypatch.setattr(paper_runs, "run_script", lambda *_: "trot\n")
+    words = ("study", "paper", "--root", repository, "--quick", "--out", shipped)
     done = surefoot(*words)
     assert done.returncode == 130
-    assert f"surefoot paper --root {repository} --quick" in done.stderr
+    assert f"surefoot study paper --root {repository} --quick" in done.stderr
     (row,) = csv.DictReader((shipped / "results/evaluations.csv").open())
     assert (row["name"], row["episodes"]) == ("trot", "5")
     assert not (shipped / "paper.html").exists()
@@ -96,7 +99,7 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
 def test_a_training_keeps_its_policy_and_pictures(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(paper_runs, "STAGES", (paper_runs.train("trot", 8192),))
     folder = tmp_path / "runs"
-    done = surefoot("paper", "--root", repository, "--quick", "--out", folder)
+    done = surefoot("study", "paper", "--root", repository, "--quick", "--out", folder)
     assert done.returncode == 0, done.stderr
     assert (folder / "policies/trot.onnx").exists()
     assert (folder / "policies/trot/footfalls.png").exists()
@@ -107,14 +110,12 @@ def test_a_command_that_fails_ends_the_runs_in_one_line(
 ):
     stages = (Stage("never", lambda runs: command(runs, "evaluate", "none.onnx")),)
     monkeypatch.setattr(paper_runs, "STAGES", stages)
-    done = surefoot("paper", "--root", repository, "--full", "--out", shipped)
+    done = surefoot("study", "paper", "--root", repository, "--full", "--out", shipped)
     assert done.returncode == 2
     assert done.stderr.endswith("surefoot: error: surefoot evaluate none.onnx: ended with exit code 2\n")
 
 
 def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repository: Path):
-    from surefoot.studies.paper import load_content
-
     folders = {Path(stage.makes).with_suffix("").parts[:2] for stage in paper_runs.STAGES}
     sections = load_content().sections
     lines = [line for part in sections for item in part.items for line in item.lines()]
@@ -136,8 +137,8 @@ PARSERS = {
     "evaluate": EvaluateCommand,
     "sensitivity": SensitivityCommand,
     "study": StudyCommand,
-    "tune": TuneCommand,
-    "search": SearchCommand,
+    "study tune": TuneCommand,
+    "study search": SearchCommand,
 }
 
 
@@ -147,7 +148,8 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     def main(words: list[str]) -> int:
         """Take the words as the command would, and leave what later runs need."""
         calls.append(words)
-        name, *rest = words
+        length = 2 if " ".join(words[:2]) in PARSERS else 1
+        name, rest = " ".join(words[:length]), words[length:]
         if name in PARSERS:
             # Ranges and bounds that --randomize and --push-force take are words like others here.
             parse(PARSERS[name], rest, name)
@@ -157,7 +159,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
             folder = Path(rest[rest.index("--out") + 1])
             folder.mkdir(parents=True, exist_ok=True)
             (folder / "push_force.png").touch()
-        if name == "tune":
+        if name == "study tune":
             Path(rest[rest.index("--out") + 1]).touch()
         if name == "train":
             run = Path(rest[1]) if rest[0] == "--resume" else Path("runs") / Path(rest[0]).stem / "first"
@@ -167,7 +169,8 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
         return 0
 
     monkeypatch.setattr("surefoot.cli.main.main", main)
-    run = mock.Mock(return_value=mock.Mock(returncode=0))
+    listed = paper_runs.run_script(repository / paper_runs.PAGE, "--list-evaluations")
+    run = mock.Mock(return_value=mock.Mock(returncode=0, stdout=listed, stderr=""))
     monkeypatch.setattr(paper_runs.subprocess, "run", run)
     (tmp_path / "results/search").mkdir(parents=True)
     quick = PaperRuns(repository, tmp_path, True, workers=2)
@@ -180,16 +183,17 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     assert "trot,policies/trot.onnx" in (tmp_path / "results/evaluations.csv").read_text()
     assert (tmp_path / "results/handcrafted/trot-60.yaml").exists()
     evaluated = {words for words in commands if words[0] == "evaluate"}
-    assert len(evaluated) == len(evaluations_on_page())
+    assert len(evaluated) == len(listed.split()) > 5
     assert any("--push-force" in words for words in evaluated)
     assert (tmp_path / "docs/pushes.png").exists()
-    assert [Path(call.args[0][1]).name for call in run.call_args_list] == ["open_loop.py", "handcrafted.py"]
+    scripts = [Path(call.args[0][1]).name for call in run.call_args_list]
+    assert scripts == ["paper_page.py", "open_loop.py", "handcrafted.py"]
     assert run.call_args.args[0][1:3] == [str(repository / "benchmarks/handcrafted.py"), "results/handcrafted"]
     assert run.call_args.args[0][-4:] == ["--episodes", "5", "--conditions", "mujoco"]
-    studies = [words for words in calls if words[0] == "study"]
+    studies = [words for words in calls if words[0] == "study" and words[1].endswith(".yaml")]
     assert [Path(words[1]).is_file() for words in studies] == [True] * 3
     assert studies[0][2:6] == ["--workers", "2", "--steps", "60000"]
-    assert " ".join(calls[-1]) == "search gallop --out results/search --workers 2 --trials 4 --steps 60000"
+    assert " ".join(calls[-1]) == "study search gallop --out results/search --workers 2 --trials 4 --steps 60000"
 
     # The full version has none of the words that make it small, and what was stopped goes on.
     calls.clear()
@@ -198,7 +202,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     for stage in paper_runs.STAGES:
         stage.make(full)
     assert ["train", "--resume", str(tmp_path / "runs/trot/first")] in calls
-    assert " ".join(calls[-1]) == "search gallop --out results/search --workers 0 --ray head:6379 --resume"
+    assert " ".join(calls[-1]) == "study search gallop --out results/search --workers 0 --ray head:6379 --resume"
     assert not {"--steps", "--episodes", "--only", "--generations"} & {
         word for words in calls for word in words if words[0] != "evaluate" and "--push-force" not in words
     }
@@ -212,6 +216,6 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
 
 def test_a_run_without_its_file_is_an_error(repository: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(paper_runs, "STAGES", (Stage("results/none.json", lambda runs: None),))
-    done = surefoot("paper", "--root", repository, "--quick", "--out", shipped)
+    done = surefoot("study", "paper", "--root", repository, "--quick", "--out", shipped)
     refused_late = "surefoot: error: results/none.json was not made; see the output above\n"
     assert (done.returncode, done.stderr.endswith(refused_late)) == (2, True)

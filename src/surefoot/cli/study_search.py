@@ -1,4 +1,4 @@
-"""`surefoot search TASK`: many trainings with settings that Optuna proposes, and what they came to."""
+"""`surefoot study search`: many trainings with settings that Optuna proposes, and what they came to."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from surefoot.cli.helpers.options import PluginNames, Ray, Seed, Workers, check_folder
+from surefoot.cli.helpers.options import PluginNames, Ray, Seed, Workers, check_folder, make_figures_folder
 from surefoot.cli.helpers.output import make_console
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
@@ -54,8 +54,7 @@ class SearchCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    command = parse(SearchCommand, argv, "surefoot search")
-    from surefoot.cli.helpers.search_results import report
+    command = parse(SearchCommand, argv, "surefoot study search")
     from surefoot.learn.folder_lock import folder_lock
 
     config = make_config(command.task, command.space, command.seed, command.steps)
@@ -74,10 +73,16 @@ def main(argv: list[str]) -> int:
         for note in search.notes:
             console.print(note)
         if not command.report_only and _train(search, command, console):
-            again = shlex.join(["surefoot", "search", *argv, *([] if command.resume else ["--resume"])])
+            again = shlex.join(["surefoot", "study", "search", *argv, *([] if command.resume else ["--resume"])])
             console.print(f"Stopped; every trial under way is saved. To go on:\n  {again}")
             return 130
-        report(search, shlex.join(["surefoot", "search", *argv]), console)
+        from surefoot.studies.search_report import write_report
+        from surefoot.studies.search_result import collect_result
+
+        make_figures_folder(out)
+        with console.status("evaluating") as status:
+            result = collect_result(search, status.update)
+        console.print(f"Report: {write_report(result, out, shlex.join(['surefoot', 'study', 'search', *argv]))}")
     return 0
 
 

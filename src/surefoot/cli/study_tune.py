@@ -1,4 +1,4 @@
-"""`surefoot tune`: find a handcrafted gait for a robot and a speed."""
+"""`surefoot study tune`: find a handcrafted gait for a robot and a speed."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from surefoot.cli.helpers.options import Count, check_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
 from surefoot.progress import ProgressBar
-from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.studies.tune import TuneConfig, Tuner, curve_path, has_converged, read_curve
 from surefoot.tables import write_csv
+from surefoot.task.handcrafted import HandcraftedGait
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class TuneCommand(TuneConfig):
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    command = parse(TuneCommand, argv, "surefoot tune")
+    command = parse(TuneCommand, argv, "surefoot study tune")
     check_suffix("gait", command.out, ".yaml")
     config = TuneConfig(**{item.name: getattr(command, item.name) for item in fields(TuneConfig)})
     start = {} if command.start_from is None else HandcraftedGait.load(command.start_from).about.get("parameters")

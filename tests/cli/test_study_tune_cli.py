@@ -1,4 +1,4 @@
-"""`surefoot tune`, in this process."""
+"""`surefoot study tune`, in this process."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ QUICK = ("--generations", 1, "--population", 4, "--starts", 1, "--duration", 0.5
 
 
 def test_tune_writes_and_measures_a_gait_and_resumes_from_it(tmp_path: Path):
-    done = surefoot("tune", "--gait", "trot", "--speed", 0.4, *QUICK, cwd=tmp_path)
+    done = surefoot("study", "tune", "--gait", "trot", "--speed", 0.4, *QUICK, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "trot-40 in mujoco" in done.stdout
     assert "cost of transport" in done.stdout
     result = yaml.safe_load((tmp_path / "trot-40.yaml").read_text())
     assert result["reference"]["kind"] == "foot"
     assert result["handcrafted"]["about"]["speed"] == 0.4
-    words = ("tune", "--raibert", "--start-from", "trot-40.yaml", "--out", "again.yaml", *QUICK)
+    words = ("study", "tune", "--raibert", "--start-from", "trot-40.yaml", "--out", "again.yaml", *QUICK)
     again = surefoot(*words, cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert yaml.safe_load((tmp_path / "again.yaml").read_text())["handcrafted"]["raibert"]["lag"] == 0.045
@@ -50,7 +50,7 @@ def test_tune_refuses_options_and_files_that_do_not_fit(tmp_path: Path, words: t
     (tmp_path / "task.yaml").write_text(task)
     (tmp_path / "hand.yaml").write_text(f"{task}handcrafted: {{}}\n")
     (tmp_path / "odd.yaml").write_text(f"{task}handcrafted: {{about: {{parameters: {{depth: deep}}}}}}\n")
-    refused(surefoot("tune", *words, cwd=tmp_path), *parts)
+    refused(surefoot("study", "tune", *words, cwd=tmp_path), *parts)
 
 
 def test_a_handcrafted_gait_is_evaluated_and_played_as_a_policy_is(tmp_path: Path):
@@ -64,6 +64,6 @@ def test_a_handcrafted_gait_is_evaluated_and_played_as_a_policy_is(tmp_path: Pat
     assert len(result["config_hash"]) == 64
     (tmp_path / "task.yaml").write_text("reference: {kind: foot}\n")
     refused(surefoot("evaluate", "task.yaml", cwd=tmp_path), "task.yaml: handcrafted is missing")
-    played = surefoot("play", "stand.yaml", "--duration", 0.1, "--out", "stand.mp4", cwd=tmp_path)
+    played = surefoot("show", "stand.yaml", "--duration", 0.1, "--out", "stand.mp4", cwd=tmp_path)
     assert played.returncode == 0, played.stderr
     assert (tmp_path / "stand.mp4").stat().st_size > 1000

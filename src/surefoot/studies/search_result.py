@@ -1,0 +1,140 @@
+"""Outcome of a search: its trials with their gaits, and the best trials in fresh episodes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from surefoot.errors import SurefootError
+from surefoot.evaluation.gap import away_task
+from surefoot.evaluation.rollout import run_episodes
+from surefoot.evaluation.runs import measure_runs
+from surefoot.evaluation.statistics import Interval, t_interval
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.studies.evaluations import Result, cached_result, evaluate
+from surefoot.studies.search import Search, SearchConfig
+from surefoot.studies.search_space import get
+from surefoot.task.contract_mapping import task_from_contract
+from surefoot.world.process_world import worker_pool
+from surefoot.world.registry import find_world
+
+_TOP = 3
+"""Number of best trials that are evaluated in fresh episodes."""
+_EPISODES = 20
+_SEED = 2_000_003
+"""Seed of fresh episodes, which neither training nor search has used."""
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """Trials of a search, and what the best of them do in fresh episodes."""
+
+    config: SearchConfig
+    trials: pd.DataFrame
+    """One row per trial: trial, state (complete, pruned, fail or running), return of the last evaluation [m] (NaN
+    without), control steps, seconds, gait, pattern, seed, proposed settings by dotted name, why it failed. In addition
+    `curve`: control steps and return of each evaluation (E, 2); `policy` and `result`: policy file and its evaluation
+    `gait`."""
+    fresh: pd.DataFrame
+    """One row per fresh episode of the best trials: trial, then the columns of `measure_runs`. The best trial comes
+    first; each has runs in the simulator of its training, and in Bullet if that is installed."""
+    importance: dict[str, float] = field(default_factory=dict)
+    """Importance of each field, all together 1; empty if too few trials are complete."""
+
+    def claimed(self, trial: int) -> float:
+        """Return the return of a trial that the search saw [m]."""
+        return float(self.trials.set_index("trial")["return"][trial])
+
+    def selection_bias(self) -> dict[int, tuple[Interval, Interval]]:
+        """Return, by trial, mean return of fresh episodes at home, and the claimed return less that [m]."""
+        biases = {}
+        for number, runs in self.fresh.groupby("trial", sort=False):
+            fresh, claimed = t_interval(runs[runs.world == runs.world.iloc[0]]["return"]), self.claimed(number)
+            biases[number] = fresh, Interval(claimed - fresh.mean, claimed - fresh.high, claimed - fresh.low)
+        return biases
+
+
+def sort_trials(trials: pd.DataFrame) -> pd.DataFrame:
+    """Return trials by their return, the highest first; those without a return last."""
+    return trials.sort_values("return", ascending=False, kind="stable")
+
+
+def collect_result(search: Search, report: Callable[[str], None]) -> SearchResult:
+    """Name the gait of every trial, and evaluate the best trials in fresh episodes; results are cached.
+
+    Args:
+        search: the search.
+        report: called with a line before each evaluation.
+
+    Raises:
+        SurefootError: no trial is complete.
+    """
+    trials = pd.DataFrame([_trial_row(search, trial, report) for trial in search.study.trials])
+    complete = trials[trials.state == "complete"]
+    if not len(complete):
+        raise SurefootError(f"{search.folder}: no trial is complete; there is nothing to report yet")
+    fresh = []
+    with worker_pool():
+        for trial in sort_trials(complete)[:_TOP].itertuples():
+            report(f"evaluating trial {trial.trial} in fresh episodes")
+            fresh.append(_fresh_runs(search, trial.policy))
+            fresh[-1].insert(0, "trial", trial.trial)
+    return SearchResult(search.config, trials, pd.concat(fresh, ignore_index=True), search.importance())
+
+
+def _trial_row(search: Search, trial: Any, report: Callable[[str], None]) -> dict[str, Any]:
+    """Return the row of a trial of Optuna's study, as `SearchResult` has it, from its folder."""
+    training = search.training(trial.number)
+    policy = training.policy if training.policy.exists() else None
+    rows, config = training.rows(), training.stored() if policy else None
+    curve = [(row["steps"], row["evaluation"]["return_mean"]) for row in rows if "evaluation" in row]
+    result = None
+    if policy is not None:
+        report(f"naming the gait of trial {trial.number}")
+        result = evaluate(policy, "gait")
+    return {
+        "trial": trial.number,
+        "state": trial.state.name.lower(),
+        "return": curve[-1][1] if curve else math.nan,
+        "steps": rows[-1]["steps"] if rows else 0,
+        "seconds": rows[-1]["seconds"] if rows else 0.0,
+        "gait": result and result["gait"],
+        "pattern": result and result["pattern"],
+        "seed": config.seed if config else None,
+        **{name: _cell(get(config, name)) if config else None for name in search.config.space},
+        "why": trial.user_attrs.get("why", ""),
+        "curve": curve,
+        "policy": policy,
+        "result": result,
+    }
+
+
+def _cell(value: Any) -> Any:
+    """Return a value as a cell of a table."""
+    return " ".join(map(str, value)) if isinstance(value, list) else value
+
+
+def _fresh_runs(search: Search, path: Path) -> pd.DataFrame:
+    """Run a policy in fresh episodes at home, and in Bullet on the robot of the data sheet; results are cached."""
+    reward = search.config.train.task.reward
+
+    def run(world: str) -> pd.DataFrame:
+        def compute() -> Result:
+            policy = PolicyRuntime.load(path)
+            task = replace(task_from_contract(policy.contract, policy.load_robot()), reward=reward)
+            task = replace(task, pushes=replace(task.pushes, enabled=False))
+            task = task if world == "mujoco" else away_task(task)
+            traces = run_episodes(policy, task, _EPISODES, find_world(world), _SEED, world_name=world)
+            return {"runs": measure_runs(traces).to_dict("list")}
+
+        settings = {"world": world, "episodes": _EPISODES, "seed": _SEED, "reward": reward}
+        return pd.DataFrame(cached_result(path, f"fresh_{world}", settings, compute)["runs"])
+
+    worlds = ("mujoco", "bullet") if find_spec("pybullet") is not None else ("mujoco",)
+    return pd.concat(list(map(run, worlds)), ignore_index=True)
