@@ -143,7 +143,7 @@ def test_gap_simulates_the_robot_on_all_sides():
 
 def test_sensitivity_takes_the_robot_as_nominal():
     Path("ranges.yaml").write_text("voltage: [14.0, 15.4]\n")
-    words = "sensitivity trot --values 2 --episodes 1 --duration 0.12 --ranges ranges.yaml --params robot.toml"
+    words = "evaluate sensitivity trot --values 2 --episodes 1 --duration 0.12 --ranges ranges.yaml --params robot.toml"
     (policy,) = result(words, *ONE)["policies"]
     assert (policy["params"], policy["params_source"]) == (AS_JSON, SOURCE)
     lines = [line.split(",") for line in Path("sensitivity/episodes.csv").read_text().splitlines()]
@@ -225,7 +225,13 @@ FILES = {
 
 @pytest.mark.parametrize(
     "line",
-    ["train trot", "evaluate trot --out o", "gap trot --to mujoco", "sensitivity trot", "play trot --out o.mp4"],
+    [
+        "train trot",
+        "evaluate trot --out o",
+        "gap trot --to mujoco",
+        "evaluate sensitivity trot",
+        "play trot --out o.mp4",
+    ],
 )
 def test_every_command_refuses_a_file_that_does_not_fit(line: str, here: Path):
     if line.startswith("train"):

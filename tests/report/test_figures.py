@@ -21,12 +21,13 @@ from run_tables import policy_gap, runs_table, sensitivity_table
 from surefoot.errors import SurefootError
 from surefoot.evaluation.gap import PolicyGap
 from surefoot.evaluation.sensitivity import Sensitivity
+from surefoot.report.figures.gap import gap_figure
 from surefoot.report.figures.parameters import aggregate_figure, parameter_figure, parameters_figure
 from surefoot.report.figures.runs import _mean_power, episode_plot, footfall_diagram, side_by_side
 from surefoot.report.figures.tracking import tracking_figure
 from surefoot.robot import RobotDescription
 from surefoot.studies.comparison import Comparison
-from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
+from surefoot.studies.study_figures import group_figure, learning_curves
 from surefoot.task.trace import EpisodeTrace
 
 pytestmark = pytest.mark.filterwarnings("error")

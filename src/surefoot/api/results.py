@@ -38,6 +38,8 @@ class Policy:
     """The task that it was trained for, on that robot."""
     controller: Controller
     """What computes: a `PolicyRuntime`, or a handcrafted gait."""
+    config_hash: str
+    """Hash of the configuration that it was trained with."""
 
     def feedback(self, observation: ArrayLike) -> Array:
         """Return feedback (N, A) in leg space for observations (N, O * history) in SI units.
@@ -205,4 +207,4 @@ def load(policy: str | Path | Run | Policy, *, robot: str | Path | None = None) 
         policy = policy.path
     path = find_policy(str(policy.path if isinstance(policy, Run) else policy))
     controller, description, task, origin = load_gait(path, None if robot is None else str(robot))
-    return Policy(origin["name"], path, description, task, controller)
+    return Policy(origin["name"], path, description, task, controller, origin["config_hash"])

@@ -19,7 +19,7 @@ COMMANDS = {
     "robot": ("surefoot.cli.robot", "take any quadruped from its URDF or MJCF, and check its description"),
     "adopt": ("surefoot.cli.adopt", "bring in a policy that others trained"),
     "export": ("surefoot.cli.export", "write a policy for another deployer"),
-    "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
+    "evaluate": ("surefoot.cli.evaluate", "measure policies in simulation, side by side, and find what breaks them"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
     "drive": ("surefoot.cli.drive", "steer, push and change a simulated robot, on a page in the browser"),
     "show": ("surefoot.cli.show", "show recorded runs, on a page in the browser or as one file"),
@@ -34,10 +34,13 @@ COMMANDS = {
     "doctor": ("surefoot.cli.doctor", "check a policy, a link and a robot before it runs"),
     "deploy": ("surefoot.cli.deploy", "run a policy on a robot, or on an emulated one"),
     "paper": ("surefoot.cli.paper", "write one page: the paper and surefoot's results side by side"),
-    "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
-    "compare": ("surefoot.cli.compare", "measure policies side by side: same commands, same robots"),
     "gap": ("surefoot.cli.gap", "measure what policies lose in another world, or on a robot"),
 }
+FORMER = {
+    "sensitivity": "evaluate sensitivity POLICY",
+    "compare": "evaluate POLICY POLICY",
+}
+"""Former names of commands, and what is typed now."""
 _USAGE = """usage: surefoot COMMAND ...
 
 Agile gaits for quadruped robots, learned in simulation and carried to the robot.
@@ -94,6 +97,8 @@ def _run(words: list[str]) -> int:
     if words[0] == "--version":
         print(f"surefoot {__version__}")
         return 0
+    if words[0] in FORMER:
+        raise SurefootError(f"'{words[0]}' is a former name; type: surefoot {FORMER[words[0]]}")
     if words[0] not in COMMANDS:
         raise SurefootError(f"'{words[0]}' is not a command; {suggest(words[0], COMMANDS)}")
     if not all(word.isprintable() for word in words):

@@ -11,12 +11,13 @@ import pandas as pd
 
 from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
 from surefoot.files import atomic_write
+from surefoot.report.figures.gap import gap_figure
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import capital
 from surefoot.studies.comparison import CONTENTS, FAR, Comparison, study_tables, write_tables
 from surefoot.studies.evaluations import EVALUATIONS, ResultFigure, load_gait_trace
-from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
+from surefoot.studies.study_figures import group_figure, learning_curves
 from surefoot.tables import markdown
 
 _BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std", "gap_away", "gap", "gap_balanced")

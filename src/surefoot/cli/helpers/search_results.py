@@ -90,7 +90,7 @@ def _fresh_runs(search: Search, path: Path) -> pd.DataFrame:
     """Run a policy in fresh episodes at home, and in Bullet on the robot of the data sheet; results are cached."""
     import pandas as pd
 
-    from surefoot.evaluation.gap import away_task
+    from surefoot.evaluation.conditions import away_task
     from surefoot.evaluation.rollout import run_episodes
     from surefoot.evaluation.runs import measure_runs
     from surefoot.policy.runtime import PolicyRuntime

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
-from surefoot.api.simulator import change_simulator, evaluation_task
 from surefoot.cli.helpers.options import PluginNames, Pushes, PushForce, RobotName, Seed, Settings, Terrain, World
 from surefoot.errors import SurefootError
+from surefoot.evaluation.conditions import Actuator, Condition, change_simulator
 from surefoot.robot import RobotDescription, parse_settings
 from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges
@@ -22,7 +22,7 @@ from surefoot.task.config import TaskConfig
 class Simulator:
     """Differences from the task's simulator."""
 
-    actuator: Literal["dc", "constraint"] | None = None
+    actuator: Actuator | None = None
     """dc: servo and DC motor; constraint: the position motor of physics engines. The task's, if not given."""
     control_latency: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Age of what the policy sees [s]; the task's, if not given."""
@@ -38,6 +38,18 @@ class Simulator:
         names = ("control_latency", "servo_latency")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
+    def settings(self, settings: Mapping[str, ParamValue] | None = None) -> dict[str, ParamValue]:
+        """Return the latencies and further physical parameters by name.
+
+        Raises:
+            SurefootError: a parameter given twice.
+        """
+        settings = settings or {}
+        if twice := sorted(set(settings) & set(self.latencies)):
+            option = twice[0].replace("_", "-")
+            raise SurefootError(f"{twice[0]} is given twice, by --{option} and as a parameter; give it once")
+        return {**self.latencies, **settings}
+
     def apply(self, task: TaskConfig, settings: Mapping[str, ParamValue] | None = None) -> TaskConfig:
         """Return the task in this simulator, with further physical parameters by name.
 
@@ -45,11 +57,7 @@ class Simulator:
             SurefootError: a parameter given twice, an actuator that the task does not go with, or a file of parameters
                 that does not fit the task's robot and control step.
         """
-        settings = settings or {}
-        if twice := sorted(set(settings) & set(self.latencies)):
-            option = twice[0].replace("_", "-")
-            raise SurefootError(f"{twice[0]} is given twice, by --{option} and as a parameter; give it once")
-        return change_simulator(task, self.actuator, self.params, {**self.latencies, **settings})
+        return change_simulator(task, self.actuator, self.params, self.settings(settings))
 
 
 SimulatorOptions = Annotated[Simulator, tyro.conf.OmitArgPrefixes]
@@ -76,24 +84,23 @@ class RunOptions:
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
     drawn as in its training, if not given. The run lasts until two seconds after its last row, or longer."""
 
-    def apply(
-        self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None, thermal_protection: bool = False
-    ) -> TaskConfig:
-        """Return a policy's task for this simulator: randomized and pushed only if options request it.
+    def condition(self, ranges: Ranges | None = None) -> Condition:
+        """Return what the options change; parameters are drawn from `ranges`."""
+        return Condition(
+            world=self.world,
+            actuator=self.simulator.actuator,
+            params_file=self.simulator.params,
+            params=self.simulator.settings(parse_settings([word for group in self.settings for word in group])),
+            randomize=ranges or {},
+            pushes=self.pushes,
+            push_force=self.push_force,
+            commands=self.commands,
+            terrain=self.terrain,
+        )
 
-        Args:
-            task: as the policy was trained.
-            robot: the task's robot.
-            ranges: ranges of the parameters that every episode draws.
-            thermal_protection: switch off motors that overheat, also if the task does not.
-
-        Raises:
-            SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.
-        """
-        settings = parse_settings([word for group in self.settings for word in group])
-        task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
-        task = self.simulator.apply(task, settings)
-        return evaluation_task(task, robot, ranges or {}, self.pushes, self.push_force, self.commands, self.terrain)
+    def apply(self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None) -> TaskConfig:
+        """Return a policy's task on its robot for this simulator, see `Condition.apply`."""
+        return self.condition(ranges).apply(task, robot)
 
 
 def describe_simulator(task: TaskConfig) -> dict[str, Any]:
