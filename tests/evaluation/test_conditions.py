@@ -39,9 +39,9 @@ def test_without_any_difference_the_robot_is_nominal_and_nothing_pushes_it():
 @pytest.mark.parametrize(
     ("condition", "changes"),
     [
-        (Condition(params={"voltage": 20.0}), {"params": {**TASK.params, "voltage": 20.0}}),
+        (Condition(params={"imu_noise": 0.1}), {"params": {**TASK.params, "imu_noise": 0.1}}),
         (Condition(data_sheet=True), {"params": {"servo_kp": 30.0, "control_step": 0.016}}),
-        (Condition(randomize={"voltage": (20.0, 30.0)}), {"randomize": {"voltage": (20.0, 30.0)}}),
+        (Condition(randomize={"imu_noise": (0.0, 0.1)}), {"randomize": {"imu_noise": (0.0, 0.1)}}),
         (Condition(pushes=True), {"pushes": PushConfig(enabled=True)}),
         (
             Condition(push_force=(10.0, 20.0)),
@@ -69,7 +69,7 @@ def test_commands_come_from_a_file_to_its_end_or_are_one_for_each_episode(tmp_pa
         assert task.commands.schedule == ((0.0, 0.5, 0.0, 0.0), (end, 0.0, 0.0, 0.0))
     assert Condition(command_rows=((0.5, 0.0, 0.1),)).apply(TASK, ROBOT).commands.each == ((0.5, 0.0, 0.1),)
     trot = load_task("trot", "go2")[0]
-    with pytest.raises(SurefootError, match="task 'trot' has no commands to follow"):
+    with pytest.raises(SurefootError, match="task 'go2-trot' has no commands to follow"):
         Condition(commands=tmp_path / "way.csv").apply(trot, ROBOT)
 
 

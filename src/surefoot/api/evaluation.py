@@ -24,14 +24,7 @@ def run_evaluation(policy: Policy, episodes: int, world: str, seed: int, threads
     """Run a policy on its task with a progress bar, and measure it."""
     title = f"{episodes} episodes"
     traces = run_policy(policy.controller, policy.task, episodes, world, seed, threads, policy.name, title)
-    return measure_evaluation(traces, policy.robot)
-
-
-def measure_evaluation(traces: list[EpisodeTrace], robot: RobotDescription) -> Evaluation:
-    """Measure episodes of one policy in one world, which were run or recorded."""
-    from surefoot.evaluation.runs import measure_runs, summarize
-
-    return Evaluation(measure_runs(traces), summarize(traces, robot.urdf.total_mass), traces)
+    return Evaluation.from_traces(traces, policy.robot)
 
 
 def run_conditions(

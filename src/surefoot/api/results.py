@@ -100,6 +100,13 @@ class Evaluation:
     traces: list[EpisodeTrace]
     """What happened, an episode each, in arrays by control step; `save` writes one that `surefoot show` shows."""
 
+    @classmethod
+    def from_traces(cls, traces: list[EpisodeTrace], robot: RobotDescription) -> Evaluation:
+        """Measure episodes of one policy in one world, which were run or recorded."""
+        from surefoot.evaluation.runs import measure_runs, summarize
+
+        return cls(measure_runs(traces), summarize(traces, robot.urdf.total_mass), traces)
+
     def __repr__(self) -> str:
         return _table({self._title: self.summary}).to_string()
 

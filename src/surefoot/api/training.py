@@ -7,10 +7,10 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -129,37 +129,25 @@ def error_text(rmse: Mapping[str, float | None]) -> str:
     return f"{', '.join(speeds)} m/s, {rate} rad/s"
 
 
-class Watcher(Protocol):
-    """What shows a training while it runs."""
-
-    def update(self) -> None:
-        """Show the newest state; called after every update."""
-
-    def close(self) -> None:
-        """End."""
-
-
 def run_training(
     folder: RunFolder,
     console: Console,
     *,
     resume: bool = False,
     logger: LoggerName = "tensorboard",
-    watch: Callable[[TrainingLoop], Watcher] | None = None,
-    signals: tuple[str, ...] = ("SIGINT",),
+    watch: Callable[[TrainingLoop], AbstractContextManager[Callable[[], None]]] | None = None,
     figures: bool = True,
 ) -> dict[str, dict[str, Any]] | None:
     """Train in a run's folder with a progress display, and evaluate the policy at the end.
 
-    A signal stops after the present update, a second one at once.
+    SIGINT or SIGTERM stops after the present update, a second one at once.
 
     Args:
         folder: the run's folder.
         console: where to show it.
         resume: continue from the folder's last checkpoint, else train from the beginning.
         logger: see `open_writer`.
-        watch: makes what shows the training.
-        signals: names of the signals that stop; none of them elsewhere than in the main thread.
+        watch: shows the training; gives what is called after every update.
         figures: evaluate the policy and write table, figures and video, see `finish_run`.
 
     Returns:
@@ -183,16 +171,14 @@ def run_training(
         with ExitStack() as stack:
             progress = stack.enter_context(TrainingProgress(config, console, loop.learner.steps))
             # Only the main thread has signals.
-            is_main = threading.current_thread() is threading.main_thread()
-            stops = stack.enter_context(StopSignals(signals if is_main else (), stop))
-            watcher = None if watch is None else watch(loop)
-            if watcher is not None:
-                stack.callback(watcher.close)
+            signals = ("SIGINT", "SIGTERM") if threading.current_thread() is threading.main_thread() else ()
+            stops = stack.enter_context(StopSignals(signals, stop))
+            show = stack.enter_context(watch(loop)) if watch else None
 
-            def report(figures: UpdateFigures, evaluation: Evaluation | None) -> None:
-                progress.report(figures, evaluation)
-                if watcher is not None:
-                    watcher.update()
+            def report(update: UpdateFigures, evaluation: Evaluation | None) -> None:
+                progress.report(update, evaluation)
+                if show is not None:
+                    show()
 
             try:
                 loop.run(report, lambda: stops.count > 0)

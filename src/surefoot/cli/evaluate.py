@@ -108,8 +108,8 @@ def _simulate(
     find_world(command.world)
     policy = load(str(command.policy), robot=command.robot)
     ranges = range_options.apply(policy.robot.folder)
-    condition = replace(
-        command.condition(ranges),
+    condition = command.condition(
+        ranges,
         duration=command.duration,
         command_rows=_command_rows(command, policy),
         thermal_protection=command.thermal_protection,
@@ -157,7 +157,7 @@ def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation
         name = changed[0] if changed else "randomize"
         option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
         raise SurefootError(f"--trace and {option} are given; recorded runs are measured as they are, nothing is run")
-    from surefoot.api.evaluation import measure_evaluation
+    from surefoot.api.results import Evaluation
     from surefoot.evaluation.recorded import find_traces, load_robot
     from surefoot.robot import RobotDescription
 
@@ -170,5 +170,5 @@ def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation
                 "runs that are measured together must be of one robot"
             )
     make_figures_folder(command.out)
-    evaluation = measure_evaluation([trace for _, trace in recorded], robot)
+    evaluation = Evaluation.from_traces([trace for _, trace in recorded], robot)
     return evaluation, robot, {"traces": [str(path) for path, _ in recorded]}

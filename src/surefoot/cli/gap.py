@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -24,11 +24,10 @@ from surefoot.cli.helpers.options import (
 )
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import describe_simulator
+from surefoot.cli.helpers.simulator import Simulator, describe_simulator
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, check_name, prefix_errors
 from surefoot.evaluation.conditions import Actuator, Condition, episode_duration
-from surefoot.robot import parse_settings
 
 if TYPE_CHECKING:
     from surefoot.api.policies import Candidate
@@ -156,8 +155,8 @@ def main(argv: list[str]) -> int:
         if isinstance(side, str):
             find_world(side)
     candidates, robot = load_policies(command.policies)
-    conditions = {one.name: _conditions(command, one.task) for one in candidates}
-    tasks = {one.name: [condition.apply(one.task, robot) for condition in conditions[one.name]] for one in candidates}
+    at_home, elsewhere = _conditions(command)
+    tasks = {one.name: [part.apply(one.task, robot) for part in (at_home, elsewhere)] for one in candidates}
     recorded: dict[Side, dict[str, RecordedTraces]] = {}
     for side in sides:
         if isinstance(side, str):
@@ -179,45 +178,37 @@ def main(argv: list[str]) -> int:
                 )
         check_name("policy name", one.name)
     make_figures_folder(command.out)
-    runs: dict[str, dict[str, RecordedTraces]] = {}
+    simulated = [
+        replace(at_home if label == labels[0] else elsewhere, name=label, world=side)
+        for side, label in zip(sides, labels, strict=True)
+        if isinstance(side, str)
+    ]
+    places = dict(zip(labels, sides, strict=True))
+    runs: dict[str, dict[str, RecordedTraces]] = {
+        one.name: {label: recorded[side][one.name] if side in recorded else [] for label, side in places.items()}
+        for one in candidates
+    }
     with worker_pool():
-        for one in candidates:
-            at_home, elsewhere = conditions[one.name]
-            simulated = [
-                replace(at_home if label == labels[0] else elsewhere, name=label, world=side)
-                for side, label in zip(sides, labels, strict=True)
-                if isinstance(side, str)
-            ]
-            saved = {
-                condition.name: save_runs(command.out / one.name / condition.name, traces)
-                for _, condition, traces in run_conditions(
-                    [one], simulated, robot, command.episodes, command.seed, command.threads
-                )
-            }
-            runs[one.name] = {
-                label: saved[label] if isinstance(side, str) else recorded[side][one.name]
-                for side, label in zip(sides, labels, strict=True)
-            }
+        how = (command.episodes, command.seed, command.threads)
+        for one, condition, made in run_conditions(candidates, simulated, robot, *how):
+            runs[one.name][condition.name] = save_runs(command.out / one.name / condition.name, made)
     _report(command, candidates, tasks, robot, sides, runs)
     return 0
 
 
-def _conditions(command: GapCommand, task: TaskConfig) -> tuple[Condition, Condition]:
-    """Return the conditions of a policy at home, and in the other worlds, of the same duration."""
-
-    def condition(settings: Repeated, **changes: Any) -> Condition:
-        return Condition(
-            params_file=command.params,
-            params=parse_settings([word for group in (*command.settings, *settings) for word in group]),
-            pushes=command.pushes,
-            terrain=command.terrain,
-            # Returns over different times could not be compared.
-            duration=command.duration or episode_duration(task),
-            **changes,
-        )
-
-    away = condition(command.to_settings, data_sheet=True, actuator=command.to_actuator)
-    return condition(command.from_settings), away
+def _conditions(command: GapCommand) -> tuple[Condition, Condition]:
+    """Return the conditions at home and in the other worlds, in which episodes last equally long."""
+    changes = {
+        "pushes": command.pushes,
+        "terrain": command.terrain,
+        "duration": command.duration,
+        "same_duration": True,
+    }
+    there = Simulator(command.to_actuator, params=command.params)
+    return (
+        Simulator(params=command.params).condition((*command.settings, *command.from_settings), **changes),
+        there.condition((*command.settings, *command.to_settings), data_sheet=True, **changes),
+    )
 
 
 def _report(

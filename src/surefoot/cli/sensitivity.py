@@ -69,22 +69,15 @@ def main(argv: list[str]) -> int:
 
     from surefoot.api.evaluation import run_test_worlds
     from surefoot.api.policies import load_policies
-    from surefoot.evaluation.conditions import Condition, episode_duration
+    from surefoot.evaluation.conditions import episode_duration
     from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import find_world
 
     find_world(command.world)
     loaded, robot = load_policies(command.policies)
     ranges = load_ranges(command.ranges, robot=robot.folder)
-    condition = Condition(
-        world=command.world,
-        actuator=command.simulator.actuator,
-        params_file=command.simulator.params,
-        params=command.simulator.latencies,
-        pushes=command.pushes,
-        terrain=command.terrain,
-        curricula=True,
-    )
+    own = {name: getattr(command, name) for name in ("world", "pushes", "terrain")}
+    condition = command.simulator.condition(**own, curricula=True)
     tasks = [condition.apply(one.task, robot) for one in loaded]
     make_figures_folder(command.out)
     from surefoot.evaluation.sensitivity import find_breaks, trained_ranges

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -17,7 +19,6 @@ from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
 from surefoot.errors import SurefootError, choices, suggest
 from surefoot.learn.config import LoggerName, Steps, TrainConfig, load_train_config
-from surefoot.robot import parse_settings
 from surefoot.task.config import preset_names
 from surefoot.task.plugins import load_plugins
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from surefoot.learn.run_folder import RunFolder
+    from surefoot.learn.training_loop import TrainingLoop
 
 _USAGE = """usage: surefoot train TASK [options]                 learn a gait
        surefoot train --resume RUN [--steps N]         resume a run exactly where it stopped, with its own options
@@ -119,8 +121,7 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     # Ranges have options of their own: tyro's would take any count of numbers.
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize={})})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
-    settings = parse_settings([word for group in command.settings for word in group])
-    task = command.simulator.apply(command.task, settings)
+    task = command.simulator.condition(command.settings).simulate(command.task)
     pushes = replace(task.pushes, enabled=task.pushes.enabled or command.pushes)
     task = replace(task, pushes=pushes, randomize=ranges)
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
@@ -162,13 +163,9 @@ def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: Logge
     from surefoot.api.episodes import print_summaries
     from surefoot.api.training import EPISODE, run_training
 
-    watch = None
-    if page_port is not None:
-        from surefoot.cli.helpers.train_page import TrainingPage
-
-        watch = partial(TrainingPage, port=page_port)
-    console, signals = make_console(), ("SIGINT", "SIGTERM")
-    summaries = run_training(folder, console, resume=resume, logger=logger, watch=watch, signals=signals)
+    console = make_console()
+    watch = None if page_port is None else partial(_page, port=page_port)
+    summaries = run_training(folder, console, resume=resume, logger=logger, watch=watch)
     if summaries is None:
         _print_next_commands(console, folder)
         return 130
@@ -177,3 +174,12 @@ def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: Logge
     console.print(show_command([folder.path / "figures" / EPISODE]))
     console.print(next_command("drive it", "drive", folder.policy))
     return 0
+
+
+@contextmanager
+def _page(loop: TrainingLoop, port: int) -> Iterator[Callable[[], None]]:
+    """Show a training on a page in the browser; give what is called after every update."""
+    from surefoot.cli.helpers.train_page import TrainingPage
+
+    with closing(TrainingPage(loop, port)) as page:
+        yield page.update

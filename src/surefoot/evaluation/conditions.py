@@ -33,8 +33,7 @@ class Condition:
     world: str = "mujoco"
     """Name of the world."""
     data_sheet: bool = False
-    """Take the robot and the motors of the data sheet, whatever the policy was trained with: a stand-in for reality.
-    What the controller sets stays: control step and gains."""
+    """Take the robot and the motors of the data sheet, as `away_task`."""
     actuator: Actuator | None = None
     """Actuator of the motors; defaults to the task's."""
     params_file: Path | None = None
@@ -58,8 +57,25 @@ class Condition:
     """What robots stand on, see `TerrainConfig.ground`; the task's own terrain, if None."""
     duration: float | None = None
     """Length of an episode [s]; defaults to the number of control steps of the task."""
+    same_duration: bool = False
+    """Episodes last as long as in training [s], also with another control step: returns can be compared."""
     curricula: bool = False
     """Keep the curricula of the task's ranges and commands, which make a robot's first episodes of training easier."""
+
+    def simulate(self, task: TaskConfig) -> TaskConfig:
+        """Return a task in this condition's simulator: robot, motors and physical parameters.
+
+        Raises:
+            SurefootError: an actuator that the task does not go with, or a file of parameters that does not fit the
+                task's robot and control step.
+        """
+        if self.data_sheet:
+            task = away_task(task)
+        if self.params_file is not None:
+            task = _apply_file(task, self.params_file)
+        task = replace(task, actuator=self.actuator or task.actuator, params={**task.params, **self.params})
+        WorldConfig(actuator=task.actuator, thermal_protection=task.thermal_protection)  # checked early
+        return task
 
     def apply(self, task: TaskConfig, robot: RobotDescription) -> TaskConfig:
         """Return a policy's task under this condition.
@@ -69,12 +85,11 @@ class Condition:
             robot: the task's robot.
 
         Raises:
-            SurefootError: a value that the robot does not allow, what does not go together, a file of parameters that
-                does not fit robot and control step, or commands for a task that has none.
+            SurefootError: as `simulate`, a value that the robot does not allow, no such terrain, or commands for a task
+                that has none.
         """
-        task = away_task(task) if self.data_sheet else task
-        task = replace(task, thermal_protection=task.thermal_protection or self.thermal_protection)
-        task = change_simulator(task, self.actuator, self.params_file, self.params)
+        trained = task
+        task = self.simulate(replace(task, thermal_protection=task.thermal_protection or self.thermal_protection))
         task.nominal(robot)  # refuses parameters that the robot does not allow
         commands = task.commands if self.curricula else replace(task.commands, ramp=0)
         if self.commands is not None:
@@ -90,8 +105,8 @@ class Condition:
         task = replace(task, randomize=self.randomize, randomize_ramp=ramp, pushes=pushes, commands=commands)
         if self.terrain is not None:
             task = on_terrain(task, self.terrain)
-        if self.duration is not None:
-            return with_duration(task, robot, self.duration)
+        if self.duration is not None or self.same_duration:
+            return with_duration(task, robot, self.duration or episode_duration(trained))
         whole = with_duration(task, robot, schedule_duration(commands.schedule))
         return whole if whole.max_steps > task.max_steps else task
 
@@ -108,31 +123,6 @@ def away_task(task: TaskConfig) -> TaskConfig:
     """
     params = {name: value for name, value in task.params.items() if name in CONTROLLER}
     return replace(home_task(task), actuator="dc", params=params, params_source={})
-
-
-def change_simulator(
-    task: TaskConfig,
-    actuator: Actuator | None = None,
-    file: Path | None = None,
-    settings: Mapping[str, ParamValue] | None = None,
-) -> TaskConfig:
-    """Return a task in another simulator.
-
-    Args:
-        task: the task.
-        actuator: of the motors; the task's, if None.
-        file: parameters of a robot (.toml), or the name of those that ship with it, in place of the task's.
-        settings: physical parameters by name, over those of task and file.
-
-    Raises:
-        SurefootError: an actuator that the task does not go with, or a file of parameters that does not fit the task's
-            robot and control step.
-    """
-    if file is not None:
-        task = _apply_file(task, file)
-    task = replace(task, actuator=actuator or task.actuator, params={**task.params, **(settings or {})})
-    WorldConfig(actuator=task.actuator, thermal_protection=task.thermal_protection)  # checked early
-    return task
 
 
 def _apply_file(task: TaskConfig, path: Path) -> TaskConfig:

@@ -29,35 +29,18 @@ this is half of every stance; trots that have enough torque stay below .04."""
 def episode_metrics(
     returns: ArrayLike, distance: ArrayLike, duration: ArrayLike, energy: ArrayLike, steps: ArrayLike, ended: ArrayLike
 ) -> pd.DataFrame:
-    """Return the metrics that every episode has, a row each, from what it adds up to (N,).
+    """Return the metrics that every episode has, a row each, from what it adds up to, in SI units (N,).
 
     The return is the sum of the task's own reward, as in training. The paper's reward r = (p_n - p_{n-1}) . d -
     w dt |tau . qdot| with d = world x sums to distance less w times the energy, so a robot's trace has it too.
 
-    Args:
-        returns: sums of the reward.
-        distance: along the world's x axis [m].
-        duration: length of the episode [s].
-        energy: mechanical energy [J].
-        steps: control steps.
-        ended: how it ended, as in a trace's meta.
-
     Returns:
-        columns return, distance [m], mean speed [m/s] and mechanical power [W], control steps, whether it fell, and
-        whether it kept its balance to the end, which is what the paper counts as a success.
+        columns return, distance forward [m], mean speed [m/s] and mechanical power [W], control steps, whether it fell,
+        and whether it kept its balance to the end, which is what the paper counts as a success.
     """
     way, time, outcome = np.asarray(distance, np.float64), np.asarray(duration, np.float64), np.asarray(ended)
-    return pd.DataFrame(
-        {
-            "return": returns,
-            "distance": way,
-            "speed": way / time,
-            "power": np.asarray(energy, np.float64) / time,
-            "steps": steps,
-            "fell": outcome == "fall",
-            "balanced": outcome == "time",
-        }
-    )
+    rates = {"return": returns, "distance": way, "speed": way / time, "power": np.asarray(energy, np.float64) / time}
+    return pd.DataFrame({**rates, "steps": steps, "fell": outcome == "fall", "balanced": outcome == "time"})
 
 
 def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd.DataFrame:
@@ -76,15 +59,10 @@ def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd
     """
     runs = list(traces)
     name = common_value(runs, "world") if world is None else world
-    distance, energy = [_distance(trace) for trace in runs], [_energy(trace) for trace in runs]
-    table = episode_metrics(
-        list(map(_return, runs, distance, energy)),
-        distance,
-        [trace.duration for trace in runs],
-        energy,
-        [trace.num_steps for trace in runs],
-        [trace.meta["ended"] for trace in runs],
-    )
+    sums = [(distance := _distance(t), t.duration, energy := _energy(t), _return(t, distance, energy)) for t in runs]
+    distances, durations, energies, returns = zip(*sums, strict=True)
+    outcomes = [trace.num_steps for trace in runs], [trace.meta["ended"] for trace in runs]
+    table = episode_metrics(returns, distances, durations, energies, *outcomes)
     table.insert(0, "world", name)
     table.insert(1, "run", range(len(runs)))
     return table.assign(saturation=[float(trace.motor_saturation.mean(axis=0).max()) for trace in runs])

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from surefoot.cli.helpers.options import PluginNames, Pushes, PushForce, RobotName, Seed, Settings, Terrain, World
+from surefoot.cli.helpers.options import (
+    PluginNames,
+    Pushes,
+    PushForce,
+    RobotName,
+    Seed,
+    Settings,
+    Terrain,
+    World,
+)
 from surefoot.errors import SurefootError
-from surefoot.evaluation.conditions import Actuator, Condition, change_simulator
+from surefoot.evaluation.conditions import Actuator, Condition
 from surefoot.robot import RobotDescription, parse_settings
-from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges
 from surefoot.task.config import TaskConfig
 
@@ -38,26 +46,18 @@ class Simulator:
         names = ("control_latency", "servo_latency")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
-    def settings(self, settings: Mapping[str, ParamValue] | None = None) -> dict[str, ParamValue]:
-        """Return the latencies and further physical parameters by name.
+    def condition(self, settings: Iterable[Iterable[str]] = (), **changes: Any) -> Condition:
+        """Return the condition of this simulator, of physical parameters as `--set` takes them, and of other changes.
 
         Raises:
-            SurefootError: a parameter given twice.
+            SurefootError: no such parameter, or one that is given twice.
         """
-        settings = settings or {}
-        if twice := sorted(set(settings) & set(self.latencies)):
+        params = parse_settings([word for group in settings for word in group])
+        if twice := sorted(set(params) & set(self.latencies)):
             option = twice[0].replace("_", "-")
             raise SurefootError(f"{twice[0]} is given twice, by --{option} and as a parameter; give it once")
-        return {**self.latencies, **settings}
-
-    def apply(self, task: TaskConfig, settings: Mapping[str, ParamValue] | None = None) -> TaskConfig:
-        """Return the task in this simulator, with further physical parameters by name.
-
-        Raises:
-            SurefootError: a parameter given twice, an actuator that the task does not go with, or a file of parameters
-                that does not fit the task's robot and control step.
-        """
-        return change_simulator(task, self.actuator, self.params, self.settings(settings))
+        params = {**self.latencies, **params}
+        return Condition(actuator=self.actuator, params_file=self.params, params=params, **changes)
 
 
 SimulatorOptions = Annotated[Simulator, tyro.conf.OmitArgPrefixes]
@@ -84,19 +84,11 @@ class RunOptions:
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
     drawn as in its training, if not given. The run lasts until two seconds after its last row, or longer."""
 
-    def condition(self, ranges: Ranges | None = None) -> Condition:
+    def condition(self, ranges: Ranges | None = None, **changes: Any) -> Condition:
         """Return what the options change; parameters are drawn from `ranges`."""
-        return Condition(
-            world=self.world,
-            actuator=self.simulator.actuator,
-            params_file=self.simulator.params,
-            params=self.simulator.settings(parse_settings([word for group in self.settings for word in group])),
-            randomize=ranges or {},
-            pushes=self.pushes,
-            push_force=self.push_force,
-            commands=self.commands,
-            terrain=self.terrain,
-        )
+        names = ("world", "pushes", "push_force", "commands", "terrain")
+        given = {name: getattr(self, name) for name in names} | {"randomize": ranges or {}}
+        return self.simulator.condition(self.settings, **given, **changes)
 
     def apply(self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None) -> TaskConfig:
         """Return a policy's task on its robot for this simulator, see `Condition.apply`."""
