@@ -289,7 +289,7 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     )
     assert row is not None
     assert row[1] == errors
-    refused(surefoot(*words, "--commands", "way.csv"), "way.csv")
+    refused(surefoot("evaluate", "go2-steer", "--commands", "way.csv"), "commands way.csv: can't be read")
     (tmp_path / "way.csv").write_text("time,forward,sideways,yaw_rate\n0,0.5,0,0\n")
     refused(surefoot(*words, "--commands", tmp_path / "way.csv"), "--command-grid and --commands are given")
     # A task's episode takes 9.6 s; the file two seconds longer than its last row, if that is more.
