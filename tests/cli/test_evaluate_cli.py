@@ -65,7 +65,11 @@ def test_help_is_fast_and_names_the_commands():
 
 
 def test_errors_come_before_anything_heavy_is_imported():
-    lines = ("evaluate x.onnx --episodes 0", "sensitivity x.onnx --episodes 0", "gap x.onnx --to bullet --episodes 0")
+    lines = (
+        "evaluate x.onnx --episodes 0",
+        "evaluate sensitivity x.onnx --episodes 0",
+        "gap x.onnx --to bullet --episodes 0",
+    )
     script = (
         "import sys; from surefoot.cli.main import main;"
         f"assert [main(line.split()) for line in {lines}] == [2, 2, 2];"
@@ -262,7 +266,7 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     monkeypatch.setattr(tracking, "GRID", 2)
     from surefoot.api.episodes import captions
     from surefoot.api.policies import find_policy, load_gait, run_policy
-    from surefoot.api.simulator import evaluation_task, with_duration
+    from surefoot.evaluation.conditions import Condition, with_duration
     from surefoot.report.figures.runs import episode_plot
 
     words = ("evaluate", "go2-steer", "--command-grid", "--threads", 1, "--out", tmp_path)
@@ -286,14 +290,14 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     )
     assert row is not None
     assert row[1] == errors
-    refused(surefoot(*words, "--commands", "way.csv"), "way.csv")
+    refused(surefoot("evaluate", "go2-steer", "--commands", "way.csv"), "commands way.csv: can't be read")
     (tmp_path / "way.csv").write_text("time,forward,sideways,yaw_rate\n0,0.5,0,0\n")
     refused(surefoot(*words, "--commands", tmp_path / "way.csv"), "--command-grid and --commands are given")
     # A task's episode takes 9.6 s; the file two seconds longer than its last row, if that is more.
     policy, robot, task, _ = load_gait(find_policy("go2-steer"), None)
     for end, duration in ((7.0, 9.6), (9.0, 11.008)):
         (tmp_path / "way.csv").write_text(f"time,forward,sideways,yaw_rate\n0,0.5,0,0\n{end},0,0,0\n")
-        run = evaluation_task(task, robot, {}, commands=tmp_path / "way.csv")
+        run = Condition(commands=tmp_path / "way.csv").apply(task, robot)
         assert 0.016 * run.max_steps == pytest.approx(duration)
     (trace,) = run_policy(policy, with_duration(run, robot, 0.8), 1, "mujoco", 1)
     texts = captions(trace)

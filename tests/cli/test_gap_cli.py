@@ -238,7 +238,7 @@ def test_a_policy_whose_name_is_no_folder_name_is_refused(name: str, here: Path)
         "gap gallop.onnx --from bullet --to mujoco",
         "evaluate gallop.onnx --world bullet --out out",
         "play gallop.onnx --world bullet",
-        "sensitivity gallop.onnx --world bullet",
+        "evaluate sensitivity gallop.onnx --world bullet",
     ],
 )
 def test_without_bullet_the_error_names_the_extra(line: str, here: Path, monkeypatch: pytest.MonkeyPatch):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from resuming import assert_resumes_exactly
 
-from surefoot.api.simulator import on_terrain
 from surefoot.errors import SurefootError
+from surefoot.evaluation.conditions import on_terrain
 from surefoot.evaluation.rollout import EpisodeRecorder
 from surefoot.evaluation.tracking import distance_along, kept_up
 from surefoot.robot import RobotDescription

@@ -113,8 +113,8 @@ def _show_policy(argv: list[str]) -> int:
     check_suffix("video", command.out, ".mp4")
     from surefoot.api.episodes import film
     from surefoot.api.policies import load_gait, run_policy
-    from surefoot.api.simulator import with_duration
     from surefoot.cli.helpers.viewer import has_display, replay
+    from surefoot.evaluation.conditions import with_duration
     from surefoot.world.registry import find_world
 
     path = find_policy(command.policy)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.columns import columns_of
 from surefoot.errors import SurefootError
+from surefoot.evaluation.runs import episode_metrics
 from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -52,7 +53,7 @@ def run_to_end(
         record: called after every control step with time [s] (N,) and observation (N, O * history) at its start.
 
     Returns:
-        a row a robot, with the columns of `measure_runs` from `return` on.
+        a row a robot with the columns of `episode_metrics`.
     """
     limit = np.full(env.num_envs, env.task.max_steps) if steps is None else steps
     env.state.over |= limit == 0
@@ -73,17 +74,13 @@ def run_to_end(
         env.state.over |= env.state.steps >= limit
         if progress is not None:
             progress(float(np.where(env.state.over, limit, env.state.steps).sum() / limit.sum()))
-    distance, duration = position - env.state.start_position[:, 0], np.where(time > 0, time, np.inf)
-    return pd.DataFrame(
-        {
-            "return": env.state.returns.copy(),
-            "distance": distance,
-            "speed": distance / duration,
-            "power": energy / duration,
-            "steps": env.state.steps - diverged,
-            "fell": terminated & ~diverged,
-            "balanced": ~terminated,
-        }
+    return episode_metrics(
+        env.state.returns.copy(),
+        position - env.state.start_position[:, 0],
+        np.where(time > 0, time, np.inf),
+        energy,
+        env.state.steps - diverged,
+        np.where(~terminated, "time", np.where(diverged, "fault", "fall")),
     )
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
+from surefoot.evaluation.conditions import episode_duration
 from surefoot.evaluation.rollout import Policy, Progress, run_to_end
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
@@ -143,11 +144,6 @@ def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
     nominal = task.nominal(robot)
     ranges = {name: mean_interval(interval, getattr(nominal, name)) for name, interval in task.randomize.items()}
     return ranges | {PUSH_FORCE: task.pushes.force_range(robot.weight) if task.pushes.enabled else (0.0, 0.0)}
-
-
-def episode_duration(task: TaskConfig) -> float:
-    """Return how long an episode of a task lasts in the nominal world [s]."""
-    return task.max_steps * float(task.nominal(RobotDescription.load(task.robot)).control_step[0])
 
 
 def run_sensitivity(
