@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from _pytest.runner import runtestprotocol
+from chromium import chromium_missing
+from compiled_firmware import qemu_missing
 from hypothesis import settings
 from processes import BUSY, BareLoop, Emulator, emulators
 from xdist.scheduler import LoadFileScheduling
@@ -24,8 +26,6 @@ from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 if TYPE_CHECKING:
-    from _pytest.terminal import TerminalReporter
-
     from surefoot.studies.comparison import Comparison
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -36,6 +36,8 @@ settings.load_profile("surefoot")
 
 REALTIME = "surefoot/realtime"
 """Where pytest's cache has the names of tests in real time."""
+NEEDS = {"browser": chromium_missing, "qemu": qemu_missing}
+"""What a test with a marker needs besides Python's packages: a function that says what of it is missing here, or ""."""
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -86,19 +88,12 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_terminal_summary(terminalreporter: TerminalReporter) -> Generator[None]:
-    """Say which tests were left out for want of a browser, and how to install one."""
-    from chromium import INSTALL, NO_CHROMIUM
-
-    yield
-    skipped = [report for report in terminalreporter.stats.get("skipped", []) if NO_CHROMIUM in str(report.longrepr)]
-    if skipped:
-        python = os.path.relpath(INSTALL[0])
-        command = " ".join([python if not python.startswith("..") else INSTALL[0], *INSTALL[1:]])
-        terminalreporter.write_line(
-            f"surefoot: {len(skipped)} tests of pages were left out: {NO_CHROMIUM}. This installs it: {command}"
-        )
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Leave out a test whose marker names what is not on this computer."""
+    for marker, missing in NEEDS.items():
+        if item.get_closest_marker(marker) and (what := missing()):
+            pytest.skip(what)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
