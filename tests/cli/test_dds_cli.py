@@ -108,6 +108,7 @@ def test_the_remote_control_lets_the_robot_sit(body: Go2, tmp_path: Path) -> Non
     assert all(frame.damps for frame in body.frames[damped:])  # it sat before it was disarmed
 
 
+@pytest.mark.realtime
 def test_a_robot_that_is_not_ready_is_not_armed(body: Go2, tmp_path: Path) -> None:
     body.set(controller="mcf")
     code, _, messages = deploy(tmp_path)
@@ -126,6 +127,7 @@ def test_release_and_hand_back(body: Go2, tmp_path: Path) -> None:
     assert body.settings.controller == "mcf"
 
 
+@pytest.mark.realtime
 def test_doctor_checks_the_robot_first(body: Go2) -> None:
     done = surefoot("doctor", "go2-steer", *LINK, "--json", "--steps", "50", "--pings", "20")
     checks = {check["name"]: check for check in json.loads(done.stdout)["checks"]}
