@@ -166,6 +166,15 @@ def robot() -> RobotDescription:
     return RobotDescription.load("minitaur")
 
 
+@pytest.fixture(scope="session")
+def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a run of `trot` that was trained a little. It is shared: copy it to change it."""
+    from trained import trained_run
+
+    cache = getattr(request.config, "cache", None)  # none with `-p no:cacheprovider`
+    return trained_run(tmp_path_factory.mktemp("trained") if cache is None else cache.mkdir("trained"))
+
+
 @pytest.fixture
 def emulate() -> Iterator[Callable[..., Emulator]]:
     """Start emulated robots, with the words of `surefoot emulate`, that end with the test."""
