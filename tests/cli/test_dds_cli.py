@@ -71,8 +71,10 @@ def deploy(folder: Path, *words: str, event: Callable[[], object] | None = None)
 
 
 @pytest.mark.realtime
-def test_a_run_is_recorded_and_ends_with_damped_motors(body: Go2, tmp_path: Path) -> None:
-    code, result, messages = deploy(tmp_path, "--duration", "0.5", "--world-name", "a floor")
+def test_a_run_is_recorded_and_ends_with_damped_motors_and_the_own_controller(body: Go2, tmp_path: Path) -> None:
+    body.set(controller="mcf")
+    words = ("--duration", "0.5", "--world-name", "a floor", "--release", "--hand-back")
+    code, result, messages = deploy(tmp_path, *words)
     assert code == 0, (result, messages)
     (run,) = result["runs"]
     assert (run["ended"], run["what"]) == ("time", "done")
@@ -85,6 +87,7 @@ def test_a_run_is_recorded_and_ends_with_damped_motors(body: Go2, tmp_path: Path
     assert held[0].jump < 0.1
     assert frames[-1].damps
     assert result["frames"]["damaged"] == 0
+    assert body.settings.controller == "mcf"
 
 
 @pytest.mark.realtime
@@ -117,14 +120,6 @@ def test_a_robot_that_is_not_ready_is_not_armed(body: Go2, tmp_path: Path) -> No
         "surefoot: error: the robot is not armed: own controller: 'mcf' is active and commands the motors; let"
     )
     assert body.read() == []
-
-
-@pytest.mark.realtime
-def test_release_and_hand_back(body: Go2, tmp_path: Path) -> None:
-    body.set(controller="mcf")
-    code, result, messages = deploy(tmp_path, "--duration", "0.3", "--release", "--hand-back")
-    assert code == 0, (result, messages)
-    assert body.settings.controller == "mcf"
 
 
 @pytest.mark.realtime

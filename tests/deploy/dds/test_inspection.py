@@ -151,18 +151,13 @@ def inspect(listener: Inspection, release: bool = False) -> dict[str, CheckResul
 
 
 @pytest.mark.realtime
-def test_a_robot_that_is_ready(listener: Inspection, body: Go2) -> None:
+def test_a_robot_that_is_ready_also_for_a_computer_that_is_late(
+    listener: Inspection, body: Go2, monkeypatch: pytest.MonkeyPatch
+) -> None:
     body.reset()
     results = inspect(listener)
     assert not [result for result in results.values() if not result.passed]
     assert results["interface"].message == "lo, 127.0.0.1"
-
-
-@pytest.mark.realtime
-def test_a_computer_that_is_late_does_not_fault_the_robot(
-    listener: Inspection, body: Go2, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    body.reset()
     monkeypatch.setattr(inspection, "_POLL", 0.08)
     seen = listener.observe(0.5)
     assert seen.time >= 0.56
