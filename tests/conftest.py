@@ -34,6 +34,14 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 settings.register_profile("surefoot", deadline=None, derandomize=True)
 settings.load_profile("surefoot")
 
+LONG = (
+    *("cli/test_study_cli", "cli/test_search_cli", "test_newcomer", "cli/test_drive_cli", "deploy/test_fault_table"),
+    *("cli/test_identify_cli", "adopt/test_arithmetic", "identify/test_fits", "cli/test_gap_cli", "test_examples"),
+    *("cli/test_train_page_cli", "cli/test_deploy_cli", "cli/test_paper_cli", "cli/test_params_option", "test_robots"),
+    *("cli/test_printed_commands", "adopt/test_networks", "identify/test_from_trace", "cli/test_doctor_cli"),
+    *("world/test_agreement", "world/test_process_world", "cli/test_train_cli", "learn/test_training_loop"),
+)
+"""Files that take longest, of all parts."""
 REALTIME = "surefoot/realtime"
 """Where pytest's cache has the names of tests in real time."""
 NEEDS = {"browser": chromium_missing, "qemu": qemu_missing}
@@ -67,12 +75,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileSche
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with the files that have slow tests, so that none is left alone at the end; tests in real time come last.
+    """Begin with the files that take longest, so that none is left alone at the end; tests in real time come last.
 
     pytest-xdist (`--dist loadfile`) takes units of work in this order.
     """
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: (item.get_closest_marker("realtime") is not None, item.path not in slow))
+    first = {Path(__file__).with_name(f"{name}.py"): rank for rank, name in enumerate(LONG)}
+    items.sort(key=lambda item: (item.get_closest_marker("realtime") is not None, first.get(item.path, len(LONG))))
     if cache := getattr(config, "cache", None):  # none with `-p no:cacheprovider`
         cache.set(REALTIME, [item.nodeid for item in items if item.get_closest_marker("realtime")])
 

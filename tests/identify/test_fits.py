@@ -19,6 +19,7 @@ from surefoot.identify.replay import segment_from_recording
 from surefoot.identify.result import Identification, ignore_progress
 from surefoot.robot import PhysicalParams, RobotDescription
 
+pytestmark = pytest.mark.slow
 RACK = {
     "motor_strength": 0.9,
     "motor_friction": 0.02,
