@@ -79,7 +79,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     pytest-xdist (`--dist loadfile`) takes units of work in this order.
     """
-    first = {Path(__file__).with_name(f"{name}.py"): rank for rank, name in enumerate(LONG)}
+    first = {Path(__file__).parent / f"{name}.py": rank for rank, name in enumerate(LONG)}
     items.sort(key=lambda item: (item.get_closest_marker("realtime") is not None, first.get(item.path, len(LONG))))
     if cache := getattr(config, "cache", None):  # none with `-p no:cacheprovider`
         cache.set(REALTIME, [item.nodeid for item in items if item.get_closest_marker("realtime")])
