@@ -147,6 +147,7 @@ def test_flood_of_messages_ends_the_connection_and_not_the_robot(running: Runnin
         assert len(running.measure(0.2)) > 5
 
 
+@pytest.mark.realtime
 def test_command_that_is_not_repeated_ends(running: Running):
     with open_socket(running.server) as line:
         running.until(lambda: running.server.tabs > 0)
@@ -268,7 +269,6 @@ def set_push(page: Page, share: float) -> None:
 
 
 FIGURES: dict[str, Callable[[list[DrivenStep]], Any]] = {
-    "torque": lambda rows: np.mean([np.abs(row.torque).mean() for row in rows]),
     "height": lambda rows: np.mean([row.position[2] for row in rows]),
     "heat": lambda rows: np.mean([row.heat for row in rows]),
     "shift": lambda rows: max(np.linalg.norm(row.position[:2] - rows[0].position[:2]) for row in rows),
@@ -314,7 +314,6 @@ def test_joystick_goes_sideways_with_its_box_checked(running: Running, page: Pag
 @pytest.mark.parametrize(
     ("name", "value", "walks", "figure", "low", "high"),
     [
-        ("base_mass_ratio", 1.8, False, "torque", 1.2, 1.6),
         ("motor_strength", 0.4, False, "height", 0.5, 0.95),
         ("control_latency", 0.08, True, "heat", 1.3, 4.0),
         ("contact_friction", 0.05, False, "shift", 1.5, 1000.0),

@@ -24,8 +24,6 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
-pytestmark = pytest.mark.slow
-
 pytest.importorskip("onnx")
 
 ONE = ("--threads", "1")

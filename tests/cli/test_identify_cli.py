@@ -27,8 +27,6 @@ from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import read_params
 
-pytestmark = pytest.mark.slow
-
 
 def identify(*words: object) -> subprocess.CompletedProcess[str]:
     return surefoot("identify", *words)

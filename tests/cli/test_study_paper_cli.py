@@ -96,6 +96,7 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
     assert "not there: results/evaluations gallop" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_training_keeps_its_policy_and_pictures(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(paper_runs, "STAGES", (paper_runs.train("trot", 8192),))
     folder = tmp_path / "runs"

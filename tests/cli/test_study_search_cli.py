@@ -51,7 +51,7 @@ def untimed(row: dict[str, object]) -> dict[str, object]:
     return {name: value for name, value in row.items() if "seconds" not in name}
 
 
-@pytest.mark.slow
+@pytest.mark.ray
 @pytest.mark.timeout(900)
 def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TASK)

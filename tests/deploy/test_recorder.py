@@ -209,7 +209,7 @@ def test_a_blocked_disk_does_not_block_the_run(tmp_path, monkeypatch):
     start = time.monotonic()
     for _ in range(40):
         file.add(bytes(100_000))
-    assert time.monotonic() - start < 2.0
+    assert time.monotonic() - start < 5.0
     assert 25 < file.waiting < 40
     file.close()
     assert file.stopped == "the disk does not answer"
@@ -253,7 +253,7 @@ os.killpg(0, signal.SIGKILL)
     path = tmp_path / "run.partial"
     done = subprocess.run([sys.executable, "-c", program, path], start_new_session=True, check=False)
     assert done.returncode == -signal.SIGKILL
-    whole, end = b"".join(b"%03d " % k * 200 for k in range(300)), time.monotonic() + 5.0
+    whole, end = b"".join(b"%03d " % k * 200 for k in range(300)), time.monotonic() + 30.0
     while (not path.exists() or path.read_bytes() != whole) and time.monotonic() < end:
         time.sleep(0.01)
     assert path.read_bytes() == whole

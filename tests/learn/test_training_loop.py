@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from edited import maxitaur
+from trained import TINY
 
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
@@ -25,23 +26,7 @@ from surefoot.robot.randomization import load_ranges
 from surefoot.task.reference_config import make_reference
 from surefoot.world.sim_world import SimWorld
 
-# Noise, pushes, ends of episodes and an evaluation all fall into these few updates.
 ROBOT_LEGS = RobotDescription.load("minitaur").leg_names
-TINY = {
-    "num_envs": 16,
-    "steps_per_update": 16,
-    "steps": 16 * 16 * 5,
-    "evaluate_every": 600,
-    "evaluation_episodes": 2,
-    "checkpoint_every": 512,
-    "threads": 1,
-    "learning_threads": 1,
-    "task": {
-        "max_steps": 40,
-        "params": {"imu_noise": 0.02},
-        "pushes": {"enabled": True, "period": 0.1, "duration": 0.03},
-    },
-}
 
 
 def tiny_config(**changes: object) -> TrainConfig:
@@ -69,8 +54,8 @@ def same_weights(a: TrainingLoop, b: TrainingLoop) -> bool:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingLoop:
-    return train(tmp_path_factory.mktemp("whole"), tiny_config())
+def whole(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> TrainingLoop:
+    return resume(shutil.copytree(trained, tmp_path_factory.mktemp("whole") / "run"))
 
 
 def test_a_run_of_an_own_robot_goes_on_after_both_were_moved(whole: TrainingLoop, tmp_path: Path) -> None:
