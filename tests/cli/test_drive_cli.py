@@ -27,7 +27,7 @@ from chromium import errors_of, hold_stick, in_browser, new_page, running_browse
 from websockets.sync.client import connect
 
 from surefoot.api.drive_page import DrivePage, serve
-from surefoot.cli import play
+from surefoot.cli import drive as drive_command
 from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
 from surefoot.evaluation.driven import DrivenStep
@@ -172,15 +172,13 @@ def test_file_of_commands_replaces_the_page(running: Running, tmp_path: Path):
         drive.robot.command([0.0, 0.0, 0.0])
 
 
-def test_play_browser_serves_the_page_with_its_parameters(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_page_has_the_parameters_of_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     served: list[Any] = []
     monkeypatch.setattr("surefoot.api.drive_page.serve", lambda *arguments: served.append(arguments))
-    assert play.main(["go2-steer", "--browser", "--set", "base_mass_ratio=1.5", "--commands", "walk.csv"]) == 0
+    assert drive_command.main(["go2-steer", "--set", "base_mass_ratio=1.5", "--commands", "walk.csv"]) == 0
     ((drive, host, _, commands),) = served
     assert drive.robot.env.world.params.base_mass_ratio.tolist() == [1.5]
     assert (host, commands) == (None, "walk.csv")
-    with pytest.raises(SurefootError, match="a page makes no MP4"):
-        play.main(["go2-steer", "--browser", "--out", "x.mp4"])
 
 
 def test_policy_without_commands_refuses_a_source_of_them():
