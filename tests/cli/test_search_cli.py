@@ -112,7 +112,7 @@ def check_same(folder: Path, number: int) -> None:
     from surefoot.world.sim_world import SimWorld
 
     _, config = RunFolder.open(folder / f"out/trials/trial_{number:04d}")
-    again = TrainingLoop(config, RunFolder.create_at(config, folder / "again"), SimWorld)
+    again = TrainingLoop.create(config, RunFolder.create_at(config, folder / "again"), SimWorld)
     again.run(lambda *_: None)
     assert [untimed(row) for row in again.folder.rows()] == [untimed(row) for row in rows(folder, number)]
 

@@ -255,7 +255,7 @@ def export(
 
     from surefoot.policy.export import export_policy
     from surefoot.task.contract_mapping import make_contract
-    from surefoot.task.env import find_batch
+    from surefoot.task.single_env import find_batch
 
     network = model
     if not isinstance(model, nn.Module):

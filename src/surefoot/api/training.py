@@ -23,9 +23,10 @@ from surefoot.stop_signals import StopSignals
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.learn.ppo_learner import UpdateFigures
+    from surefoot.learn.evaluation import Evaluation
+    from surefoot.learn.rollout_statistics import UpdateFigures
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.training_loop import Evaluation, TrainingLoop
+    from surefoot.learn.training_loop import TrainingLoop
 
 EPISODE = "episode.npz"
 """File of the median episode's trace among the figures of a run."""
@@ -166,7 +167,8 @@ def run_training(
         console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
 
     with folder_lock(folder.path):
-        loop = TrainingLoop(config, folder, find_world(config.world), resume=resume, logger=logger)
+        make_loop = TrainingLoop.resume if resume else TrainingLoop.create
+        loop = make_loop(config, folder, find_world(config.world), logger)
         console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}")
         with ExitStack() as stack:
             progress = stack.enter_context(TrainingProgress(config, console, loop.learner.steps))

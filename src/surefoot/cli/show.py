@@ -73,7 +73,8 @@ def _load_traces(command: ShowCommand) -> list[ShownTrace]:
     """Load traces and robots; a trace is named by its policy, and by world or file where that is not unique."""
     from surefoot.api.policies import distinct_names
     from surefoot.evaluation.recorded import find_traces, load_robot
-    from surefoot.identify.logs.importing import import_log
+    from surefoot.identify.motion.importing import import_log
+    from surefoot.identify.motion.traces import trace_from_motion
     from surefoot.npz import read_npz
     from surefoot.report.pages.recorded_runs import ShownTrace
 
@@ -81,7 +82,7 @@ def _load_traces(command: ShowCommand) -> list[ShownTrace]:
     traces = []
     for path in command.trace:
         if robot is not None and path.is_file() and path.suffix == ".npz" and "meta" not in read_npz(path):
-            traces.append((path, import_log(path, robot)))
+            traces.append((path, trace_from_motion(import_log(path, robot), robot)))
         else:
             traces += find_traces(path)
     # Robots of one name may differ, where each trace carries its own.
