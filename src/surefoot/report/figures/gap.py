@@ -1,4 +1,4 @@
-"""Figure of the reality gap: returns of policies at home and in other worlds."""
+"""Figure of the reality gap: returns of policies, or groups of policies, in several worlds."""
 
 from __future__ import annotations
 
