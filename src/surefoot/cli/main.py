@@ -98,7 +98,7 @@ def _run(words: list[str]) -> int:
         print(f"surefoot {__version__}")
         return 0
     if words[0] in FORMER:
-        raise SurefootError(f"'{words[0]}' is a former name; type: surefoot {FORMER[words[0]]}")
+        raise SurefootError(f"'{words[0]}' is no command any more; type surefoot {FORMER[words[0]]}")
     if words[0] not in COMMANDS:
         raise SurefootError(f"'{words[0]}' is not a command; {suggest(words[0], COMMANDS)}")
     if not all(word.isprintable() for word in words):
