@@ -59,10 +59,15 @@ def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd
     """
     runs = list(traces)
     name = common_value(runs, "world") if world is None else world
-    sums = [(distance := _distance(t), t.duration, energy := _energy(t), _return(t, distance, energy)) for t in runs]
-    distances, durations, energies, returns = zip(*sums, strict=True)
-    outcomes = [trace.num_steps for trace in runs], [trace.meta["ended"] for trace in runs]
-    table = episode_metrics(returns, distances, durations, energies, *outcomes)
+    distance, energy = [_distance(trace) for trace in runs], [_energy(trace) for trace in runs]
+    table = episode_metrics(
+        list(map(_return, runs, distance, energy)),
+        distance,
+        [trace.duration for trace in runs],
+        energy,
+        [trace.num_steps for trace in runs],
+        [trace.meta["ended"] for trace in runs],
+    )
     table.insert(0, "world", name)
     table.insert(1, "run", range(len(runs)))
     return table.assign(saturation=[float(trace.motor_saturation.mean(axis=0).max()) for trace in runs])
