@@ -24,7 +24,6 @@ from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import load_ranges
 from surefoot.task.height_scan import AROUND, MAP
-from surefoot.task.reference_config import make_reference
 from surefoot.world.sim_world import SimWorld
 
 # Noise, pushes, ends of episodes and an evaluation all fall into these few updates.
@@ -112,7 +111,7 @@ def test_the_table_of_a_reference_is_copied_into_the_run(tmp_path: Path) -> None
     table.unlink()
     again = RunFolder.open(path)[1].task.reference
     assert again.file == str(path / "reference.csv")
-    assert len(make_reference(again, RobotDescription.load("minitaur")).rows) == 3
+    assert len(again.make(RobotDescription.load("minitaur")).rows) == 3
 
 
 def test_another_seed_gives_another_policy(whole: TrainingLoop, tmp_path: Path) -> None:
