@@ -74,6 +74,7 @@ CONFIGURATIONS = {
 """Dataclasses of a task's file, and the tables in which their fields stand."""
 TYPES = {
     r"^dict.*": "table",
+    r"^\w+Config.*": "table",
     r"Literal\[(.*?)\]": r"\1",
     r" \| None": "",
     r"tuple\[float, float\]": "two numbers",
