@@ -31,9 +31,16 @@ from surefoot.learn.config import PPOConfig, TrainConfig
 from surefoot.robot.params import GROUPS, PARAMETERS
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
+from surefoot.task.leg_config import FootConfig, WaveConfig
 from surefoot.task.observation import PARTS
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference_config import FootConfig, ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import (
+    FollowReferenceConfig,
+    FootReferenceConfig,
+    OverHolesConfig,
+    SineReferenceConfig,
+    TableReferenceConfig,
+)
 from surefoot.task.reward import TERMS
 from surefoot.task.trace import EpisodeTrace, FurtherMeta, TraceMeta
 
@@ -56,9 +63,13 @@ PACKAGES = sorted(path.parent.name for path in ROOT.glob("src/surefoot/*/__init_
 CONFIGURATIONS = {
     TaskConfig: "",
     FeedbackConfig: "feedback",
-    ReferenceConfig: "reference",
+    SineReferenceConfig: "reference of kind sine",
+    TableReferenceConfig: "reference of kind table",
+    FootReferenceConfig: "reference of kind foot",
+    FollowReferenceConfig: "reference of kind follow",
     WaveConfig: "reference.swing, extension, abduction",
     FootConfig: "reference.foot",
+    OverHolesConfig: "reference.over_holes",
     CommandConfig: "commands",
     PushConfig: "pushes",
     TrainConfig: "train",
@@ -67,6 +78,7 @@ CONFIGURATIONS = {
 """Dataclasses of a task's file, and the tables in which their fields stand."""
 TYPES = {
     r"^dict.*": "table",
+    r"^\w+Config.*": "table",
     r"Literal\[(.*?)\]": r"\1",
     r" \| None": "",
     r"tuple\[float, float\]": "two numbers",

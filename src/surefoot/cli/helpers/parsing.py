@@ -116,6 +116,8 @@ def options(kind: type, default: Any = None, prefix: str = "--") -> dict[str, An
         value = getattr(default, field.name, None)
         if tyro.conf.Fixed in marks:
             continue
+        if dataclasses.is_dataclass(value) and not dataclasses.is_dataclass(hint):
+            hint = type(value)  # of several, the default's
         if dataclasses.is_dataclass(hint):
             is_flat = tyro.conf.OmitArgPrefixes in marks
             types |= options(typing.cast("type", hint), value, prefix if is_flat else f"{prefix}{name}.")
