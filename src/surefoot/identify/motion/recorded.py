@@ -74,7 +74,7 @@ class RecordedMotion:
         for name, shape in widths.items():
             if not np.size(getattr(self, name)):
                 object.__setattr__(self, name, np.full(shape, np.nan))
-        if len(self.read_time) < len(self.time):
+        if len(self.time) and not np.size(self.read_time):
             object.__setattr__(self, "read_time", reading_times(self.time, self.motor_angle, self.imu))
 
     @property
