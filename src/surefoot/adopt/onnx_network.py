@@ -97,11 +97,14 @@ class OnnxNetwork:
             for one, values in zip(self._inputs, inputs, strict=True):
                 feed[one.name] = values[row].reshape([size or 1 for size in _shape(one)])
             for mine, theirs in zip(translated, run_model(self._data, feed), strict=False):
-                difference = np.abs(mine[row] - theirs.ravel()) / np.maximum(1.0, np.abs(theirs.ravel()))
-                if not difference.max() <= _TOLERANCE:
-                    raise SurefootError(
-                        f"the network was not understood: its translation differs by {difference.max():.2g}"
-                    )
+                check_translation(mine[row], theirs.ravel())
+
+
+def check_translation(mine: NDArray[Any], theirs: NDArray[Any]) -> None:
+    """Refuse a translation whose numbers differ from those of the network itself."""
+    difference = np.abs(mine - theirs) / np.maximum(1.0, np.abs(theirs))
+    if not difference.max() <= _TOLERANCE:
+        raise SurefootError(f"the network was not understood: its translation differs by {difference.max():.2g}")
 
 
 def read_model(data: bytes) -> onnx.ModelProto:
