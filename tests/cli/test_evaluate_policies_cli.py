@@ -1,4 +1,4 @@
-"""`surefoot evaluate POLICY POLICY ...`: policies side by side, and former names of commands."""
+"""`surefoot evaluate POLICY POLICY ...`: policies side by side."""
 
 from __future__ import annotations
 
@@ -57,11 +57,3 @@ def test_one_policy_is_measured_under_conditions_that_are_named():
 )
 def test_comparisons_refuse_what_does_not_fit(line: str, part: str):
     refused(surefoot("evaluate", *line.split()), part)
-
-
-@pytest.mark.parametrize(
-    ("former", "now"),
-    [("compare", "surefoot evaluate POLICY POLICY"), ("sensitivity", "surefoot evaluate sensitivity POLICY")],
-)
-def test_a_former_name_answers_with_the_new_one(former: str, now: str):
-    refused(surefoot(former, "go2-steer", "--episodes", "2"), f"'{former}' is no command any more; type {now}")
