@@ -13,7 +13,7 @@ from rich.prompt import Prompt
 
 from surefoot.cli.doctor import FAILED, print_result
 from surefoot.cli.helpers.options import Json, check_folder
-from surefoot.cli.helpers.output import make_console, next_command, print_json, run_action
+from surefoot.cli.helpers.output import Actions, make_console, next_command, print_json, run_action
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import check_name
 from surefoot.robot import RobotDescription
@@ -129,7 +129,7 @@ def _run_checks(robot: RobotDescription, as_json: bool = False) -> int:
     return FAILED if failed else 0
 
 
-ACTIONS = {
+ACTIONS: Actions = {
     "new": ("read a robot from a URDF or MJCF, and write its folder", _new),
     "check": ("check a robot's description", _check),
     "firmware": ("write the firmware of its microcontroller, and turn a motor", "surefoot.cli.robot_firmware"),

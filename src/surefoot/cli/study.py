@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 
 from surefoot.cli.helpers.options import PluginNames, Ray, Workers
-from surefoot.cli.helpers.output import make_console, run_action
+from surefoot.cli.helpers.output import Actions, make_console, run_action
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Seed
@@ -111,7 +111,7 @@ def train(study: StudyConfig, runs: list[Training], command: StudyCommand, conso
     return train_many(title, waiting, command.workers, command.ray, console)
 
 
-ACTIONS = {
+ACTIONS: Actions = {
     "run": ("run the study of a file (`surefoot study FILE.yaml` does, too): groups of trainings, compared", _run),
     "search": ("train many times with searched settings, and see what emerges", "surefoot.cli.study_search"),
     "tune": ("find a handcrafted gait for a robot and a speed", "surefoot.cli.study_tune"),
