@@ -7,15 +7,17 @@ READY  := $(VENV)/.ready
 DOCS   := .venv-docs
 BROWSER := $(VENV)/.browser
 CODE   := src tests examples benchmarks docs
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+REST   := realtime or browser or ray or sdk or qemu or wheel or notebook or slow
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Tests start some hundred processes: each would compile the sources that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test style lint format bench docs clean distclean FORCE
+.PHONY: help setup demo test test-rest test-all style lint format bench docs clean distclean FORCE
 
 help: ## Show these targets
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-18s %s\n", $$1, $$2 }'
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-18s %s\n", $$1, $$2 }'
 
 # The stamp holds the folder that .venv was made for, and is written last. Without it, after a move or copy of the
 # repository, or when its Python has gone, .venv is made afresh; after a change of pins it is brought up to date.
@@ -58,17 +60,26 @@ $(BROWSER): $(READY)
 	@$(BIN)/python tests/chromium.py
 	@touch $(BROWSER)
 
-# Types are checked beside the tests, which often wait; the summary of the tests comes last. In a fresh clone, kernels are
-# compiled before, and not in each of the processes. Threads that wait for work do not spin: others have work.
-test: export OPENBLAS_NUM_THREADS := 1
-test: export OMP_WAIT_POLICY := passive
-test: style $(BROWSER) ## Check style and types, and run the tests (ARGS="-k gait" for some)
+# Threads that wait for work do not spin: others have work.
+test test-rest: export OPENBLAS_NUM_THREADS := 1
+test test-rest: export OMP_WAIT_POLICY := passive
+
+# Types are checked beside the tests; the summary of the tests comes last. In a fresh clone, kernels are compiled before,
+# and not in each of the processes.
+test: style ## Check style and types, and run the tests that every change needs (ARGS="-k gait" for some)
 	@nice $(BIN)/mypy & types=$$!; \
 	test -e src/surefoot/actuator/__pycache__/kernels.sha256 || \
 	  $(BIN)/python -m surefoot emulate --duration 0.01 >/dev/null 2>&1; \
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS); tests=$$?; \
+	$(PYTEST) -m "not ($(REST))" $(ARGS); tests=$$?; \
 	wait $$types || { echo "surefoot: mypy has found errors, printed above" >&2; exit 1; }; \
 	exit $$tests
+
+test-rest: $(BROWSER) ## Run the tests that `make test` leaves out
+	@$(PYTEST) -m "$(REST)" $(ARGS)
+
+test-all: ## Run all tests
+	@$(MAKE) --no-print-directory test
+	@$(MAKE) --no-print-directory test-rest
 
 style: $(READY)
 	@$(BIN)/ruff check .

@@ -63,7 +63,7 @@ COMMANDS = {
     "evaluate options": f"evaluate @policy.onnx --episodes 1 {RUN}",
     "gap options": f"gap @policy.onnx --to mujoco --episodes 1 --duration 0.03 {RUN}",
     "sensitivity options": (
-        f"sensitivity @policy.onnx --values 2 --episodes 1 --duration 0.03 --ranges @ranges.yaml {RUN}"
+        f"evaluate sensitivity @policy.onnx --values 2 --episodes 1 --duration 0.03 --ranges @ranges.yaml {RUN}"
     ),
     "show options": "show @policy.onnx --duration 0.03 --out out/a.mp4",
     "study options": "study @study.yaml --report-only --out out",
@@ -97,7 +97,7 @@ OPTIONS = {
     "train options": ("learn.config:TrainConfig", 2),
     "evaluate options": ("cli.evaluate:EvaluateCommand", 1),
     "gap options": ("cli.gap:GapCommand", 1),
-    "sensitivity options": ("cli.sensitivity:SensitivityCommand", 1),
+    "sensitivity options": ("cli.sensitivity:SensitivityCommand", 2),
     "show options": ("cli.show:ShowPolicyCommand", 1),
     "study options": ("cli.study:StudyCommand", 1),
     "search options": ("cli.study_search:SearchCommand", 2),

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -85,10 +84,10 @@ def rollout(policy: PolicyRuntime, task: TaskConfig, seed: int = 3) -> dict[str,
         observation, reward, terminated, truncated, info = env.step(env.gait.action(policy.feedback(observation)))
         total += float(reward.sum())
         if (step + 1) % 50 == 0:
-            truth = env.truth
+            truth = env.state.truth
             figures = info["figures"]["return"] if "figures" in info else np.zeros(ROBOTS)
             arrays = (truth.base_position_world, truth.motor_angle, truth.energy, reward, terminated, truncated)
-            hashes.append(digest(observation, *arrays, figures, env.privileged(), *env.reward_terms.values()))
+            hashes.append(digest(observation, *arrays, figures, env.privileged(), *env.state.reward_terms.values()))
     state = env.get_state()
     once = [env.step(np.zeros(env.action_space.shape))[0] for _ in range(3)]
     env.set_state(state)
@@ -96,7 +95,7 @@ def rollout(policy: PolicyRuntime, task: TaskConfig, seed: int = 3) -> dict[str,
     return {
         "hashes": [*hashes, digest(*once)],
         "reward": total,
-        "x": env.truth.base_position_world[:, 0].tolist(),
+        "x": env.state.truth.base_position_world[:, 0].tolist(),
         "resumes": bool(np.array_equal(once, again)),
     }
 
@@ -111,7 +110,7 @@ def random_rollout(task: TaskConfig, seed: int = 5) -> dict[str, Any]:
         observation, reward, terminated, _, info = env.step(actions)
         if (step + 1) % 20 == 0 or terminated.any():
             values = [*info["figures"].values(), info["final_obs"]] if "figures" in info else []
-            hashes.append(digest(observation, reward, env.privileged(), *values, *env.reward_terms.values()))
+            hashes.append(digest(observation, reward, env.privileged(), *values, *env.state.reward_terms.values()))
     return {"hashes": [digest(*[np.frombuffer(one.encode(), np.uint8) for one in hashes])], "columns": len(hashes)}
 
 
@@ -149,9 +148,8 @@ def run(kind: str, name: str) -> dict[str, Any]:
     if kind == "trainings":
         robot, task = name.split()
         config = load_train_config(task, robot)
-        small = {"steps": TRAINING_STEPS, "num_envs": 32, "steps_per_update": 64, "threads": 1, "learning_threads": 1}
-        with tempfile.TemporaryDirectory():
-            return training(replace(config, **small, start_from=None))
+        config = replace(config, steps=TRAINING_STEPS, num_envs=32, steps_per_update=64, start_from=None)
+        return training(replace(config, threads=1, learning_threads=1))
     if " " in name:
         robot, task = name.split()
         return random_rollout(load_task(task, robot)[0])

@@ -65,7 +65,7 @@ class Walk:
 
         task = replace(task_from_contract(policy.contract), randomize={})
         self.env = LocomotionEnv(task, command.num_envs, cast(Any, make_world), seed=1, threads=1)
-        self.env.ground = ground
+        self.env.state.ground = ground
         self.observation, _ = self.env.reset()
         self.policy, self.env_step = policy, self.env.world.step
         self.env.world.step = self._step  # type: ignore[method-assign]

@@ -37,7 +37,7 @@ from authors_environment import put_the_past_in_place
 from surefoot.actuator.motor import motor_current, servo_duty
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.arrays import Array
-from surefoot.evaluation.gap import home_task
+from surefoot.evaluation.conditions import home_task
 from surefoot.evaluation.rollout import run_to_end
 from surefoot.tables import print_table, write_csv
 from surefoot.task.env import LocomotionEnv

@@ -11,15 +11,17 @@ from __future__ import annotations
 
 import argparse
 import csv
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from surefoot.identify.logs.errors import compare_logs, replay_log
-from surefoot.identify.logs.fit import fit_logs
-from surefoot.identify.logs.model import PRIORS, LogRun
-from surefoot.identify.logs.robot_log import read_log
+from surefoot.identify.motion.recorded import RecordedMotion
+from surefoot.identify.motion.replay_errors import compare_motions, replay_motion
+from surefoot.identify.motion.robot_fit import fit_robot
+from surefoot.identify.motion.robot_model import PRIORS
+from surefoot.identify.motion.traces import read_motion
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import load_params
@@ -43,12 +45,12 @@ LEFT_OUT: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
 ROWS = ("published", "data sheet", "identified", *LEFT_OUT)
 
 
-def errors(what: str, robot: RobotDescription, runs: dict[str, LogRun]) -> dict[str, Any]:
+def errors(what: str, robot: RobotDescription, runs: dict[str, RecordedMotion]) -> dict[str, Any]:
     """Return the row of a simulator: its error on each log [rad], in MuJoCo and in Bullet."""
     row: dict[str, Any] = {"simulator": what}
     for name, run in runs.items():
         if what == "published":
-            row[name] = compare_logs(run.log, read_log(DATA / "published_simulator" / f"{name}.npz", robot)).rms
+            row[name] = compare_motions(run, read_motion(DATA / "published_simulator" / f"{name}.npz", robot)).rms
             row[f"{name}_bullet"] = None
             continue
         if what in LEFT_OUT:
@@ -56,12 +58,12 @@ def errors(what: str, robot: RobotDescription, runs: dict[str, LogRun]) -> dict[
             nominal = PhysicalParams.nominal(robot).with_values(robot, **values)
             names = [prior for prior in PRIORS if prior not in without]
             others = [other for key, other in runs.items() if key != name]
-            params = fit_logs(robot, others, [], names, nominal).params(robot, nominal)
+            params = fit_robot(robot, others, [], names, nominal).params(robot, nominal)
         else:
             params = load_params(robot, "identified" if what == "identified" else None, ())
         for world, ending in (("mujoco", ""), ("bullet", "_bullet")):
             replayer = Replayer(robot, 1, run.rack, world, torques=False)
-            row[name + ending] = replay_log(run.log, robot, params.rows(np.zeros(1, np.int64)), replayer).rms
+            row[name + ending] = replay_motion(run, robot, params.rows(np.zeros(1, np.int64)), replayer).rms
     return row
 
 
@@ -72,7 +74,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/identification/pupper_logs.csv"))
     options = parser.parse_args()
     robot = RobotDescription.load("pupper_v2")
-    runs = {name: LogRun(read_log(DATA / f"{name}.npz", robot), name in RACKED) for name in LOGS}
+    runs = {name: replace(read_motion(DATA / f"{name}.npz", robot), rack=name in RACKED) for name in LOGS}
     table: dict[str, dict[str, Any]] = {}
     if options.out.exists():
         with options.out.open(newline="") as file:

@@ -23,7 +23,7 @@ from rounds import measure, ratio_quartiles
 from throughput import Bench
 
 from surefoot.api.policies import find_policy
-from surefoot.evaluation.gap import home_task
+from surefoot.evaluation.conditions import home_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription

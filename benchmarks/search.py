@@ -49,7 +49,7 @@ class Turns:
     def bare(self) -> tuple[int, float]:
         start = time.perf_counter()
         for training in self.trainings():
-            loop = TrainingLoop(training.config, RunFolder.create_at(training.config, training.path), SimWorld)
+            loop = TrainingLoop.create(training.config, RunFolder.create_at(training.config, training.path), SimWorld)
             loop.run(lambda *_: None)
             loop.export(loop.folder.policy, last=True)
         return self.count, time.perf_counter() - start

@@ -100,17 +100,17 @@ def measure(policy: Any, task: TaskConfig, speed: float) -> dict[str, float]:
         for k in range(int(servo_steps.max(initial=0))):
             velocity = world.actuation.sample[:, motors : 2 * motors].copy()
             advance((servo_steps > k).astype(np.int64))
-            if env.readings.time[0] >= START:
+            if env.state.readings.time[0] >= START:
                 meter.add(world, velocity)
 
     world.engine.advance = advance_and_measure
-    while env.readings.time[0] < END and not env.over.any():
-        before = env.truth.base_position_world[:, 0].copy()
-        counts = env.readings.time[0] >= START
+    while env.state.readings.time[0] < END and not env.state.over.any():
+        before = env.state.truth.base_position_world[:, 0].copy()
+        counts = env.state.readings.time[0] >= START
         observation, *_ = env.step(env.gait.action(policy.feedback(observation)))
-        way += counts * float((env.truth.base_position_world[:, 0] - before).mean())
+        way += counts * float((env.state.truth.base_position_world[:, 0] - before).mean())
     del world.engine.advance
-    return {"speed": way / (END - START), "falls": float(env.over.sum()), **meter.means()}
+    return {"speed": way / (END - START), "falls": float(env.state.over.sum()), **meter.means()}
 
 
 def main(command: Command) -> None:

@@ -22,14 +22,13 @@ from typing import Annotated, Any
 import tyro
 
 from surefoot.api.policies import find_policy, load_gait
-from surefoot.api.simulator import on_terrain
-from surefoot.evaluation.policy_table import conditions, measure, prepare_task
+from surefoot.evaluation.conditions import Condition
+from surefoot.evaluation.policy_table import measure
+from surefoot.evaluation.rollout import run_episodes
 from surefoot.report.figures.terrain import success_figure
-from surefoot.robot.commands import COMMANDS
 from surefoot.robot.randomization import load_ranges
 from surefoot.tables import write_csv
-from surefoot.task.commands import CommandConfig
-from surefoot.world.registry import WORLDS
+from surefoot.world.registry import WORLDS, find_world
 
 RESULTS = Path(__file__).parents[1] / "results" / "terrain"
 SIZES: dict[str, tuple[float, ...]] = {
@@ -77,10 +76,9 @@ def main(command: Command) -> None:
         if unknown := set(command.but) - set(ranges):
             raise SystemExit(f"--but {unknown.pop()} is no row of table I; choose from {', '.join(ranges)}")
         ranges = {row: limits for row, limits in ranges.items() if row not in command.but}
-        condition = next(one for one in conditions(ranges) if one.name == ("table1" if command.table1 else "nominal"))
-        condition = replace(condition, world=command.world)
-        limits = {key: getattr(task.commands, key) for key in COMMANDS}
-        task = prepare_task(task, CommandConfig(**limits, each=(command.command,)), 10.0, robot)
+        condition = Condition(
+            randomize=ranges if command.table1 else {}, command_rows=(command.command,), duration=10.0, curricula=True
+        )
         robots = " but ".join(["table1", *command.but]) if command.table1 else "nominal"
         for kind in command.kinds:
             for size in SIZES.get(kind, (0.0,)):
@@ -88,9 +86,9 @@ def main(command: Command) -> None:
                 if command.missing and key in table:
                     continue
                 terrain = kind if kind == "flat" else f"{kind}:{size:g}"
-                figures = measure(
-                    policy, on_terrain(task, terrain), robot, condition, command.episodes, threads=command.threads
-                )
+                run = replace(condition, terrain=terrain).apply(task, robot)
+                traces = run_episodes(policy, run, command.episodes, find_world(command.world), threads=command.threads)
+                figures = measure(traces, robot.weight)
                 wanted = ("success", "falls", "episodes", "rmse_forward", "rmse_stride_forward", "power")
                 table[key] = dict(zip(KEYS, key, strict=True)) | {
                     item: f"{value:.3g}" if isinstance(value := figures[item], float) else value for item in wanted

@@ -46,6 +46,7 @@ from surefoot.tables import write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.randomized_params import RandomizedParams
 from surefoot.world.mujoco_model import build_model
 from surefoot.world.native import call_step, doubles, function_address
 from surefoot.world.sim_world import SimWorld
@@ -176,7 +177,8 @@ class Bench:
 
     def _time_redraws(self, env: LocomotionEnv) -> None:
         """Add up the time that drawing and applying parameters takes."""
-        draw, apply = env.randomizer.draw, env.world.set_params
+        randomizer = env.component(RandomizedParams).randomizer
+        draw, apply = randomizer.draw, env.world.set_params
 
         def timed(function: Any) -> Any:
             def call(*arguments: Any) -> Any:
@@ -187,7 +189,7 @@ class Bench:
 
             return call
 
-        env.randomizer.draw, env.world.set_params = timed(draw), timed(apply)  # type: ignore[method-assign]
+        randomizer.draw, env.world.set_params = timed(draw), timed(apply)  # type: ignore[method-assign]
 
     def _act(self, env: LocomotionEnv, observation: np.ndarray) -> np.ndarray:
         return env.gait.action(self.policy.feedback(observation))

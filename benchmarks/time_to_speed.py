@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from surefoot.learn.config import load_train_config
+from surefoot.learn.evaluation import evaluate_policy
 from surefoot.learn.ppo_learner import PpoLearner
-from surefoot.learn.training_loop import evaluate_policy
 from surefoot.tables import write_csv
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.sim_world import SimWorld
@@ -40,9 +40,9 @@ def early_speed(learner: PpoLearner, seconds: float = 1.5) -> float:
     for k in range(steps):
         observation, *_ = env.step(learner.act(observation))
         if k == steps - last - 1:
-            before, since = env.truth.base_position_world[:, 0], env.readings.time
-    forward = env.truth.base_position_world[:, 0] - before
-    return float(np.mean(forward / np.maximum(env.readings.time - since, 1e-9)))
+            before, since = env.state.truth.base_position_world[:, 0], env.state.readings.time
+    forward = env.state.truth.base_position_world[:, 0] - before
+    return float(np.mean(forward / np.maximum(env.state.readings.time - since, 1e-9)))
 
 
 @cache

@@ -38,7 +38,7 @@ from surefoot.robot.randomization import load_ranges
 from surefoot.tables import write_csv
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference import ReferenceConfig
+from surefoot.task.reference_config import ReferenceConfig
 from surefoot.world.sim_world import SimWorld
 
 FRESH = 7_000_003

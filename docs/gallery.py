@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from surefoot.api.policies import SEARCH_PATHS, find_policy, load_policy, run_policy
-from surefoot.api.simulator import evaluation_task, with_duration
+from surefoot.evaluation.conditions import Condition
 from surefoot.files import atomic_write
 from surefoot.report.pages.recorded_runs import ShownTrace, recording_page
 
@@ -23,7 +23,7 @@ STEPS = ((0.0, 0.7, 0.0, 0.0), (1.7, 0.5, 0.0, 0.8), (3.4, 0.0, 0.8, 0.0))
 def recorded(name: str, push_force: tuple[float, float] | None = None) -> ShownTrace:
     """Return a run of a policy that ships, with pushes if their least and greatest force [N] is given."""
     policy, robot, task = load_policy(find_policy(name), None)
-    task = with_duration(evaluation_task(task, robot, {}, push_force=push_force), robot, SECONDS)
+    task = Condition(push_force=push_force, duration=SECONDS).apply(task, robot)
     if (limits := task.commands.limits(robot)) is not None:
         most = (limits.forward[1], limits.sideways[1], limits.yaw_rate[1])
         rows = tuple(

@@ -24,15 +24,18 @@ from mkdocs.structure.pages import Page
 
 from surefoot.cli.main import GROUPS as COMMAND_GROUPS
 from surefoot.cli.main import main
+from surefoot.columns import columns_of
 from surefoot.configuration import field_bounds
+from surefoot.identify.recording import Recording, RecordingMeta
 from surefoot.learn.config import PPOConfig, TrainConfig
 from surefoot.robot.params import GROUPS, PARAMETERS
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.observation import PARTS
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference import FootConfig, ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import FootConfig, ReferenceConfig, WaveConfig
 from surefoot.task.reward import TERMS
+from surefoot.task.trace import EpisodeTrace, FurtherMeta, TraceMeta
 
 os.environ |= {"COLUMNS": "76", "NO_COLOR": "1"}
 ROOT = Path(__file__).resolve().parents[1]
@@ -139,6 +142,46 @@ def task_reference() -> str:
     return "\n\n".join(text)
 
 
+def columns_table(record: type) -> str:
+    """Return the declared columns of a record as a table."""
+    rows = ["| column | shape | unit | frame | meaning |", "|---|---|---|---|---|"]
+    for name, one in columns_of(record).items():
+        notes = [one.meaning.replace("|", "\\|"), *(["0 to 1"] if one.is_fraction else [])]
+        notes += [] if one.known else ["NaN where unknown" if one.always_in_file else "not in the file where unknown"]
+        rows.append(f"| `{name}` | {one.shape} | {one.unit} | {one.frame} | {'; '.join(notes)} |")
+    return "\n".join(rows)
+
+
+def trace_reference() -> str:
+    """Return the page with the columns and the meta of traces and recordings."""
+    return "\n\n".join(
+        [
+            "# Traces and recordings",
+            "What stands in the files that surefoot writes of a robot's motion: NumPy archives (.npz) of float64 "
+            "arrays, with `meta`, a table in JSON, and `robot`, the folder of a robot that does not ship.",
+            "## Trace",
+            "An episode of T control steps, simulated or real: M motors, L legs, O observations, A numbers of "
+            "feedback. In columns with T+1 rows, row 0 is the start and row k is after control step k. Frames: x "
+            "forward, y left, z up. Read the file with `EpisodeTrace.load` or `numpy.load`.",
+            columns_table(EpisodeTrace),
+            "### Meta of every trace",
+            "\n".join(fields_of(TraceMeta)),
+            "### Further entries",
+            "\n".join(fields_of(FurtherMeta)),
+            "### Partial traces",
+            "While `deploy` runs a robot, and while the drive page records, rows are written to `NAME.npz.partial`: a "
+            "line of JSON (`kind`, `version`, `columns` with the count of numbers that each has in a row, `start` of "
+            "columns with T+1 rows, `meta`, `robot`), then rows of little-endian float64. Whatever ends the process, "
+            "the rows written so far remain, and every command that reads traces reads this file too.",
+            "## Recording of an experiment",
+            "What `surefoot identify` records: C commands to a robot with M motors, and T of its states.",
+            columns_table(Recording),
+            "### Meta",
+            "\n".join(fields_of(RecordingMeta)),
+        ]
+    )
+
+
 def help_of(*words: str) -> str:
     """Return the help of a command."""
     with contextlib.redirect_stdout(io.StringIO()) as output, contextlib.suppress(SystemExit):
@@ -178,8 +221,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, path.relative_to(ROOT).as_posix(), abs_src_path=str(path)))
     for name in PACKAGES:
         files.append(File.generated(config, f"reference/{name}.md", content=reference(f"surefoot.{name}", [name])))
-    for name, content in (("task-configuration", task_reference()), ("commands", command_reference())):
-        files.append(File.generated(config, f"reference/{name}.md", content=content))
+    pages = {"task-configuration": task_reference, "traces": trace_reference, "commands": command_reference}
+    for name, make in pages.items():
+        files.append(File.generated(config, f"reference/{name}.md", content=make()))
     files.append(File.generated(config, "reference/shared.md", content=reference("Shared modules", MODULES)))
     return files
 

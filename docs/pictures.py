@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from gallery import recorded
 from PIL import Image, ImageDraw
 
 from surefoot.api.policies import find_policy, load_policy, run_policy
-from surefoot.api.simulator import evaluation_task, with_duration
+from surefoot.evaluation.conditions import Condition
 from surefoot.evaluation.recorded import ground_of
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.renderer import Camera, View, draw
@@ -141,8 +140,8 @@ def portrait(robot: RobotDescription, size: tuple[int, int]) -> Image.Image:
 def on_terrain(policy: str, terrain: str, size: tuple[int, int]) -> Image.Image:
     """Return a policy on a terrain, on its way forward."""
     controller, robot, task = load_policy(find_policy(policy), None)
-    task = with_duration(evaluation_task(task, robot, {}, terrain=terrain), robot, ON_IT)
-    task = replace(task, commands=replace(task.commands, each=((0.5, 0.0, 0.0),)))
+    condition = Condition(terrain=terrain, duration=ON_IT, command_rows=((0.5, 0.0, 0.0),))
+    task = condition.apply(task, robot)
     (trace,) = run_policy(controller, task, 1, "mujoco", seed=0, name=policy)
     placed = trace_poses(robot, trace)
     mesh, stack = Mesh(robot.appearance(), list(placed)), np.array([frames[-1] for frames in placed.values()])

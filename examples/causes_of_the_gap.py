@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 
 from surefoot.api.policies import find_policy, load_policy
-from surefoot.evaluation.gap import away_task
+from surefoot.evaluation.conditions import away_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import PhysicalParams, RobotDescription

@@ -2,7 +2,8 @@
 
 1. `surefoot train gallop`: a short training, with its evaluation, figures and video in runs/.
 2. `surefoot evaluate trot-robust --randomize table1`: the robust trot on randomized robots.
-3. `surefoot sensitivity trot trot-robust`: which parameters break a trot trained without and one with randomization.
+3. `surefoot evaluate sensitivity trot trot-robust`: which parameters break a trot trained without and one with
+   randomization.
 4. `surefoot emulate`, `doctor`, `deploy`, `gap`: a trot on an emulated robot, in another physics engine and in real
    time, compared with its simulation.
 
@@ -22,7 +23,7 @@ COMMANDS = (
     # One learning thread: the same gallop on any number of cores.
     ["train", "gallop", "--name", "demo", "--learning-threads", "1", *GALLOP, *sys.argv[1:]],
     ["evaluate", "trot-robust", "--randomize", "table1", "--episodes", "20", "--out", f"{OUT}/trot-robust"],
-    ["sensitivity", "trot", "trot-robust", "--episodes", "4", "--out", f"{OUT}/sensitivity"],
+    ["evaluate", "sensitivity", "trot", "trot-robust", "--episodes", "4", "--out", f"{OUT}/sensitivity"],
     ["show", "trot-robust", "--out", f"{OUT}/trot-robust.mp4"],
 )
 

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import tyro
 
-from surefoot.evaluation.gap import away_task
+from surefoot.evaluation.conditions import away_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import RobotDescription

@@ -8,9 +8,8 @@ It is an ordinary Python file that registers functions of NumPy arrays, each for
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.task.observation import ObservationInputs
 from surefoot.task.plugins import observation, reward_term
-from surefoot.task.reward import StepMotion
+from surefoot.task.state import EnvState, RobotState
 
 CLEARANCE = 0.15
 """Height of a swinging foot over the lowest one, in lengths of the straight leg."""
@@ -21,20 +20,20 @@ CLEARANCE = 0.15
     unit="squared error of the height times speed, l^2 sqrt(g l)",
     source="Ji et al. 2022, Concurrent Training of a Control Policy and a State Estimator",
 )
-def foot_clearance(motion: StepMotion) -> Array:
+def foot_clearance(state: EnvState) -> Array:
     """Return how far feet that move forward are from the height at which they should swing (N,)."""
-    robot, scales = motion.gait.robot, motion.scales
+    robot, scales = state.gait.robot, state.scales
     feet = [
         robot.leg_geometry.foot_position(truth.motor_angle[:, robot.leg_motor_index])
-        for truth in (motion.before, motion.after)
+        for truth in (state.before, state.truth)
     ]
     height = (feet[1][..., 2] - feet[1][..., 2].min(axis=1, keepdims=True)) / scales.length
     # Feet on the ground move backward in the base's frame.
-    speed = np.maximum((feet[1] - feet[0])[..., 0] / motion.duration[:, None], 0.0) / scales.speed
+    speed = np.maximum((feet[1] - feet[0])[..., 0] / state.duration[:, None], 0.0) / scales.speed
     return np.asarray(((height - CLEARANCE) ** 2 * speed).mean(axis=1))
 
 
 @observation("lean", unit="1", frame="world", columns=("lean_roll", "lean_pitch"), flipped=("lean_roll",))
-def lean(inputs: ObservationInputs) -> Array:
+def lean(state: RobotState) -> Array:
     """Return the sines of the IMU's roll and pitch (N, 2)."""
-    return np.sin(inputs.readings.roll_pitch_yaw[:, :2])
+    return np.sin(state.readings.roll_pitch_yaw[:, :2])

@@ -1,4 +1,4 @@
-"""Chromium without a window: the system's, or one that Playwright has fetched. Without it, tests of pages are skipped.
+"""Chromium without a window: the system's, or one that Playwright has fetched. Without it, its tests are skipped.
 
 `python tests/chromium.py` has Playwright fetch one, if there is none.
 """
@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import shutil
 import subprocess
@@ -20,11 +21,13 @@ import pytest
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
+in_browser = pytest.mark.browser
 INSTALL = (sys.executable, "-m", "playwright", "install", "chromium")
 _FETCH_TIMEOUT = 300
 """Longest time [s] of a download."""
 
 
+@functools.cache
 def find_chromium() -> str | None:
     """Return the path of a Chromium that runs; None if there is none."""
     for name in ("chromium", "chromium-browser", "google-chrome"):
@@ -41,9 +44,13 @@ def find_chromium() -> str | None:
     return None
 
 
-CHROMIUM = find_chromium()
-NO_CHROMIUM = "no Chromium on this computer"
-in_browser = pytest.mark.skipif(CHROMIUM is None, reason=NO_CHROMIUM)
+def chromium_missing() -> str:
+    """Return how to get a Chromium; nothing, if there is one."""
+    if find_chromium() is not None:
+        return ""
+    python = os.path.relpath(INSTALL[0])
+    command = " ".join([python if not python.startswith("..") else INSTALL[0], *INSTALL[1:]])
+    return f"no Chromium on this computer; this installs it: {command}"
 
 
 @contextmanager
@@ -56,10 +63,10 @@ def running_browser(gives_way: Path | None = None) -> Iterator[Browser]:
     """
     from playwright.sync_api import sync_playwright
 
-    program = CHROMIUM
+    program = find_chromium()
     if gives_way is not None:
         script = gives_way / "chromium"
-        script.write_text(f'#!/bin/sh\nexec nice -n 15 {CHROMIUM} "$@"\n')
+        script.write_text(f'#!/bin/sh\nexec nice -n 15 {program} "$@"\n')
         script.chmod(0o755)
         program = str(script)
     with sync_playwright() as playwright:
@@ -103,12 +110,13 @@ def hold_stick(page: Page, forward: float, left: float) -> None:
 
 def main() -> None:
     """Fetch a Chromium, if there is none and its server can be reached."""
-    if CHROMIUM is not None:
+    if find_chromium() is not None:
         return
     print("surefoot: fetching Chromium for the tests of pages, once", flush=True)
     environment = os.environ | {"PLAYWRIGHT_DOWNLOAD_CONNECTION_TIMEOUT": "5000"}  # [ms]
     with contextlib.suppress(OSError, subprocess.SubprocessError):
         subprocess.run(INSTALL, capture_output=True, timeout=_FETCH_TIMEOUT, env=environment)
+    find_chromium.cache_clear()
     if find_chromium() is None:
         print("surefoot: no Chromium could be fetched; tests of pages are left out")
 

@@ -20,14 +20,17 @@ from surefoot.robot import RobotDescription
 needs_gcc = pytest.mark.skipif(
     not (shutil.which("gcc") and shutil.which("make")), reason="no gcc and make here: the firmware is not built"
 )
-needs_qemu = pytest.mark.skipif(
-    not all(map(shutil.which, ("make", "arm-none-eabi-gcc", "qemu-system-arm"))),
-    reason="no arm-none-eabi-gcc, qemu-system-arm and make here: the firmware of the STM32F405 is not tested",
-)
+needs_qemu = pytest.mark.qemu
 QEMU = os.environ.get("SUREFOOT_FIRMWARE") == "qemu"
 """Whether all tests of the firmware take the one of the STM32F405, in QEMU, instead of this computer's."""
 SANITIZE = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 _built: dict[tuple[str, ...], Path] = {}
+
+
+def qemu_missing() -> str:
+    """Return which programs are missing that build and run the firmware of the STM32F405; nothing, if none is."""
+    missing = [name for name in ("make", "arm-none-eabi-gcc", "qemu-system-arm") if not shutil.which(name)]
+    return f"no {', '.join(missing)} here: the firmware of the STM32F405 is not tested" if missing else ""
 
 
 @functools.cache

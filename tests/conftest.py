@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from _pytest.runner import runtestprotocol
+from chromium import chromium_missing
+from compiled_firmware import qemu_missing
 from hypothesis import settings
 from processes import BUSY, BareLoop, Emulator, emulators
 from xdist.scheduler import LoadFileScheduling
@@ -24,8 +26,6 @@ from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 if TYPE_CHECKING:
-    from _pytest.terminal import TerminalReporter
-
     from surefoot.studies.comparison import Comparison
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -34,8 +34,18 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 settings.register_profile("surefoot", deadline=None, derandomize=True)
 settings.load_profile("surefoot")
 
+LONG = (
+    *("cli/test_study_cli", "cli/test_search_cli", "test_newcomer", "cli/test_drive_cli", "deploy/test_fault_table"),
+    *("cli/test_identify_cli", "adopt/test_arithmetic", "identify/test_fits", "cli/test_gap_cli", "test_examples"),
+    *("cli/test_train_page_cli", "cli/test_deploy_cli", "cli/test_paper_cli", "cli/test_params_option", "test_robots"),
+    *("cli/test_printed_commands", "adopt/test_networks", "identify/test_from_trace", "cli/test_doctor_cli"),
+    *("world/test_agreement", "world/test_process_world", "cli/test_train_cli", "learn/test_training_loop"),
+)
+"""Files that take longest, of all parts."""
 REALTIME = "surefoot/realtime"
 """Where pytest's cache has the names of tests in real time."""
+NEEDS = {"browser": chromium_missing, "qemu": qemu_missing}
+"""What a test with a marker needs besides Python's packages: a function that says what of it is missing here, or ""."""
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -65,12 +75,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileSche
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with the files that have slow tests, so that none is left alone at the end; tests in real time come last.
+    """Begin with the files that take longest, so that none is left alone at the end; tests in real time come last.
 
     pytest-xdist (`--dist loadfile`) takes units of work in this order.
     """
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: (item.get_closest_marker("realtime") is not None, item.path not in slow))
+    first = {Path(__file__).parent / f"{name}.py": rank for rank, name in enumerate(LONG)}
+    items.sort(key=lambda item: (item.get_closest_marker("realtime") is not None, first.get(item.path, len(LONG))))
     if cache := getattr(config, "cache", None):  # none with `-p no:cacheprovider`
         cache.set(REALTIME, [item.nodeid for item in items if item.get_closest_marker("realtime")])
 
@@ -86,19 +96,12 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_terminal_summary(terminalreporter: TerminalReporter) -> Generator[None]:
-    """Say which tests were left out for want of a browser, and how to install one."""
-    from chromium import INSTALL, NO_CHROMIUM
-
-    yield
-    skipped = [report for report in terminalreporter.stats.get("skipped", []) if NO_CHROMIUM in str(report.longrepr)]
-    if skipped:
-        python = os.path.relpath(INSTALL[0])
-        command = " ".join([python if not python.startswith("..") else INSTALL[0], *INSTALL[1:]])
-        terminalreporter.write_line(
-            f"surefoot: {len(skipped)} tests of pages were left out: {NO_CHROMIUM}. This installs it: {command}"
-        )
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Leave out a test whose marker names what is not on this computer."""
+    for marker, missing in NEEDS.items():
+        if item.get_closest_marker(marker) and (what := missing()):
+            pytest.skip(what)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -169,6 +172,15 @@ def repository() -> Path:
 def robot() -> RobotDescription:
     """Return the robot that ships with surefoot."""
     return RobotDescription.load("minitaur")
+
+
+@pytest.fixture(scope="session")
+def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a run of `trot` that was trained a little. It is shared: copy it to change it."""
+    from trained import trained_run
+
+    cache = getattr(request.config, "cache", None)  # none with `-p no:cacheprovider`
+    return trained_run(tmp_path_factory.mktemp("trained") if cache is None else cache.mkdir("trained"))
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from surefoot.deploy.dds import low_level
 from surefoot.deploy.dds.low_level import LOW_STATE, BadMessageError, Record
 from surefoot.emulator.dds.board import Go2Board
 from surefoot.emulator.dds.own_controller import OwnController
-from surefoot.emulator.faults import parse_faults
+from surefoot.emulator.fault_table import parse_faults
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
 from surefoot.robot import RobotDescription

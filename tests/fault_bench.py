@@ -117,8 +117,6 @@ class Cable:
         os.set_blocking(self._host, False)
         self.path = os.ttyname(self._far)
         self.record = Record()
-        self.silent = False
-        """Whether nothing gets through; the robot's packets are still recorded."""
         self._actions: list[tuple[float, Callable[[], object]]] = []
         self._chatter = b"".join(_states_of_another_session(30))[70:-70] if chatter else b""
         self._others = bytearray()
@@ -158,14 +156,12 @@ class Cable:
             if self._host in ready:
                 data = _read(self._host)
                 self._hear(of_host.feed(data))
-                if not self.silent:
-                    _write(self._robot, bytes(self._others) + data)
-                    self._others.clear()
+                _write(self._robot, bytes(self._others) + data)
+                self._others.clear()
             if self._robot in ready:
                 data = _read(self._robot)
                 self.record.from_robot += of_robot.feed(data)
-                if not self.silent:
-                    _write(self._host, data)
+                _write(self._host, data)
 
     def _hear(self, frames: list[Packet]) -> None:
         record = self.record

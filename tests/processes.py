@@ -109,7 +109,7 @@ class EmulatorHere:
     def __init__(self, *words: object) -> None:
         from surefoot.cli.emulate import EmulateCommand, make_loop
         from surefoot.cli.helpers.parsing import parse
-        from surefoot.emulator.faults import parse_faults
+        from surefoot.emulator.fault_table import parse_faults
         from surefoot.emulator.real_time import Summary
         from surefoot.emulator.serial.pty_port import PtyPort
         from surefoot.robot import RobotDescription

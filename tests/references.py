@@ -8,7 +8,8 @@ from typing import Any
 from surefoot.configuration import from_mapping
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import CommandLimits
-from surefoot.task.reference import Reference, ReferenceConfig, make_reference
+from surefoot.task.reference import Reference
+from surefoot.task.reference_config import ReferenceConfig, make_reference
 
 
 def read_reference(

@@ -23,7 +23,8 @@ ALLOWED: dict[str, set[str]] = {
     "deploy": {
         *("robot", "policy", "world.interface"),
         *("task.contract_mapping", "task.commands", "task.observation", "task.gait"),
-        *("task.follower", "task.height_scan", "task.trace", "task.partial_trace"),
+        *("task.component", "task.gait_components", "task.state"),
+        *("task.height_scan", "task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot", "task.height_scan"},
     "firmware": {"deploy", "robot"},
@@ -33,7 +34,7 @@ ALLOWED: dict[str, set[str]] = {
         "robot",
         *("world.ground", "world.terrain"),
         "identify.result",
-        "identify.logs.errors",
+        "identify.motion.replay_errors",
         "adopt.examination",
     },
     "adopt": {"policy", "task", "robot", "deploy.checks", "evaluation", "world"},
@@ -63,8 +64,8 @@ ROBOT_SIDE = [
 ]
 """Modules that the robot's computer runs, besides `surefoot.deploy`."""
 NOT_ON_THE_ROBOT = {
-    *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas", "pybullet"),
-    *("torch", "tensordict", "rsl_rl", "tensorboard", "onnx", "stable_baselines3"),
+    *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas", "pybullet", "tomli_w"),
+    *("torch", "tensordict", "rsl_rl", "tensorboard", "onnx", "stable_baselines3", "filelock"),
     *("matplotlib", "imageio_ffmpeg", "PIL", "viser", "websockets"),
 }
 """Packages outside the bare install."""

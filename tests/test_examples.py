@@ -29,7 +29,7 @@ def python_path(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([source, os.environ.get("PYTHONPATH", "")]))
 
 
-@pytest.mark.slow
+@pytest.mark.notebook
 @pytest.mark.usefixtures("python_path")
 def test_the_notebook_runs_from_beginning_to_end(tmp_path: Path):
     nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")

@@ -24,7 +24,7 @@ pytest.importorskip("viser")
 import surefoot
 from surefoot.robot import RobotDescription
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.wheel
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = Path(surefoot.__file__).parent

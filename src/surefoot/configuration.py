@@ -187,7 +187,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     """Make a dataclass from a mapping, nested dataclasses from nested mappings.
 
     Args:
-        kind: the dataclass; its `former_keys`, if any, say what to write in place of keys that it had once.
+        kind: the dataclass.
         data: keys and values; a key left out keeps the value of `base`, or the field's default.
         where: dotted name of this mapping, for error messages.
         base: an instance whose values hold where `data` has none.
@@ -204,8 +204,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     prefix = f"{where}." if where else ""
     for key in data:
         if key not in fields:
-            former = getattr(kind, "former_keys", {}).get(key)
-            raise SurefootError(f"{prefix}{key} is not a key; {former or suggest(str(key), fields)}")
+            raise SurefootError(f"{prefix}{key} is not a key; {suggest(str(key), fields)}")
     values = {} if base is None else {name: getattr(base, name) for name in fields}
     for name, item in fields.items():
         if name in data:
@@ -215,6 +214,12 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     config = kind(**values)
     check_bounds(config, where)
     return config
+
+
+def typed_entries(kind: type[T], data: Mapping[str, Any], where: str = "") -> T:
+    """Make a dataclass from those entries of a mapping that it has; see `from_mapping`."""
+    names = {item.name for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    return from_mapping(kind, {name: value for name, value in data.items() if name in names}, where)
 
 
 def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:

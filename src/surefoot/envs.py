@@ -18,7 +18,8 @@ import gymnasium
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task, preset_names
-from surefoot.task.env import Camera, LocomotionEnv, LocomotionSingleEnv
+from surefoot.task.env import Camera, LocomotionEnv
+from surefoot.task.single_env import LocomotionSingleEnv
 from surefoot.world.registry import find_world
 
 

@@ -71,8 +71,10 @@ def deploy(folder: Path, *words: str, event: Callable[[], object] | None = None)
 
 
 @pytest.mark.realtime
-def test_a_run_is_recorded_and_ends_with_damped_motors(body: Go2, tmp_path: Path) -> None:
-    code, result, messages = deploy(tmp_path, "--duration", "0.5", "--world-name", "a floor")
+def test_a_run_is_recorded_and_ends_with_damped_motors_and_the_own_controller(body: Go2, tmp_path: Path) -> None:
+    body.set(controller="mcf")
+    words = ("--duration", "0.5", "--world-name", "a floor", "--release", "--hand-back")
+    code, result, messages = deploy(tmp_path, *words)
     assert code == 0, (result, messages)
     (run,) = result["runs"]
     assert (run["ended"], run["what"]) == ("time", "done")
@@ -85,6 +87,7 @@ def test_a_run_is_recorded_and_ends_with_damped_motors(body: Go2, tmp_path: Path
     assert held[0].jump < 0.1
     assert frames[-1].damps
     assert result["frames"]["damaged"] == 0
+    assert body.settings.controller == "mcf"
 
 
 @pytest.mark.realtime
@@ -108,6 +111,7 @@ def test_the_remote_control_lets_the_robot_sit(body: Go2, tmp_path: Path) -> Non
     assert all(frame.damps for frame in body.frames[damped:])  # it sat before it was disarmed
 
 
+@pytest.mark.realtime
 def test_a_robot_that_is_not_ready_is_not_armed(body: Go2, tmp_path: Path) -> None:
     body.set(controller="mcf")
     code, _, messages = deploy(tmp_path)
@@ -119,13 +123,6 @@ def test_a_robot_that_is_not_ready_is_not_armed(body: Go2, tmp_path: Path) -> No
 
 
 @pytest.mark.realtime
-def test_release_and_hand_back(body: Go2, tmp_path: Path) -> None:
-    body.set(controller="mcf")
-    code, result, messages = deploy(tmp_path, "--duration", "0.3", "--release", "--hand-back")
-    assert code == 0, (result, messages)
-    assert body.settings.controller == "mcf"
-
-
 def test_doctor_checks_the_robot_first(body: Go2) -> None:
     done = surefoot("doctor", "go2-steer", *LINK, "--json", "--steps", "50", "--pings", "20")
     checks = {check["name"]: check for check in json.loads(done.stdout)["checks"]}

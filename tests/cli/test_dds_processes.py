@@ -23,6 +23,7 @@ from go2_runs import Deploy, Robot, Witness, watch
 
 from surefoot.deploy.dds import bus, types
 
+pytestmark = pytest.mark.sdk
 DOMAIN, EMPTY, VENDORS = worker_domain(140), worker_domain(160), worker_domain(180)
 REACTION_MS = 60.0
 PROGRAM = f"""

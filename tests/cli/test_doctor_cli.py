@@ -75,7 +75,6 @@ def test_a_healthy_robot_passes_all_on_the_ground(port_of: Callable[..., str]):
 
 
 @pytest.mark.realtime
-@pytest.mark.slow
 def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator], tmp_path: Path):
     emulator = emulate("--rack")
     _, checks = doctor("trot", emulator.port, "--rack", "--yes", "--steps", "300", run=run_surefoot)

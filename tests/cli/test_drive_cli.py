@@ -27,7 +27,7 @@ from chromium import errors_of, hold_stick, in_browser, new_page, running_browse
 from websockets.sync.client import connect
 
 from surefoot.api.drive_page import DrivePage, serve
-from surefoot.cli import play
+from surefoot.cli import drive as drive_command
 from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
 from surefoot.evaluation.driven import DrivenStep
@@ -147,6 +147,7 @@ def test_flood_of_messages_ends_the_connection_and_not_the_robot(running: Runnin
         assert len(running.measure(0.2)) > 5
 
 
+@pytest.mark.realtime
 def test_command_that_is_not_repeated_ends(running: Running):
     with open_socket(running.server) as line:
         running.until(lambda: running.server.tabs > 0)
@@ -171,15 +172,13 @@ def test_file_of_commands_replaces_the_page(running: Running, tmp_path: Path):
         drive.robot.command([0.0, 0.0, 0.0])
 
 
-def test_play_browser_serves_the_page_with_its_parameters(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_page_has_the_parameters_of_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     served: list[Any] = []
     monkeypatch.setattr("surefoot.api.drive_page.serve", lambda *arguments: served.append(arguments))
-    assert play.main(["go2-steer", "--browser", "--set", "base_mass_ratio=1.5", "--commands", "walk.csv"]) == 0
+    assert drive_command.main(["go2-steer", "--set", "base_mass_ratio=1.5", "--commands", "walk.csv"]) == 0
     ((drive, host, _, commands),) = served
     assert drive.robot.env.world.params.base_mass_ratio.tolist() == [1.5]
     assert (host, commands) == (None, "walk.csv")
-    with pytest.raises(SurefootError, match="a page makes no MP4"):
-        play.main(["go2-steer", "--browser", "--out", "x.mp4"])
 
 
 def test_policy_without_commands_refuses_a_source_of_them():
@@ -268,7 +267,6 @@ def set_push(page: Page, share: float) -> None:
 
 
 FIGURES: dict[str, Callable[[list[DrivenStep]], Any]] = {
-    "torque": lambda rows: np.mean([np.abs(row.torque).mean() for row in rows]),
     "height": lambda rows: np.mean([row.position[2] for row in rows]),
     "heat": lambda rows: np.mean([row.heat for row in rows]),
     "shift": lambda rows: max(np.linalg.norm(row.position[:2] - rows[0].position[:2]) for row in rows),
@@ -314,7 +312,6 @@ def test_joystick_goes_sideways_with_its_box_checked(running: Running, page: Pag
 @pytest.mark.parametrize(
     ("name", "value", "walks", "figure", "low", "high"),
     [
-        ("base_mass_ratio", 1.8, False, "torque", 1.2, 1.6),
         ("motor_strength", 0.4, False, "height", 0.5, 0.95),
         ("control_latency", 0.08, True, "heat", 1.3, 4.0),
         ("contact_friction", 0.05, False, "shift", 1.5, 1000.0),

@@ -12,7 +12,7 @@ pytest.importorskip("mujoco")
 
 from surefoot.api.extras import install_command
 from surefoot.cli import emulate
-from surefoot.emulator.faults import FAULTS
+from surefoot.emulator.fault_table import FAULTS
 from surefoot.robot.params_file import read_params
 
 DDS = ["--link", "dds", "--interface", "lo"]
@@ -37,8 +37,14 @@ DDS = ["--link", "dds", "--interface", "lo"]
         ),
         ([*DDS, "--domain", "233"], "domain is 233; it must be 232 or less"),
         ([*DDS, "--lockstep"], "lockstep is about the serial link; it does not go with --link dds"),
-        ([*DDS, "--fault", "garbage"], "fault garbage is one of --link serial; it does not go with --link dds"),
-        (["--fault", "remote-stop"], "fault remote-stop is one of --link dds; it does not go with --link serial"),
+        (
+            [*DDS, "--fault", "garbage"],
+            "fault garbage acts on bytes between messages; --link dds does not have that, give --link serial",
+        ),
+        (
+            ["--fault", "remote-stop"],
+            "fault remote-stop acts on the remote control; --link serial does not have that, give --link dds",
+        ),
         (DDS, "link dds is that of a Unitree Go2; robot minitaur has other motors, give --robot go2"),
         (["--duration", "0"], "duration is 0; it must be over 0"),
         (["--baud", "-1"], "baud is -1; it must be 0 or more"),

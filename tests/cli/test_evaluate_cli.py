@@ -11,9 +11,11 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from edited import edited_policy
 from processes import SUREFOOT, refused, run_surefoot, surefoot
 
 pytest.importorskip("torch")
@@ -35,21 +37,14 @@ LEGS = {"front_left", "back_left", "front_right", "back_right"}
 
 
 @pytest.fixture(scope="module")
-def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An untrained policy of short episodes."""
-    from surefoot.learn.config import PPOConfig, load_train_config
-    from surefoot.learn.ppo_learner import PpoLearner
-    from surefoot.world.sim_world import SimWorld
+def policy(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy that was trained a little, of short episodes."""
 
-    config = load_train_config("trot")
-    config = replace(
-        config,
-        num_envs=4,
-        task=replace(config.task, max_steps=240),
-        ppo=PPOConfig(policy_hidden=(8,)),
-        name="untrained",
-    )
-    return PpoLearner(config, SimWorld).export(tmp_path_factory.mktemp("policy") / "untrained.onnx")
+    def change(contract: dict[str, Any]) -> None:
+        contract["name"] = "beginner"
+        contract["task"] |= {"max_steps": 240, "params": {}, "pushes": {"enabled": False}}
+
+    return edited_policy(tmp_path_factory.mktemp("policy") / "beginner.onnx", change, trained / "policy.onnx")
 
 
 def test_help_is_fast_and_names_the_commands():
@@ -65,7 +60,11 @@ def test_help_is_fast_and_names_the_commands():
 
 
 def test_errors_come_before_anything_heavy_is_imported():
-    lines = ("evaluate x.onnx --episodes 0", "sensitivity x.onnx --episodes 0", "gap x.onnx --to bullet --episodes 0")
+    lines = (
+        "evaluate x.onnx --episodes 0",
+        "evaluate sensitivity x.onnx --episodes 0",
+        "gap x.onnx --to bullet --episodes 0",
+    )
     script = (
         "import sys; from surefoot.cli.main import main;"
         f"assert [main(line.split()) for line in {lines}] == [2, 2, 2];"
@@ -87,7 +86,7 @@ def test_json_is_one_object_with_all_keys(policy: Path):
     assert done.stdout.count("\n") == 1
     result = json.loads(done.stdout)
     assert set(result) == KEYS | EXTRAS
-    assert (result["episodes"], result["world"], result["policy"]) == (3, "mujoco", "untrained")
+    assert (result["episodes"], result["world"], result["policy"]) == (3, "mujoco", "beginner")
     assert set(result["duty_factor"]) == set(result["phases"]) == LEGS
     assert (result["seed"], result["pushes"], result["set"]) == (4, False, {})
     assert result["randomize"] == {}
@@ -150,9 +149,9 @@ def test_show_writes_a_video_of_a_policy_where_there_is_no_display(policy: Path,
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     done = surefoot("show", policy, "--duration", "0.4", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "wrote untrained.mp4\n"
+    assert done.stdout == "wrote beginner.mp4\n"
     assert done.stderr == f"surefoot: {policy} is a policy: it runs in mujoco, for a video\n"
-    frames = ffmpeg.read_frames(str(tmp_path / "untrained.mp4"))
+    frames = ffmpeg.read_frames(str(tmp_path / "beginner.mp4"))
     meta = next(frames)
     assert meta["size"] == (320, 180)
     first = np.frombuffer(next(frames), np.uint8)
@@ -210,8 +209,8 @@ def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monk
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(policies, "SEARCH_PATHS", (policy.parent,))
-    assert policies.find_policy("untrained") == policy
-    with pytest.raises(ValueError, match=r"policy 'trot' .*choices: untrained"):
+    assert policies.find_policy("beginner") == policy
+    with pytest.raises(ValueError, match=r"policy 'trot' .*choices: beginner"):
         policies.find_policy("trot")
 
 
@@ -236,7 +235,7 @@ def test_recorded_runs_have_the_same_figures(recorded: tuple[Path, dict[str, obj
     assert len(measured["traces"]) == 3
     files = sorted(folder.glob("*.npz"))
     two = surefoot("evaluate", "--trace", files[0], files[1])
-    assert "untrained in mujoco" in two.stdout
+    assert "beginner in mujoco" in two.stdout
     assert re.search(r"falls +\d of 2", two.stdout)
 
 
@@ -262,7 +261,7 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     monkeypatch.setattr(tracking, "GRID", 2)
     from surefoot.api.episodes import captions
     from surefoot.api.policies import find_policy, load_gait, run_policy
-    from surefoot.api.simulator import evaluation_task, with_duration
+    from surefoot.evaluation.conditions import Condition, with_duration
     from surefoot.report.figures.runs import episode_plot
 
     words = ("evaluate", "go2-steer", "--command-grid", "--threads", 1, "--out", tmp_path)
@@ -286,14 +285,14 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     )
     assert row is not None
     assert row[1] == errors
-    refused(surefoot(*words, "--commands", "way.csv"), "way.csv")
+    refused(surefoot("evaluate", "go2-steer", "--commands", "way.csv"), "commands way.csv: can't be read")
     (tmp_path / "way.csv").write_text("time,forward,sideways,yaw_rate\n0,0.5,0,0\n")
     refused(surefoot(*words, "--commands", tmp_path / "way.csv"), "--command-grid and --commands are given")
     # A task's episode takes 9.6 s; the file two seconds longer than its last row, if that is more.
     policy, robot, task, _ = load_gait(find_policy("go2-steer"), None)
     for end, duration in ((7.0, 9.6), (9.0, 11.008)):
         (tmp_path / "way.csv").write_text(f"time,forward,sideways,yaw_rate\n0,0.5,0,0\n{end},0,0,0\n")
-        run = evaluation_task(task, robot, {}, commands=tmp_path / "way.csv")
+        run = Condition(commands=tmp_path / "way.csv").apply(task, robot)
         assert 0.016 * run.max_steps == pytest.approx(duration)
     (trace,) = run_policy(policy, with_duration(run, robot, 0.8), 1, "mujoco", 1)
     texts = captions(trace)

@@ -24,8 +24,6 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
-pytestmark = pytest.mark.slow
-
 pytest.importorskip("onnx")
 
 ONE = ("--threads", "1")
@@ -238,7 +236,7 @@ def test_a_policy_whose_name_is_no_folder_name_is_refused(name: str, here: Path)
         "gap gallop.onnx --from bullet --to mujoco",
         "evaluate gallop.onnx --world bullet --out out",
         "play gallop.onnx --world bullet",
-        "sensitivity gallop.onnx --world bullet",
+        "evaluate sensitivity gallop.onnx --world bullet",
     ],
 )
 def test_without_bullet_the_error_names_the_extra(line: str, here: Path, monkeypatch: pytest.MonkeyPatch):

@@ -27,8 +27,6 @@ from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import read_params
 
-pytestmark = pytest.mark.slow
-
 
 def identify(*words: object) -> subprocess.CompletedProcess[str]:
     return surefoot("identify", *words)
@@ -349,8 +347,8 @@ def test_identify_from_traces(tmp_path: Path):
 def test_identify_from_logs_with_one_held_out(tmp_path: Path):
     pytest.importorskip("mujoco")
     pytest.importorskip("matplotlib")
-    from surefoot.identify.logs.robot_log import RobotLog
-    from surefoot.identify.replay import Replayer, segment_from_log
+    from surefoot.identify.motion.recorded import RecordedMotion
+    from surefoot.identify.replay import Replayer, segment_from_motion
 
     pupper, logs, out = RobotDescription.load("pupper_v2"), tmp_path / "logs", tmp_path / "out"
     words = ("--trace", logs, "--robot", "pupper_v2")
@@ -363,8 +361,8 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
     for name, rate in (("slow", 9.0), ("fast", 13.0)):
         command = np.tile(np.tile([0.0, 0.6, -1.2], 4), (len(time), 1))
         command[:, 1] += 0.3 * np.sin(rate * time)
-        blank = RobotLog(name, time, command, read, np.full((71, 12), np.nan), np.full((71, 4), np.nan))
-        output = replayer.run(segment_from_log(blank, pupper), truth)
+        blank = RecordedMotion(name, time, command, read)
+        output = replayer.run(segment_from_motion(blank, pupper), truth)
         np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=output.motor_angle[0])
     refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick', which is no log; choices: fast, slow")
     refused(identify("--trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")

@@ -18,6 +18,7 @@ pytest.importorskip("matplotlib")
 
 from surefoot.cli.helpers.simulator import Simulator
 from surefoot.errors import SurefootError
+from surefoot.evaluation.conditions import Condition
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import write_params
 from surefoot.task.config import TaskConfig
@@ -67,11 +68,11 @@ TASK = TaskConfig(params={"resistance": 0.2, "voltage": 15.0, "control_step": 0.
 @pytest.mark.parametrize(
     ("simulator", "settings", "changes"),
     [
-        (Simulator(), {}, {}),
-        (Simulator(params=FILE), {}, {"params": {**VALUES, "control_step": 0.008}, "params_source": SOURCE}),
+        (Simulator(), (), {}),
+        (Simulator(params=FILE), (), {"params": {**VALUES, "control_step": 0.008}, "params_source": SOURCE}),
         (
             Simulator(servo_latency=0.001, params=FILE),
-            {"voltage": 15.0},
+            ("voltage=15",),
             {
                 "params": {**VALUES, "control_step": 0.008, "servo_latency": 0.001, "voltage": 15.0},
                 "params_source": SOURCE,
@@ -79,29 +80,29 @@ TASK = TaskConfig(params={"resistance": 0.2, "voltage": 15.0, "control_step": 0.
         ),
         (
             Simulator("constraint", control_latency=0.0),
-            {"voltage": 14.0},
+            ("voltage=14",),
             {"actuator": "constraint", "params": {**TASK.params, "control_latency": 0.0, "voltage": 14.0}},
         ),
     ],
 )
 def test_file_replaces_parameters_and_options_override_it(
-    simulator: Simulator, settings: dict[str, Any], changes: dict[str, Any]
+    simulator: Simulator, settings: tuple[str, ...], changes: dict[str, Any]
 ):
-    assert simulator.apply(TASK, settings) == replace(TASK, **changes)
+    assert simulator.condition([settings]).simulate(TASK) == replace(TASK, **changes)
 
 
 def test_latency_given_twice_is_refused():
     with pytest.raises(SurefootError, match="servo_latency is given twice"):
-        Simulator(servo_latency=0.001).apply(TaskConfig(), {"servo_latency": 0.0})
+        Simulator(servo_latency=0.001).condition([("servo_latency=0",)])
 
 
 def test_control_step_of_a_file_must_be_the_tasks():
     robot = RobotDescription.load("minitaur")
     write_params(Path("all.toml"), robot, PhysicalParams.nominal(robot))
     own = robot.timing.control_step
-    assert Simulator(params=Path("all.toml")).apply(TaskConfig()).params["control_step"] == own
+    assert Condition(params_file=Path("all.toml")).simulate(TaskConfig()).params["control_step"] == own
     with pytest.raises(SurefootError, match=rf"all\.toml: control_step is {own:g}, and the task's is 0\.01"):
-        Simulator(params=Path("all.toml")).apply(TaskConfig(params={"control_step": 0.01}))
+        Condition(params_file=Path("all.toml")).simulate(TaskConfig(params={"control_step": 0.01}))
 
 
 # --- commands that run a policy ---------------------------------------------------------------------------
@@ -143,7 +144,7 @@ def test_gap_simulates_the_robot_on_all_sides():
 
 def test_sensitivity_takes_the_robot_as_nominal():
     Path("ranges.yaml").write_text("voltage: [14.0, 15.4]\n")
-    words = "sensitivity trot --values 2 --episodes 1 --duration 0.12 --ranges ranges.yaml --params robot.toml"
+    words = "evaluate sensitivity trot --values 2 --episodes 1 --duration 0.12 --ranges ranges.yaml --params robot.toml"
     (policy,) = result(words, *ONE)["policies"]
     assert (policy["params"], policy["params_source"]) == (AS_JSON, SOURCE)
     lines = [line.split(",") for line in Path("sensitivity/episodes.csv").read_text().splitlines()]
@@ -225,7 +226,13 @@ FILES = {
 
 @pytest.mark.parametrize(
     "line",
-    ["train trot", "evaluate trot --out o", "gap trot --to mujoco", "sensitivity trot", "play trot --out o.mp4"],
+    [
+        "train trot",
+        "evaluate trot --out o",
+        "gap trot --to mujoco",
+        "evaluate sensitivity trot",
+        "play trot --out o.mp4",
+    ],
 )
 def test_every_command_refuses_a_file_that_does_not_fit(line: str, here: Path):
     if line.startswith("train"):

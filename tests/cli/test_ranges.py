@@ -91,7 +91,7 @@ def test_option_changes_the_range_of_one_parameter(line: str, ranges: Ranges):
         ("--randomize=", ["randomize '' does not exist"]),
         ("--randomize.colour 0 1", ["'colour' is not a physical parameter; choices: base_mass_ratio"]),
         ("--randomize. 0 1", ["'' is not a physical parameter"]),
-        ("--randomize.latency 0 1", ["randomize.latency is not a physical parameter; write control_latency"]),
+        ("--randomize.latency 0 1", ["'latency' is not a physical parameter; did you mean servo_latency?"]),
         ("--randomize.voltage", ["--randomize.voltage is nothing; it takes LOW HIGH, scale LOW HIGH, add LOW HIGH"]),
         ("--randomize.voltage 1.0", ["--randomize.voltage is 1.0; it takes LOW HIGH"]),
         ("--randomize.voltage scale 1.0 --json", ["--randomize.voltage is scale 1.0; it takes LOW HIGH"]),

@@ -1,4 +1,4 @@
-"""`surefoot sensitivity` with the policies that ship."""
+"""`surefoot evaluate sensitivity` with the policies that ship."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROWS += ["motor_strength", "control_step", "control_latency", "voltage", "contac
 
 
 def test_tables_and_figures(tmp_path: Path):
-    done = surefoot("sensitivity", "trot", "gallop", *SHORT, cwd=tmp_path)
+    done = surefoot("evaluate", "sensitivity", "trot", "gallop", *SHORT, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     out = tmp_path / "sensitivity"
@@ -47,7 +47,7 @@ def test_tables_and_figures(tmp_path: Path):
 def test_json_is_one_object_with_the_ranges_of_a_file(tmp_path: Path):
     (tmp_path / "mine.yaml").write_text("voltage: [12.0, 16.0]\nresistance: [0.15, 0.25]\n")
     words = ("gallop", *SHORT, "--values", "3", "--ranges", "mine.yaml", "--json", "--seed", "4", "--out", "a/b")
-    done = surefoot("sensitivity", *words, cwd=tmp_path)
+    done = surefoot("evaluate", "sensitivity", *words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("\n") == 1
     result = json.loads(done.stdout)
@@ -66,7 +66,7 @@ def test_json_is_one_object_with_the_ranges_of_a_file(tmp_path: Path):
 def test_the_force_of_pushes_is_a_row(tmp_path: Path):
     (tmp_path / "r.yaml").write_text("base_mass_ratio: [0.9, 1.0]\n")
     words = ("trot", "--ranges", "r.yaml", "--push-force", "0", "400", "--values", "2", "--episodes", "2", "--json")
-    done = surefoot("sensitivity", *words, "--duration", "2", cwd=tmp_path)
+    done = surefoot("evaluate", "sensitivity", *words, "--duration", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["push_force"] == [0.0, 400.0]
@@ -83,7 +83,17 @@ def test_policies_of_one_name_get_distinct_names(tmp_path: Path):
     for folder, name in (("a", "mine"), ("b", "mine"), ("b", "other")):
         (tmp_path / folder).mkdir(exist_ok=True)
         shutil.copy(find_policy("trot"), tmp_path / folder / f"{name}.onnx")
-    words = ("sensitivity", "a/mine.onnx", "b/mine.onnx", "b/other.onnx", *SHORT, "--ranges", "r.yaml", "--json")
+    words = (
+        "evaluate",
+        "sensitivity",
+        "a/mine.onnx",
+        "b/mine.onnx",
+        "b/other.onnx",
+        *SHORT,
+        "--ranges",
+        "r.yaml",
+        "--json",
+    )
     (tmp_path / "r.yaml").write_text("base_mass_ratio: [0.8, 1.2]\n")
     done = surefoot(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -57,7 +57,7 @@ def alive(pid: int) -> bool:
         return False
 
 
-@pytest.mark.slow
+@pytest.mark.ray
 @pytest.mark.timeout(600)
 def test_a_study_resumes_after_kills_and_interrupts(tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TINY)

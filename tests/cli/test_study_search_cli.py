@@ -51,7 +51,7 @@ def untimed(row: dict[str, object]) -> dict[str, object]:
     return {name: value for name, value in row.items() if "seconds" not in name}
 
 
-@pytest.mark.slow
+@pytest.mark.ray
 @pytest.mark.timeout(900)
 def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TASK)
@@ -112,7 +112,7 @@ def check_same(folder: Path, number: int) -> None:
     from surefoot.world.sim_world import SimWorld
 
     _, config = RunFolder.open(folder / f"out/trials/trial_{number:04d}")
-    again = TrainingLoop(config, RunFolder.create_at(config, folder / "again"), SimWorld)
+    again = TrainingLoop.create(config, RunFolder.create_at(config, folder / "again"), SimWorld)
     again.run(lambda *_: None)
     assert [untimed(row) for row in again.folder.rows()] == [untimed(row) for row in rows(folder, number)]
 

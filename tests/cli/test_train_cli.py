@@ -19,8 +19,6 @@ from surefoot.api.policies import find_policy
 from surefoot.learn.run_folder import RunFolder
 from surefoot.policy.runtime import PolicyRuntime
 
-pytestmark = pytest.mark.slow
-
 TINY = (
     *("--num-envs", "16", "--steps-per-update", "16", "--evaluate-every", "100000"),
     *("--evaluation-episodes", "2", "--task.max-steps", "60"),

@@ -26,8 +26,6 @@ from surefoot.learn.run_folder import read_checkpoint
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = pytest.mark.slow
-
 TINY = (
     *("steer", "--robot", "go2", "--num-envs", "8", "--steps-per-update", "16", "--threads", "1"),
     *("--learning-threads", "1", "--evaluate-every", "1000000", "--evaluation-episodes", "2", "--task.max-steps", "60"),
@@ -81,6 +79,7 @@ def content(checkpoint: Path) -> bytes:
     return buffer.getvalue()
 
 
+@pytest.mark.slow
 def test_page_does_not_change_the_weights(tmp_path: Path):
     for name, words in {"with": ("--browser", "--page-port", "0"), "without": ()}.items():
         done = surefoot("train", *TINY, "--steps", "512", "--out", tmp_path / name, *words)

@@ -32,7 +32,7 @@ STAND = [0.0, 0.0, 0.0]
 
 def wait_for(source: ChannelCommands | KeyboardCommands, expected: list[float]) -> None:
     """Wait until a source gives a command: the system may take a moment to deliver."""
-    deadline = time.monotonic() + 2.0
+    deadline = time.monotonic() + 30.0
     while (command := source.read(0.0).tolist()) != pytest.approx(expected) and time.monotonic() < deadline:
         time.sleep(0.002)
     assert command == pytest.approx(expected)
@@ -40,7 +40,7 @@ def wait_for(source: ChannelCommands | KeyboardCommands, expected: list[float]) 
 
 @pytest.fixture
 def channel() -> Iterator[ChannelCommands]:
-    channel = ChannelCommands(0)
+    channel = ChannelCommands(0, clock=lambda: 10.0)  # however long a busy computer takes to deliver
     yield channel
     channel.close()
 

@@ -57,7 +57,7 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
     observation, _ = env.reset()
     adapted = False
     for k in range(200 if path.stem in GROUNDS else 50):  # the first edge is a metre away
-        readings = env.readings
+        readings = env.state.readings
         state = replace(
             a_state,
             roll_pitch_yaw=readings.roll_pitch_yaw[0],
@@ -67,18 +67,19 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
         )
         moment = k * policy.contract.control_step
         assert readings.time[0] == pytest.approx(moment, abs=1e-12)
-        if env.source is not None:
-            assert controller.set_command(env.source.command[0]) == ""
-        if env.scanner is not None:
-            controller.heights = env.scanner.heights[0]
-        if env.follower is not None:
-            adapted |= env.follower.footholds is not None and env.follower.footholds.landing.any()
-            adapted |= env.follower.touch is not None and env.follower.touch.lift.any()
+        if task.commands.enabled:
+            assert controller.set_command(env.state.command[0]) == ""
+        if env.state.heights is not None:
+            controller.heights = env.state.heights[0]
+        feet = env.state.gait_state
+        if feet is not None:
+            adapted |= feet.landing is not None and feet.landing.any()
+            adapted |= feet.lift is not None and feet.lift.any()
         observed = controller.observe(moment, state)
         assert observed == pytest.approx(observation, abs=1e-6)
         target = controller.compute_target(moment, observed)
         observation, *_ = env.step(env.gait.action(policy.feedback(observation)))
-        assert target == pytest.approx(env.target[0], abs=1e-6)
+        assert target == pytest.approx(env.state.target[0], abs=1e-6)
     assert adapted == (path.stem in GROUNDS)
 
 

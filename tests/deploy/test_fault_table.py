@@ -1,9 +1,9 @@
 """Every row of the safety table, on the emulator and `surefoot deploy`, over pseudo-terminals.
 
-Between the two lies a cable of the test's own: it hears what both say, knows when something is to happen, and can be
-pulled. Where timing allows the robot runs in lockstep, in this process: then all times are exact, whatever else the
-computer does. Where time is the point both are processes that run in real time, and a test that fails while the
-computer is busy is tried again.
+Between the two lies a cable of the test's own: it hears what both say, and knows when something is to happen. Where
+timing allows the robot runs in lockstep, in this process: then all times are exact, whatever else the computer does.
+Where time is the point both are processes that run in real time, and a test that fails while the computer is busy is
+tried again.
 
 Times are those of the robot's clock or of the host's, as they stand in the frames. Rows are numbered as in
 `docs/deploy.md`.
@@ -53,7 +53,7 @@ from fault_bench import (
     play,
 )
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.timeout(900)
 MINITAUR = RobotDescription.load("minitaur")
 DAMPED_WITHIN = 0.100
 """What the table allows between a host's last command and damped motors [s]."""
@@ -219,23 +219,17 @@ def assert_sat_and_disarmed(record: Record) -> None:
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("how", ["killed", "hangs", "cable pulled"])
-def test_row_1_a_host_that_dies_or_hangs_and_a_cable_that_is_pulled(living_robot, tmp_path, how):
+@pytest.mark.parametrize("how", ["killed", "hangs"])
+def test_row_1_a_host_that_dies_or_hangs(living_robot, tmp_path, how):
     with deployed(living_robot, tmp_path, quick=False) as (cable, host):
         wait_for(cable.moment(0.2), host)
-        if how == "cable pulled":
-            cable.silent = True
-        else:
-            host.popen.send_signal(signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+        host.popen.send_signal(signal.SIGKILL if how == "killed" else signal.SIGSTOP)
         time.sleep(0.3)
         assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
         count = len(cable.record.from_robot)
         if how == "hangs":
             host.popen.send_signal(signal.SIGCONT)
-        if how != "killed":
-            ended = host.end()
-            assert ended.code == 3
-            assert how == "hangs" or ended.outcome == (3, "fault", "stale state")
+            assert host.end().code == 3
         # Nothing that a host says when it wakes moves the robot.
         modes = {frame.message.mode for frame in cable.record.from_robot[count:] if isinstance(frame.message, State)}
         assert modes <= {Mode.FAULT, Mode.DISARMED}
@@ -246,30 +240,6 @@ def test_row_1_the_trace_of_a_run_whose_cable_was_pulled_is_kept(ended):
     assert ended.outcome == (3, "fault", "link")
     assert ended.saved_trace.meta["ended"] == "fault"
     assert ended.saved_trace.num_steps > 20
-
-
-def test_row_1_damped_50_ms_after_the_last_command_to_the_servo_step(client):
-    packets = client.pass_time(3.0)
-    (fault,) = (frame for frame in packets if isinstance(frame.message, Fault))
-    assert fault.message.reason == Reason.TIMEOUT
-    states = [frame for frame in packets if isinstance(frame.message, State)]
-    state = next(frame for frame in states if frame.message.mode == Mode.FAULT)
-    assert state.time - fault.time <= 1e-3 + 1e-9
-    assert state.message.command_age == pytest.approx(0.051, abs=1e-5)
-    assert {frame.message.mode for frame in states if frame.time > fault.time} == {Mode.FAULT}
-    assert np.abs(client.state.motor_velocity).max() < 0.5
-
-
-def test_row_1_it_arms_again_only_after_500_ms_of_clean_link(client):
-    client.pass_time(3.0)  # a pulled cable
-    client.talk(0.40)
-    assert client.arm() == [Reason.NOT_CLEAN]
-    client.talk(0.08)
-    assert client.arm() == [Reason.NOT_CLEAN]
-    client.talk(0.02)
-    assert client.arm() == []
-    client.command(target(1.0), 5)
-    assert (client.state.mode, client.state.reason) == (Mode.POSITION, Reason.NONE)
 
 
 def test_row_1_a_new_host_arms_it_after_500_ms_of_clean_link(client, tmp_path):
@@ -397,8 +367,8 @@ def test_row_4_roll_or_pitch_over_the_limit(ended, scenario, limit, after):
 
 
 @pytest.mark.realtime
-def test_row_5_late_steps_are_held_and_counted_and_too_many_damp(emulate, tmp_path):
-    with deployed(emulate(), tmp_path) as (cable, host):
+def test_row_5_late_steps_are_held_and_counted_and_too_many_damp(living_robot, tmp_path):
+    with deployed(living_robot, tmp_path) as (cable, host):
         wait_for(cable.moment(QUICK_UP + 0.2), host)
         for _ in range(4):
             stop_for(host, 0.013)

@@ -153,7 +153,9 @@ def test_motors_move_smoothly_from_where_they_are_until_the_robot_sits(deploy, t
 
 
 def test_rows_that_make_no_trace_are_a_note_and_lost(deploy, monkeypatch):
-    monkeypatch.setattr("surefoot.deploy.run_saver.make_trace", mock.Mock(side_effect=SurefootError("time repeats")))
+    monkeypatch.setattr(
+        "surefoot.task.partial_trace.TraceHead.trace", mock.Mock(side_effect=SurefootError("time repeats"))
+    )
     _, saved, _ = deploy()
     assert (saved.trace, saved.lost, saved.notes) == (None, True, ["the rows make no trace: time repeats"])
 

@@ -45,7 +45,7 @@ def channel(now: list[float]) -> Iterator[MapChannel]:
 
 def receive(channel: MapChannel) -> list[float]:
     """Return the heights of the next map: the system may take a moment to deliver."""
-    before, deadline = channel.newest, time.monotonic() + 2.0
+    before, deadline = channel.newest, time.monotonic() + 30.0
     while (heights := channel.read()) is None or channel.newest is before:
         assert time.monotonic() < deadline
     return heights.tolist()

@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from chromium import CHROMIUM, in_browser
+from chromium import find_chromium, in_browser
 
 pytest.importorskip("matplotlib")
 
@@ -156,7 +156,7 @@ def test_a_browser_shows_every_picture_without_an_error(page: Path, repository: 
     tried = page.with_name("tried.html")
     tried.write_text(page.read_text(encoding="utf-8").replace("</body>", script + "</body>"), encoding="utf-8")
     words = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom", tried.as_uri()]
-    done = subprocess.run([CHROMIUM, *words], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([find_chromium(), *words], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0
     counted = re.search(r"<title>(\d+) (\d+)</title>", done.stdout)
     assert counted is not None

@@ -144,7 +144,7 @@ class Rig:
 
     def __init__(self, robot: RobotDescription, program: str, *words: str, noise: bool = False) -> None:
         from surefoot.cli.emulate import EmulateCommand, _make_board
-        from surefoot.emulator.faults import parse_faults
+        from surefoot.emulator.fault_table import parse_faults
         from surefoot.emulator.hardware import PowerConfig, SensorConfig
         from surefoot.emulator.plant import Plant
         from surefoot.emulator.serial.serial_host_link import SerialHostLink

@@ -14,7 +14,7 @@ pytest.importorskip("mujoco")
 
 from surefoot.deploy.messages import Handshake, Hello, Mode, Reason
 from surefoot.emulator.board import BOOT_TIME
-from surefoot.emulator.faults import FAULTS, describe, parse_faults
+from surefoot.emulator.fault_table import FAULTS, LINKS, describe, parse_faults
 from surefoot.errors import SurefootError
 
 ME = 7
@@ -60,6 +60,19 @@ def test_duplicate_faults_and_faults_of_the_other_clock_are_refused():
     for name in ("batching", "overload"):
         with pytest.raises(SurefootError, match=f"fault {name} is about real time; it does not go with --lockstep"):
             parse_faults([name], lockstep=True)
+
+
+def test_a_link_has_the_faults_of_what_it_has():
+    assert set(LINKS) == {"serial", "dds"}
+    for name, kind in FAULTS.items():
+        for link, targets in LINKS.items():
+            if kind.target in targets:
+                assert list(parse_faults([name], motors=12, link=link)) == [name]
+            else:
+                (other,) = kind.links
+                message = f"fault {name} acts on {kind.target}; --link {link} does not have that, give --link {other}"
+                with pytest.raises(SurefootError, match=message):
+                    parse_faults([name], motors=12, link=link)
 
 
 def test_every_fault_is_described():

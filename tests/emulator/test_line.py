@@ -11,7 +11,7 @@ import pytest
 from surefoot.deploy.messages import Ping
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
-from surefoot.emulator.faults import HARMS
+from surefoot.emulator.fault_table import HARMS
 from surefoot.emulator.serial.line import Line
 
 

@@ -14,6 +14,7 @@ from surefoot.errors import SurefootError
 from surefoot.evaluation.driven import FIXED, DrivenRobot
 from surefoot.evaluation.recorded import ground_of
 from surefoot.robot.params import PARAMETERS
+from surefoot.task.randomized_params import RandomizedParams
 
 
 def driven(name: str, world: str = "mujoco", **changes: object) -> DrivenRobot:
@@ -40,12 +41,12 @@ def run(robot: DrivenRobot, seconds: float) -> np.ndarray:
 def test_terrain_is_that_of_the_robot_and_of_what_is_recorded():
     policy, _, task, _ = load_gait(find_policy("go2-steer"), None)
     robot = DrivenRobot(policy, task, "mujoco", "blocks:0.03")
-    recording = robot.record()
+    recording = robot.record("go2-steer")
     robot.step()
-    trace = recording.trace("go2-steer", "mujoco")
+    trace = recording.trace()
     assert trace.meta["terrain"] == "blocks:0.03"
-    np.testing.assert_array_equal(ground_of(trace).corners, robot.env.ground.corners)
-    assert robot.env.ground.corners.max() > 0.02
+    np.testing.assert_array_equal(ground_of(trace).corners, robot.env.state.ground.corners)
+    assert robot.env.state.ground.corners.max() > 0.02
 
 
 def test_a_command_is_cut_to_the_limits_and_followed(robot: DrivenRobot):
@@ -63,9 +64,9 @@ def test_a_command_is_cut_to_the_limits_and_followed(robot: DrivenRobot):
 def test_turning_is_the_third_number(robot: DrivenRobot):
     robot.command([0.0, 0.0, 0.8])
     run(robot, 1.5)
-    before = robot.env.truth.roll_pitch_yaw[0, 2]
+    before = robot.env.state.truth.roll_pitch_yaw[0, 2]
     turned = run(robot, 1.0)[:, 2]
-    after = robot.env.truth.roll_pitch_yaw[0, 2]
+    after = robot.env.state.truth.roll_pitch_yaw[0, 2]
     assert turned.sum() * robot.step_time == pytest.approx((after - before) % (2 * np.pi), abs=1e-9)
     assert turned.mean() == pytest.approx(0.8, abs=0.15)
 
@@ -75,7 +76,7 @@ def test_a_push_has_its_duration_and_turns_with_the_heading(robot: DrivenRobot):
     run(robot, 1.6)
     robot.command([0.0, 0.0, 0.0])
     run(robot, 1.0)
-    yaw = robot.env.truth.roll_pitch_yaw[0, 2]
+    yaw = robot.env.state.truth.roll_pitch_yaw[0, 2]
     assert abs(yaw) > 0.8
     robot.push([0.0, 100.0, 0.0], 0.1)
     speed = run(robot, 0.1)[-1]
@@ -160,14 +161,14 @@ def test_a_robot_that_fell_lies_for_a_while_and_starts_again(robot: DrivenRobot)
     assert robot.restarts == restarts
     run(robot, 2.0)
     assert robot.restarts == restarts + 1
-    assert np.abs(robot.env.truth.roll_pitch_yaw[0, :2]).max() < 0.2
+    assert np.abs(robot.env.state.truth.roll_pitch_yaw[0, :2]).max() < 0.2
 
 
 def test_neither_pushes_nor_ranges_of_the_task_act():
     robot = driven("go2-trot-robust")
     run(robot, 1.0)
-    assert not robot.env.randomizer.enabled
-    assert not np.any(robot.env.pusher.force)
+    assert not any(isinstance(one, RandomizedParams) for one in robot.env.components)
+    assert not np.any(robot.env.state.push_force)
 
 
 def test_a_policy_without_commands_takes_none():
@@ -181,14 +182,14 @@ def test_a_policy_without_commands_takes_none():
 def test_a_recording_is_a_trace_with_its_pushes_and_ends_with_a_restart(robot: DrivenRobot):
     robot.command([0.5, 0.0, 0.0])
     run(robot, 0.5)
-    recording, begin, step = robot.record(), robot.rows[-1].position, robot.step_time
+    recording, begin, step = robot.record("go2-steer"), robot.rows[-1].position, robot.step_time
     run(robot, 10 * step)
     robot.push([0.0, 60.0, 0.0], 4 * step)
     force = np.linalg.norm(robot.push_force_world)
     run(robot, 20 * step)
     robot.restart()
     run(robot, 0.2)
-    trace = recording.trace("go2-steer", "mujoco")
+    trace = recording.trace()
     assert (trace.num_steps, trace.duration) == (30, pytest.approx(30 * step))
     assert trace.base_position_world[0] == pytest.approx(begin)
     assert trace.meta["ended"] == "stopped"
@@ -200,15 +201,15 @@ def test_a_recording_is_a_trace_with_its_pushes_and_ends_with_a_restart(robot: D
 
 
 def test_a_recording_ends_with_a_fall_and_at_its_greatest_length(robot: DrivenRobot, monkeypatch: pytest.MonkeyPatch):
-    recording = robot.record()
+    recording = robot.record("go2-steer")
     with pytest.raises(SurefootError, match="no control step was recorded"):
-        recording.trace("go2-steer", "mujoco")
+        recording.trace()
     robot.push([0.0, 1500.0, 0.0], 0.3)
     run(robot, 1.2)
     assert recording.ended == "fall"
     assert recording.duration < 1.2
     robot.restart()
     monkeypatch.setattr("surefoot.evaluation.driven.MAX_RECORDING", 10 * robot.step_time)
-    recording = robot.record()
+    recording = robot.record("go2-steer")
     run(robot, 0.4)
     assert (recording.ended, recording.duration) == ("time", pytest.approx(10 * robot.step_time))

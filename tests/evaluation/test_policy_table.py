@@ -11,8 +11,17 @@ pytest.importorskip("mujoco")
 
 from surefoot.api.policies import load_policies
 from surefoot.errors import SurefootError
-from surefoot.evaluation.policy_table import COLUMNS, common_commands, conditions, measure, prepare_task, texts
+from surefoot.evaluation.policy_table import (
+    COLUMNS,
+    common_commands,
+    comparison_conditions,
+    measure,
+    texts,
+    with_commands,
+)
+from surefoot.evaluation.rollout import run_episodes
 from surefoot.robot.commands import CommandLimits
+from surefoot.world.sim_world import SimWorld
 
 LIMITS = CommandLimits((-1.0, 1.5), (-0.5, 0.4), (-1.0, 0.9), (3.0, 3.0, 6.0), (0.01, 0.01, 0.01))
 
@@ -28,19 +37,20 @@ def test_commands_are_those_that_all_follow():
 def test_a_policy_that_stands_errs_by_what_it_is_told():
     (candidate,), robot = load_policies(["go2-steer"])
     commands = common_commands([candidate.policy.contract.commands], ["x"])
-    task = prepare_task(candidate.task, commands, 2.0, robot)
+    task = with_commands(candidate.task, commands)
     # It is told to stand still, and it does.
     still = replace(task, commands=replace(task.commands, stand=1.0))
-    (nominal, *others) = conditions({})
-    row = measure(candidate.policy, still, robot, nominal, 2, threads=1)
-    assert (row["condition"], row["falls"], row["episodes"]) == ("nominal", 0, 2)
+    conditions = comparison_conditions(robot, {}, 2.0)
+    traces = run_episodes(candidate.policy, conditions["nominal"].apply(still, robot), 2, SimWorld, threads=1)
+    row = measure(traces, robot.weight)
+    assert (row["falls"], row["episodes"]) == (0, 2)
     assert max(row[f"rmse_stride_{name}"] for name in ("forward", "sideways", "yaw_rate")) < 0.02
     assert np.isnan(row["cost_of_transport"])
+    assert row["power"] == pytest.approx(sum(trace.energy.sum() for trace in traces) / 4.0, rel=0.01)
     assert 0 < row["hottest_heat"] < 50
     assert row["hottest_motor"] in robot.motor_names
-    assert [one.name for one in others] == ["bullet", "table1", "pushes", "latency", "feet"]
-    late = next(one for one in others if one.name == "latency").change(task, robot)
-    assert float(late.nominal(robot).control_latency[0]) == 0.02
+    assert list(conditions) == ["nominal", "bullet", "table1", "pushes", "latency", "feet"]
+    assert float(conditions["latency"].apply(task, robot).nominal(robot).control_latency[0]) == 0.02
 
 
 def test_texts_have_a_row_for_each_policy():

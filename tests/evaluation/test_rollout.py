@@ -49,18 +49,18 @@ def test_a_trace_is_what_the_environment_did_step_by_step():
     env = LocomotionEnv(task, 2, SimWorld, 5, autoreset=False, threads=1)
     observation, _ = env.reset()
     reward = np.zeros(2)
-    assert np.array_equal(second.base_position_world[0], env.truth.base_position_world[1])
+    assert np.array_equal(second.base_position_world[0], env.state.truth.base_position_world[1])
     for step in range(40):
         assert np.allclose(second.observation[step], observation[1])
-        target = env.gait.motor_targets(env.readings.time, np.tile(policy.row, (2, 1)))
+        target = env.gait.motor_targets(env.state.readings.time, np.tile(policy.row, (2, 1)))
         assert np.allclose(second.target[step], target[1])
         observation, gained, *_ = env.step(env.gait.action(np.tile(policy.row, (2, 1))))
         reward += gained
-        assert second.time[step] == env.readings.time[1]
-        assert np.array_equal(second.motor_angle[step], env.readings.motor_angle[1])
-        assert np.array_equal(second.true_motor_angle[step], env.truth.motor_angle[1])
-        assert np.array_equal(second.base_position_world[step + 1], env.truth.base_position_world[1])
-        assert np.array_equal(second.foot_contact[step], env.truth.foot_contact[1])
+        assert second.time[step] == env.state.readings.time[1]
+        assert np.array_equal(second.motor_angle[step], env.state.readings.motor_angle[1])
+        assert np.array_equal(second.true_motor_angle[step], env.state.truth.motor_angle[1])
+        assert np.array_equal(second.base_position_world[step + 1], env.state.truth.base_position_world[1])
+        assert np.array_equal(second.foot_contact[step], env.state.truth.foot_contact[1])
     assert np.allclose(second.feedback, policy.row)
     assert measure_runs([first, second])["return"].to_numpy() == pytest.approx(reward, abs=1e-9)
     assert first.meta["policy"] == "constant"

@@ -15,10 +15,9 @@ from run_tables import policy_gap
 from surefoot.api.episodes import saturation_note
 from surefoot.errors import SurefootError
 from surefoot.evaluation.footfalls import FEET
-from surefoot.evaluation.gap import PolicyGap, away_task, gap_text, home_task
+from surefoot.evaluation.gap import PolicyGap, gap_text
 from surefoot.evaluation.runs import measure_runs, summarize
 from surefoot.evaluation.statistics import MeanEstimate
-from surefoot.task.config import TaskConfig
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
@@ -90,28 +89,6 @@ def test_a_gap_has_a_row_for_each_world():
         "+2.00 ± 1.41",
         "-",
     ]
-
-
-TRAINED = TaskConfig(
-    actuator="constraint",
-    params={"control_latency": 0.0, "servo_latency": 0.0},
-    params_source={"file": "robot.toml"},
-    randomize={"base_mass_ratio": (0.8, 1.2)},
-)
-
-
-def test_the_home_task_has_no_randomization_and_no_pushes():
-    pushed = replace(TRAINED, pushes=replace(TRAINED.pushes, enabled=True))
-    home = home_task(pushed)
-    assert (home.randomize, home.pushes.enabled) == ({}, False)
-    assert home.pushes == replace(TRAINED.pushes, enabled=False)
-    assert replace(home, randomize=pushed.randomize, pushes=pushed.pushes) == pushed
-
-
-def test_the_away_task_is_on_the_robot_of_the_data_sheet():
-    assert away_task(TRAINED) == replace(home_task(TRAINED), actuator="dc", params={}, params_source={})
-    own = {"control_step": 0.01, "servo_kp": 1.2}  # what the controller sets
-    assert away_task(replace(TRAINED, params={**TRAINED.params, **own})).params == own
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ def test_welch_interval_is_scipys_for_unlike_spreads_and_counts(scale: float) ->
     interval = welch_interval(a, b)
     test = stats.ttest_ind(a, b, equal_var=False)
     expected = (*test.confidence_interval(0.95), test.pvalue)
-    assert (interval.low, interval.high, interval.p) == pytest.approx(expected, rel=1e-9)
+    assert (interval.low, interval.high, interval.p) == pytest.approx(expected, rel=1e-10)
 
 
 def test_intervals_cover_the_truth_as_often_as_their_confidence() -> None:
@@ -73,7 +73,7 @@ def test_share_interval_is_the_exact_binomial_one() -> None:
     for hits, trials in ((3, 10), (41, 100)):
         expected = stats.binomtest(hits, trials).proportion_ci(method="exact")
         interval = share_interval([hits / trials], trials)
-        assert (interval.mean, interval.low, interval.high) == pytest.approx((hits / trials, *expected))
+        assert (interval.mean, interval.low, interval.high) == pytest.approx((hits / trials, *expected), rel=1e-10)
 
 
 def test_shares_that_differ_between_seeds_or_robots_widen_their_interval_within_bounds() -> None:

@@ -20,7 +20,6 @@ from surefoot.identify.result import Identification, ignore_progress
 from surefoot.robot import PhysicalParams, RobotDescription
 
 pytestmark = pytest.mark.slow
-
 RACK = {
     "motor_strength": 0.9,
     "motor_friction": 0.02,

@@ -20,9 +20,10 @@ from surefoot.cli.main import main
 from surefoot.deploy.dds import low_level
 from surefoot.deploy.dds.low_level import LOW_COMMAND, LOW_STATE, POS_STOP, encode
 from surefoot.errors import SurefootError
-from surefoot.identify.logs import go2
-from surefoot.identify.logs.importing import import_log, part_of
-from surefoot.identify.logs.robot_log import common_gains, log_from_trace
+from surefoot.identify.motion import go2_messages as go2
+from surefoot.identify.motion.importing import import_log
+from surefoot.identify.motion.recorded import common_gains
+from surefoot.identify.motion.traces import motion_from_trace, trace_from_motion
 from surefoot.task.trace import EpisodeTrace
 
 RECORDED = Path(__file__).parents[1] / "deploy" / "dds" / "recorded_messages.json"
@@ -69,7 +70,7 @@ def log(*rows: bytes | int) -> Messages:
 
 
 def imported(folder: Path, messages: Messages, **options: Any) -> EpisodeTrace:
-    return import_log(write_bag(folder / "bag", messages), GO2, **options)
+    return trace_from_motion(import_log(write_bag(folder / "bag", messages), GO2, **options), GO2)
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +94,7 @@ def run() -> tuple[Messages, np.ndarray]:
 def test_a_bag_has_what_the_robot_sent(tmp_path: Path, run: tuple[Messages, np.ndarray], mcap: bool) -> None:
     messages, targets = run
     bag = write_bag(tmp_path / "bag", messages, mcap)
-    trace = import_log(next(bag.glob("*.mcap")) if mcap else bag, GO2)
+    trace = trace_from_motion(import_log(next(bag.glob("*.mcap")) if mcap else bag, GO2), GO2)
     states = [low_level.decode(LOW_STATE, data) for topic, _, data in messages if topic == "/lowstate"]
     np.testing.assert_allclose(trace.time, 0.002 * np.arange(500), atol=1e-9)
     np.testing.assert_allclose(trace.target, targets, atol=1e-6)
@@ -122,7 +123,7 @@ def test_a_log_replays_exactly_on_the_robot_that_recorded_it(
 def test_csv_of_states_without_names_and_with(tmp_path: Path) -> None:
     rows = [state(tick, dq=0.1 * k) for k, tick in enumerate((5, 7, 9))]
     (tmp_path / "echo.csv").write_text("\n".join(map(csv_line, rows)) + "\n")
-    trace = import_log(tmp_path / "echo.csv", GO2)
+    trace = trace_from_motion(import_log(tmp_path / "echo.csv", GO2), GO2)
     np.testing.assert_allclose(trace.time, [0.0, 0.002, 0.004], atol=1e-12)
     np.testing.assert_allclose(trace.motor_velocity[:, 3], [0.0, 0.1, 0.2], atol=1e-6)
     np.testing.assert_allclose(trace.motor_angle[1], recorded("low_state")["motor_state"]["q"][:12], atol=1e-6)
@@ -130,7 +131,7 @@ def test_csv_of_states_without_names_and_with(tmp_path: Path) -> None:
     assert np.isnan(trace.target).all()
     assert trace.meta["notes"] == ["no row has a target: a log to replay has /lowcmd too"]
     with pytest.raises(SurefootError, match="no two rows in a row with commands; a log to replay"):
-        log_from_trace("log", trace)
+        motion_from_trace("log", trace)
     # As a tool for plots writes it: topics before names, a row for each message of either.
     names = ["time", "/lowstate/tick"]
     names += [f"/lowstate/motor_state[{k}]/q" for k in range(12)]
@@ -138,38 +139,39 @@ def test_csv_of_states_without_names_and_with(tmp_path: Path) -> None:
     blank, sent = [""] * 36, [0.5, KP, KD] * 12
     lines = [names, [0, 5, *[0.4] * 12, *blank], [1, "", *[""] * 12, *sent], [2, 7, *[0.4] * 12, *blank]]
     (tmp_path / "plot.csv").write_text("\n".join(",".join(map(str, line)) for line in lines))
-    trace = import_log(tmp_path / "plot.csv", GO2)
-    np.testing.assert_array_equal(trace.target[:, 0], [np.nan, 0.5])
-    assert np.isnan(trace.roll_pitch_yaw).all()
+    motion = import_log(tmp_path / "plot.csv", GO2)
+    np.testing.assert_array_equal(motion.command[:, 0], [np.nan, 0.5])
+    assert np.isnan(motion.roll_pitch_yaw).all()
 
 
 def test_targets_follow_the_vendors_law(tmp_path: Path) -> None:
     rows: list[bytes | int] = [2, command(), 4, command(tau=6.0, dq=2.0), 6, command(q=POS_STOP), 8]
     rows += [command(kp=0.0), 10, command(mode=0), 12, command(kp=30.0), 14, command(q=np.nan), 16]
-    trace = imported(tmp_path, log(*rows, command(dq=low_level.VEL_STOP, kd=KD), 18, command(), 20, 22))
+    messages = log(*rows, command(dq=low_level.VEL_STOP, kd=KD), 18, command(), 20, 22)
+    motion = import_log(write_bag(tmp_path / "bag", messages), GO2)
     # tau + kp (q - angle) + kd (dq - speed) is kp (target - angle) - kd speed
     moved = 0.5 + (6.0 + KD * 2.0) / KP
     targets = [np.nan, 0.5, moved, *[np.nan] * 6, 0.5, 0.5]
-    np.testing.assert_allclose(trace.target[:, 4], targets, atol=1e-6)
-    assert trace.meta["notes"] == [
+    np.testing.assert_allclose(motion.command[:, 4], targets, atol=1e-6)
+    assert motion.meta["notes"] == [
         "7 of 11 rows have no target: no command, a motor without gain, or other gains",
     ]
-    assert part_of(trace, 0.002, 0.004).target[:, 0].tolist() == pytest.approx([0.5, moved], abs=1e-6)
+    assert motion.between(0.002, 0.004).command[:, 0].tolist() == pytest.approx([0.5, moved], abs=1e-6)
     with pytest.raises(SurefootError, match=r"--between 1 2 has 0 rows; the log is 0\.02 s long"):
-        part_of(trace, 1.0, 2.0)
+        motion.between(1.0, 2.0)
 
 
 def test_the_longest_part_with_commands_is_replayed(tmp_path: Path) -> None:
     rows: list[bytes | int] = []
     for tick in range(2, 42, 2):
         rows += [command(q=0.01 * tick) if tick not in (2, 10, 12) else command(kp=0.0), tick]
-    first = log_from_trace("log", imported(tmp_path, log(*rows)))
+    first = motion_from_trace("log", imported(tmp_path, log(*rows)))
     np.testing.assert_allclose(first.time, 0.001 * np.arange(12, 40, 2))
     np.testing.assert_array_equal(first.read_time, first.time)
     assert first.gains == {"servo_kp": [KP] * 12, "servo_kd": [KD] * 12}
     (tmp_path / "other").mkdir()
     rows = [row if isinstance(row, int) else command(q=0.1 * k, kp=30.0) for k, row in enumerate(rows)]
-    other = log_from_trace("other", imported(tmp_path / "other", log(*rows)))
+    other = motion_from_trace("other", imported(tmp_path / "other", log(*rows)))
     assert common_gains([first, first]) == first.gains
     with pytest.raises(SurefootError, match="logs log and other have commands with different gains"):
         common_gains([first, other])

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.identify.logs import table as log_table
-from surefoot.identify.logs.importing import import_log, missing_columns
-from surefoot.identify.logs.robot_log import log_from_trace
-from surefoot.identify.logs.table import read_table
+from surefoot.identify.motion import column_table as log_table
+from surefoot.identify.motion.column_table import read_table
+from surefoot.identify.motion.importing import import_log
+from surefoot.identify.motion.traces import motion_from_trace, trace_from_motion
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -34,18 +34,19 @@ def test_import_applies_units_signs_and_offsets(tmp_path: Path, pupper: RobotDes
     (tmp_path / "log.csv").write_text("\n".join(lines))
     head = "time: {column: ms, unit: ms}\nunit: deg"
     which = mapping(tmp_path / "m.yaml", pupper, "c{}", "q{}", ", sign: -1, offset: 0.5", head)
-    trace = import_log(tmp_path / "log.csv", pupper, which)
+    motion = import_log(tmp_path / "log.csv", pupper, which)
+    trace = trace_from_motion(motion, pupper)
     np.testing.assert_allclose(trace.time, [0.01, 0.02, 0.02, 0.04])
     degree = np.pi / 180
     np.testing.assert_allclose(trace.target[:, 0], 0.5 - degree * np.array([1, 2, 2, 4]))
     np.testing.assert_allclose(trace.target[:, 1], degree * np.array([1, 2, 2, 4]))
     np.testing.assert_allclose(trace.motor_angle[:, 0], 0.5 + degree * np.array([1, 2, 2, 4]))
     assert np.isnan(trace.motor_angle[:, 11]).all()
-    assert missing_columns(trace) == ["motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base"]
+    assert motion.missing() == ["motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base"]
     # It is a trace like others: it can be kept, and replayed.
     again = EpisodeTrace.load(trace.save(tmp_path / "trace.npz"))
     np.testing.assert_array_equal(again.target, trace.target)
-    assert log_from_trace("log", again).timing()["repeated_times"] == pytest.approx(1 / 3)
+    assert motion_from_trace("log", again).timing()["repeated_times"] == pytest.approx(1 / 3)
 
 
 def test_import_reads_pickles_of_rows_and_of_arrays(tmp_path: Path, pupper: RobotDescription):
@@ -54,9 +55,9 @@ def test_import_reads_pickles_of_rows_and_of_arrays(tmp_path: Path, pupper: Robo
     rows = [{"t": float(t), "c": a.tolist(), "q": 2 * a} for t, a in zip(time, angles, strict=True)]
     (tmp_path / "rows.pkl").write_bytes(pickle.dumps(rows, protocol=5))
     which = mapping(tmp_path / "m.yaml", pupper, "c[{}]", "q[{}]", head="time: {column: t}")
-    for trace in (import_log(tmp_path / "arrays.pkl", pupper), import_log(tmp_path / "rows.pkl", pupper, which)):
-        np.testing.assert_array_equal(trace.target, angles)
-        np.testing.assert_array_equal(trace.motor_angle, 2 * angles)
+    for motion in (import_log(tmp_path / "arrays.pkl", pupper), import_log(tmp_path / "rows.pkl", pupper, which)):
+        np.testing.assert_array_equal(motion.command, angles)
+        np.testing.assert_array_equal(motion.motor_angle, 2 * angles)
 
 
 class Hostile:
@@ -111,11 +112,11 @@ def test_import_reads_a_ros_bag(tmp_path: Path, pupper: RobotDescription):
                 writer.write(topic, when, store.serialize_cdr(message, kind.__msgtype__))
     which = mapping(tmp_path / "m.yaml", pupper, "sent.position[{}]", "read.position[{}]")
     (one,) = (tmp_path / "bag").glob("*.mcap")
-    trace, same = (import_log(path, pupper, which) for path in (tmp_path / "bag", one))
-    np.testing.assert_array_equal(trace.motor_angle, same.motor_angle)
-    np.testing.assert_allclose(trace.time, [0.0, 0.001, 0.01, 0.011, 0.02, 0.021])
-    np.testing.assert_array_equal(trace.target[:, 0], [0, 0, 1, 1, 2, 2])
-    np.testing.assert_array_equal(trace.motor_angle[:, 5], [np.nan, 10, 10, 11, 11, 12])
+    motion, same = (import_log(path, pupper, which) for path in (tmp_path / "bag", one))
+    np.testing.assert_array_equal(motion.motor_angle, same.motor_angle)
+    np.testing.assert_allclose(motion.time, [0.0, 0.001, 0.01, 0.011, 0.02, 0.021])
+    np.testing.assert_array_equal(motion.command[:, 0], [0, 0, 1, 1, 2, 2])
+    np.testing.assert_array_equal(motion.motor_angle[:, 5], [np.nan, 10, 10, 11, 11, 12])
 
 
 def billion() -> list[object]:

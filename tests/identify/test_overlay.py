@@ -147,6 +147,6 @@ def test_training_takes_the_identified_parameters(robot: RobotDescription, tmp_p
 
     path = tmp_path / "robot.toml"
     write_overlay(path, robot, overlay(read_prior(None, robot), motor(), robot))
-    task = Simulator(params=path).apply(TaskConfig())
+    task = Simulator(params=path).condition().simulate(TaskConfig())
     assert set(task.params) == {"motor_strength", "motor_friction", "voltage"}
     assert task.nominal(robot).motor_strength[0, 0] == 0.9

@@ -80,7 +80,7 @@ def test_load_names_missing_and_unknown_entries(recorded: Recording, robot: Robo
     path = tmp_path / "recording.npz"
     meta = {key: value for key, value in recorded.meta.items() if key not in ("period", "frames")}
     replace(recorded, meta=meta).save(path)
-    assert refused(path, robot).endswith("missing or unknown: period, frames")
+    assert refused(path, robot).endswith("meta.period is missing; it must be given")
     recorded.save(path)
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files if name != "voltage"}
@@ -103,14 +103,15 @@ def test_load_refuses_changed_data(recorded: Recording, robot: RobotDescription,
         ({"robot": "cat"}, "is of robot 'cat', not of 'minitaur'"),
         ({"motor_names": ["m"]}, "not of 'minitaur' with its motors"),
         ({"ended": "stopped by the operator"}, "did not come to its end: stopped by the operator"),
-        ({"phases": [[]]}, "meta.phases does not fit"),
-        ({"phases": 3}, "meta.phases does not fit"),
-        ({"mode_changes": [0.1]}, "meta.mode_changes does not fit"),
-        ({"frames": []}, "meta.frames does not fit"),
-        ({"resting_states": [1]}, "meta.resting_states does not fit"),
-        ({"period": 10**400}, "meta.period does not fit"),
-        ({"servo_period": 0}, "meta.servo_period does not fit"),
-        ({"ended": None}, "meta.ended does not fit"),
+        ({"phases": [[]]}, "meta.phases[0] is []; it must be a table with keys out of: name, mode, use, duration"),
+        ({"phases": 3}, "meta.phases is 3; it must be a list of values, each a table"),
+        ({"mode_changes": [0.1]}, "meta.mode_changes[0] is 0.1; it must be a list of 2 values, each a number"),
+        ({"frames": []}, "meta.frames is []; it must be a table with keys out of: received, missing, damaged"),
+        ({"resting_states": [1]}, "meta.resting_states is [1]; it must be a whole number"),
+        ({"resting_states": -1}, "meta.resting_states is -1; it must be 0 or more"),
+        ({"period": 10**400}, "meta.period is 1000"),
+        ({"servo_period": 0}, "meta.servo_period is 0; it must be over 0"),
+        ({"ended": None}, "meta.ended is None; it must be text"),
     ],
 )
 def test_load_refuses_invalid_entries(

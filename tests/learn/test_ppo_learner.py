@@ -54,7 +54,7 @@ def test_a_fall_costs_fall_cost_once_and_no_other_reward_changes():
     assert 0 < int(fell.sum()) < fell.numel()
     torch.testing.assert_close(with_cost, rewards - 10.0 * 2.5 * fell.float())
     # Figures are without the cost.
-    assert float(learner.env.returns.min()) > -1.0
+    assert float(learner.env.state.returns.min()) > -1.0
 
 
 def test_exploration_stays_under_a_limit_that_falls():

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import resource
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -27,17 +25,6 @@ def test_a_second_resume_is_refused_in_one_line(tmp_path: Path, capsys: pytest.C
             pass
     assert capsys.readouterr() == ("", f"surefoot: error: {folder.path}: {rule}\n")
     assert sorted(folder.path.rglob("*")) == sorted([*before, folder.path / "lock"])
-
-
-def test_unfinished_files_of_a_killed_run_are_removed(tmp_path: Path):
-    folder = RunFolder.create_at(TrainConfig(), tmp_path / "run")
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
-    left = [folder.checkpoints / f".fresh.ckpt.{dead.pid}.tmp", folder.path / f".figures.jsonl.{dead.pid}.tmp"]
-    for path in left:
-        path.touch()
-    with folder_lock(folder.path):
-        assert not any(path.exists() for path in left)
 
 
 @pytest.mark.parametrize("content", ["{", "[]", "{}", "[" * 10_000])

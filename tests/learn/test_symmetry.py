@@ -16,7 +16,7 @@ from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference import ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import ReferenceConfig, WaveConfig
 from surefoot.world.sim_world import SimWorld
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from edited import maxitaur
-from tensordict import TensorDict
+from trained import TINY
 
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
@@ -23,27 +23,10 @@ from surefoot.learn.training_loop import TrainingLoop
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import load_ranges
-from surefoot.task.height_scan import AROUND, MAP
-from surefoot.task.reference import make_reference
+from surefoot.task.reference_config import make_reference
 from surefoot.world.sim_world import SimWorld
 
-# Noise, pushes, ends of episodes and an evaluation all fall into these few updates.
 ROBOT_LEGS = RobotDescription.load("minitaur").leg_names
-TINY = {
-    "num_envs": 16,
-    "steps_per_update": 16,
-    "steps": 16 * 16 * 5,
-    "evaluate_every": 600,
-    "evaluation_episodes": 2,
-    "checkpoint_every": 512,
-    "threads": 1,
-    "learning_threads": 1,
-    "task": {
-        "max_steps": 40,
-        "params": {"imu_noise": 0.02},
-        "pushes": {"enabled": True, "period": 0.1, "duration": 0.03},
-    },
-}
 
 
 def tiny_config(**changes: object) -> TrainConfig:
@@ -51,7 +34,7 @@ def tiny_config(**changes: object) -> TrainConfig:
 
 
 def train(root: Path, config: TrainConfig, stop_after: int | None = None) -> TrainingLoop:
-    loop = TrainingLoop(config, RunFolder.create(config, root), SimWorld)
+    loop = TrainingLoop.create(config, RunFolder.create(config, root), SimWorld)
     updates = []
     loop.run(
         lambda *figures: updates.append(figures),
@@ -62,7 +45,7 @@ def train(root: Path, config: TrainConfig, stop_after: int | None = None) -> Tra
 
 def resume(path: Path) -> TrainingLoop:
     folder, config = RunFolder.open(path)
-    return TrainingLoop(config, folder, SimWorld, resume=True)
+    return TrainingLoop.resume(config, folder, SimWorld)
 
 
 def same_weights(a: TrainingLoop, b: TrainingLoop) -> bool:
@@ -71,8 +54,8 @@ def same_weights(a: TrainingLoop, b: TrainingLoop) -> bool:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingLoop:
-    return train(tmp_path_factory.mktemp("whole"), tiny_config())
+def whole(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> TrainingLoop:
+    return resume(shutil.copytree(trained, tmp_path_factory.mktemp("whole") / "run"))
 
 
 def test_a_run_of_an_own_robot_goes_on_after_both_were_moved(whole: TrainingLoop, tmp_path: Path) -> None:
@@ -94,7 +77,7 @@ def test_a_run_of_an_own_robot_goes_on_after_both_were_moved(whole: TrainingLoop
 
 
 def test_a_run_has_its_best_policy_from_the_first_evaluation_on(tmp_path: Path) -> None:
-    loop = TrainingLoop(tiny_config(), RunFolder.create(tiny_config(), tmp_path), SimWorld)
+    loop = TrainingLoop.create(tiny_config(), RunFolder.create(tiny_config(), tmp_path), SimWorld)
     seen = []
     loop.run(lambda figures, evaluation: seen.append((evaluation is not None, loop.folder.policy.exists())))
     first = [evaluated for evaluated, _ in seen].index(True)
@@ -148,7 +131,7 @@ def test_a_run_with_drawn_parameters_and_symmetry_resumes_exactly(tmp_path: Path
 
 def test_a_run_can_start_from_the_networks_of_another_run(whole: TrainingLoop, tmp_path: Path) -> None:
     config = tiny_config(start_from=str(whole.folder.path), seed=5, steps=256)
-    loop = TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
+    loop = TrainingLoop.create(config, RunFolder.create(config, tmp_path), SimWorld)
     last = whole.folder.load()["learner"]["algorithm"]["actor_state_dict"]
     first = loop.learner.policy.state_dict()
     assert all(torch.equal(first[key], last[key]) for key in last)
@@ -158,120 +141,6 @@ def test_a_run_can_start_from_the_networks_of_another_run(whole: TrainingLoop, t
     # Resumed, it continues from its own state, not from the other run's.
     again = resume(loop.folder.path)
     assert same_weights(again, loop)
-
-
-def test_a_run_starts_from_one_with_other_ranges_and_more_exploration(whole: TrainingLoop, tmp_path: Path) -> None:
-    def start(before: TrainingLoop, **task: object) -> TrainingLoop:
-        config = tiny_config(start_from=str(before.folder.path), steps=256, task=task, ppo={"start_std": 0.2})
-        return TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
-
-    def first_layer(loop: TrainingLoop) -> dict[str, torch.Tensor]:
-        """Return the value network's weights by the input that only it observes."""
-        layers = loop.learner.algorithm.save()["critic_state_dict"].values()
-        weights = next(value for value in layers if value.dim() == 2 and len(value) > 1)
-        columns = loop.learner.env.privileged_columns
-        return dict(zip(columns, weights.T[-len(columns) :], strict=True))
-
-    pushed = start(whole, randomize={"motor_friction": [0.0, 0.05]})
-    own, learned = (one.learner.algorithm.save()["actor_state_dict"] for one in (pushed, whole))
-    spread = "distribution.log_std_param"
-    assert all(torch.equal(value, learned[name]) for name, value in own.items() if name != spread)
-    assert torch.allclose(own[spread].exp(), torch.tensor(0.2))
-    assert not torch.allclose(learned[spread], own[spread])
-    before, after = first_layer(whole), first_layer(pushed)
-    assert after.keys() - before.keys() == {"motor_friction"}
-    assert all(torch.equal(after[name], before[name]) for name in before)
-    assert not after["motor_friction"].any()
-    pushed.learner.update()
-    pushed.save()
-    # Another range comes first, and pushes end.
-    last = first_layer(pushed)
-    ranges = {"base_mass_ratio": [0.9, 1.1], "motor_friction": [0.0, 0.1]}
-    other = first_layer(start(pushed, randomize=ranges, pushes={"enabled": False}))
-    assert not other.pop("base_mass_ratio").any()
-    assert other.keys() == last.keys() - {"push_x", "push_y"}
-    assert last["motor_friction"].any()
-    assert all(torch.equal(other[name], last[name]) for name in other)
-
-
-def test_observations_and_history_are_added_to_networks_without_a_change_of_their_outputs(
-    whole: TrainingLoop, tmp_path: Path
-) -> None:
-    names = whole.config.task.observations
-    task = {"observations": ["height_scan", *reversed(names), "gravity"], "history": 3}
-    config = tiny_config(start_from=str(whole.folder.path), task=task)
-    loop = TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
-    rng, inputs = np.random.default_rng(0), []
-    numbers: dict[object, np.ndarray] = {}
-    for learner in (whole.learner, loop.learner):
-        columns = [(age, name) for age in range(learner.env.task.history) for name in learner.env.observer.columns]
-        true = [(None, name) for name in learner.env.privileged_columns]
-        for one in columns + true:
-            numbers.setdefault(one, rng.normal(size=6).astype(np.float32))
-        groups = {"policy": columns, "privileged": true}
-        stacked = {key: torch.from_numpy(np.stack([numbers[one] for one in ones], 1)) for key, ones in groups.items()}
-        inputs.append(TensorDict(stacked, batch_size=[6]))
-    actions, values = [], []
-    for learner, one in zip((whole.learner, loop.learner), inputs, strict=True):
-        actions.append(learner.act(one["policy"].numpy()))
-        with torch.inference_mode():
-            values.append(learner.algorithm.critic(one).numpy())
-    assert inputs[1]["policy"].shape[1] > 3 * inputs[0]["policy"].shape[1]
-    np.testing.assert_allclose(actions[1], actions[0], atol=1e-5)
-    np.testing.assert_allclose(values[1], values[0], atol=1e-4)
-    loop.learner.update()
-    assert np.abs(loop.learner.act(inputs[1]["policy"].numpy()) - actions[1]).max() > 1e-4
-
-
-def test_a_new_observation_is_normalized_as_the_value_network_normalized_it(tmp_path: Path) -> None:
-    terrain = {"ground": "rough:0.02"}
-    before = train(tmp_path / "blind", tiny_config(task={"terrain": terrain}), stop_after=1)
-    names = before.config.task.observations
-    task = {"terrain": terrain, "observations": [*names, "height_scan"]}
-    config = tiny_config(start_from=str(before.folder.path), task=task)
-    seeing = TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
-    learned, actor = before.learner.algorithm.critic.obs_normalizer, seeing.learner.policy.obs_normalizer
-    columns = [*before.learner.env.observer.columns, *before.learner.env.privileged_columns]
-    near = MAP.nearest(AROUND)
-    assert near["ground-2.5.left0.5"] == "ground-3.middle"
-    places = [columns.index(near[name]) for name in MAP.columns()]
-    assert (learned.mean[places] < -0.1).all()
-    for name in ("mean", "std"):
-        assert torch.equal(getattr(actor, name)[-len(places) :], getattr(learned, name)[places])
-
-
-def test_start_from_refuses_a_task_without_an_observation_that_the_policy_needs(
-    whole: TrainingLoop, tmp_path: Path
-) -> None:
-    config = tiny_config(start_from=str(whole.folder.path), task={"observations": ["roll", "pitch", "roll_rate"]})
-    with pytest.raises(SurefootError, match=r"policy observes pitch_rate, 0 control steps old, which this run's does"):
-        TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
-
-
-def test_a_policy_gives_the_same_feedback_between_other_bounds(whole: TrainingLoop, tmp_path: Path) -> None:
-    task = {"feedback": {"swing": [-0.6, 0.4], "extension": [-0.3, 0.3]}}
-    config = tiny_config(start_from=str(whole.folder.path), steps=256, task=task)
-    loop = TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
-    observation = np.random.default_rng(0).normal(size=(5, *whole.learner.env.single_observation_space.shape))
-    observation = 0.1 * observation.astype(np.float32)
-    feedback = [
-        one.learner.env.gait.low
-        + 0.5
-        * (one.learner.act(observation) + 1)
-        * np.ptp([one.learner.env.gait.low, one.learner.env.gait.high], axis=0)
-        for one in (whole, loop)
-    ]
-    assert not np.allclose(whole.learner.env.gait.high, loop.learner.env.gait.high)
-    np.testing.assert_allclose(feedback[1], feedback[0], atol=1e-5)
-
-
-def test_start_from_refuses_networks_of_other_layers(whole: TrainingLoop, tmp_path: Path) -> None:
-    config = tiny_config(start_from=str(whole.folder.path), ppo={"policy_hidden": [16]})
-    with pytest.raises(SurefootError, match=r"start_from: the other run's networks do not fit"):
-        TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
-    config = tiny_config(start_from=str(tmp_path / "nowhere"))
-    with pytest.raises(SurefootError, match=r"nowhere: is not a run folder"):
-        TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
 
 
 @pytest.mark.parametrize(
@@ -285,7 +154,7 @@ def test_resume_refuses_a_configuration_that_does_not_fit_the_checkpoint(
     whole: TrainingLoop, change: dict, reason: str
 ) -> None:
     with pytest.raises(SurefootError, match=rf"latest\.ckpt: does not fit the run's config\.yaml: {reason}") as caught:
-        TrainingLoop(tiny_config(**change), whole.folder, SimWorld, resume=True)
+        TrainingLoop.resume(tiny_config(**change), whole.folder, SimWorld)
     assert "\n" not in str(caught.value)
 
 
@@ -408,7 +277,7 @@ def test_a_steered_run_logs_errors_and_terms_to_either_logger(tmp_path: Path, mo
     config = from_mapping(TrainConfig, short, base=load_train_config("go2-steer"))
     loops = []
     for logger in ("tensorboard", "wandb"):
-        loop = TrainingLoop(config, RunFolder.create(config, tmp_path / logger), SimWorld, logger=logger)
+        loop = TrainingLoop.create(config, RunFolder.create(config, tmp_path / logger), SimWorld, logger=logger)
         loop.run(lambda *_: None)
         loops.append(loop)
     assert same_weights(*loops)

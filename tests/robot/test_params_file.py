@@ -105,6 +105,6 @@ def test_numbers_of_numpy_are_written_as_numbers(robot, tmp_path):
 
 
 def test_a_value_that_toml_cannot_hold_is_refused(robot, tmp_path):
-    with pytest.raises(SurefootError, match="can't hold None"):
+    with pytest.raises(SurefootError, match=r"can't hold it: .*NoneType"):
         write_params(tmp_path / "p.toml", robot, PhysicalParams.nominal(robot), {"a": {"b": None}})
     assert list(tmp_path.iterdir()) == []

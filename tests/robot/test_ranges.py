@@ -62,9 +62,7 @@ def test_table1_is_the_papers():
         ("imu_mount: []", "randomize.imu_mount has 0 intervals; it must have one"),
         ("colour: [0, 1]", "randomize: 'colour' is not a physical parameter; choices: base_mass_ratio, leg_mass_ratio"),
         ("rotor_inertia: [0, 1]", "rotor_inertia belongs to motors of kind joint; the motors of minitaur are dc"),
-        ("mass: [0.8, 1.2]", "randomize.mass is not a physical parameter; write base_mass_ratio and leg_mass_ratio"),
-        ("scaled: {motor_friction: [0, 2]}", "mine.yaml: scaled is not a key; write NAME: {scale: [LOW, HIGH]}"),
-        ("friction: [0, 2]", "write motor_friction: {scale: [LOW, HIGH], independent: true}"),
+        ("latency: [0, 0.02]", "randomize: 'latency' is not a physical parameter; did you mean servo_latency?"),
     ],
 )
 def test_ranges_that_do_not_fit_are_refused(tmp_path: Path, text: str, message: str):

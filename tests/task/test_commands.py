@@ -11,17 +11,9 @@ from scripted import COMMAND_LIMITS as LIMITS
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.commands import CommandLimits
-from surefoot.task.commands import CommandConfig, CommandFilter, CommandSampler, CommandSchedule, read_schedule
-from surefoot.task.config import load_task
+from surefoot.task.commands import CommandConfig, CommandSampler, CommandSchedule, read_schedule
 
 STEP = np.array([0.1])
-
-
-def make_filter(frequency: float = 2.0) -> CommandFilter:
-    """Return the filter of one robot that stands, with a natural period of .2 s: a start takes .3 s."""
-    command_filter = CommandFilter(LIMITS, 0.2, 1, lambda command, over_holes: np.full(len(command), frequency))
-    command_filter.reset(np.arange(1), np.zeros(1))
-    return command_filter
 
 
 def test_relative_ranges_count_the_natural_speed_and_rate_of_the_legs() -> None:
@@ -174,72 +166,3 @@ def test_a_file_that_holds_no_commands_is_refused(tmp_path: Path, text: str, mes
     file.write_text(text)
     with pytest.raises(SurefootError, match=message):
         read_schedule(file)
-
-
-def test_the_filtered_command_changes_within_its_acceleration() -> None:
-    command_filter = make_filter()
-    for _ in range(3):
-        command_filter.advance(np.array([[2.0, 0.0, -1.0]]), STEP, np.zeros(1))
-    assert command_filter.filtered_command[0] == pytest.approx([0.6, 0.0, -1.0])  # 2 m/s^2 and 4 rad/s^2 for .3 s
-
-
-def test_steps_begin_and_end_gradually_and_the_phase_goes_on() -> None:
-    command_filter, go, stand = make_filter(), np.array([[0.2, 0.0, 0.0]]), np.zeros((1, 3))
-    activity = []
-    for command in (go, go, go, go, stand, stand, stand, stand, stand):
-        command_filter.advance(command, STEP, np.zeros(1))
-        activity.append(float(command_filter.activity[0]))
-    # The command is command_filter down to zero in the first step of standing, which is still a step.
-    assert activity == pytest.approx([1 / 3, 2 / 3, 1, 1, 2 / 3, 1 / 3, 0, 0, 0])
-    assert command_filter.phase[0] == pytest.approx(0.8)  # 9 steps of .1 s at 2 Hz
-
-
-def test_the_heading_is_held_against_the_imu() -> None:
-    command_filter, go = make_filter(), np.array([[1.0, 0.0, 0.5]])
-    for _ in range(4):
-        command_filter.advance(go, STEP, np.array([0.1]))
-    # Turned by .04, .09 and so on at 4 rad/s^2 up to .5 rad/s: .4 + .5 + .5 + .5 rad/s for .1 s each, less .1.
-    assert command_filter.heading_error[0] == pytest.approx(0.09)
-    assert command_filter.state.command[0, 2] == pytest.approx(0.5 + 2.0 * 0.09)
-
-
-def test_the_heading_that_is_held_wraps_and_never_runs_away() -> None:
-    command_filter, go = make_filter(), np.array([[1.0, 0.0, 0.0]])
-    command_filter.reset(np.arange(1), np.array([3.1]))
-    command_filter.advance(go, STEP, np.array([-3.1]))
-    assert command_filter.heading_error[0] == pytest.approx(6.2 - 2 * np.pi)
-    command_filter.advance(go, STEP, np.array([0.0]))  # somebody turned the robot by half a turn
-    assert abs(command_filter.heading_error[0]) == pytest.approx(0.5)
-    command_filter.advance(go, STEP, np.array([0.0]))
-    assert abs(command_filter.heading_error[0]) <= 0.5 + 1e-12
-
-
-def test_a_robot_that_stands_corrects_no_heading() -> None:
-    command_filter = make_filter()
-    command_filter.advance(np.zeros((1, 3)), STEP, np.array([0.3]))
-    assert command_filter.state.command.tolist() == [[0.0, 0.0, 0.0]]
-    assert command_filter.activity[0] == 0.0
-
-
-def test_a_small_heading_error_is_corrected_after_a_stand() -> None:
-    command_filter, stand = make_filter(), np.zeros((1, 3))
-    command_filter.heading[:] = 0.4
-    for _ in range(500):  # stopped .1 rad before the heading that is held
-        command_filter.advance(stand, STEP, np.array([0.3]))
-    assert command_filter.correction[0] == 0.0
-    command_filter.advance(np.array([[0.5, 0.0, 0.0]]), STEP, np.array([0.3]))
-    assert command_filter.heading_error[0] == pytest.approx(0.1)
-    command_filter.advance(stand, STEP, np.array([1.3]))
-    for _ in range(500):  # somebody turned it
-        command_filter.advance(stand, STEP, np.array([1.3]))
-    assert command_filter.heading_error[0] == pytest.approx(-0.15)
-
-
-def test_a_gait_that_follows_no_commands_keeps_its_own_frequency() -> None:
-    go2 = RobotDescription.load("go2")
-    trot, none = (load_task(name, "go2")[0].gait(go2).reference for name in ("trot", "scratch"))
-    for reference, cycles in ((trot, 0.1 / trot.period), (none, 0.0)):
-        command_filter = CommandFilter.from_reference(reference, LIMITS, go2, 1)
-        command_filter.reset(np.arange(1), np.zeros(1))
-        command_filter.advance(np.array([[0.5, 0.0, 0.0]]), STEP, np.zeros(1))
-        assert command_filter.state.phase == pytest.approx(cycles % 1.0)

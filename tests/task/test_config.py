@@ -84,13 +84,6 @@ def test_a_task_survives_writing_and_reading(tmp_path, name):
         ("\t- x: {", ["is not YAML"]),
         ("robot: !!python/object:os.system x", ["is not YAML"]),
         ("base: waltz", ["base is 'waltz'", "choices: ", "trot"]),
-        ("energy_weight: 0.01", ["energy_weight is not a key; write", "`reward: {progress: 1.0, energy: -0.008}`"]),
-        ("cost_weight: 0.4", ["cost_weight is not a key; write", "transport_cost: -0.42"]),
-        ("target_speed: 0.4", ["target_speed is not a key; write", "`reward_limits: {progress: 0.6}`"]),
-        (
-            "push_weight: [0, 1]",
-            ["push_weight is not a key; write it as `pushes: {relative: true, force: [0.0, 0.8]}`"],
-        ),
         ("reward: {}", ["reward has no term; choices: progress, energy"]),
         ("reward: {speed: 1}", ["reward.speed is not a term; choices: progress, energy"]),
         ("reward: {progress: much}", ["reward.progress is 'much'; it must be a number"]),

@@ -20,7 +20,7 @@ from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.contract_mapping import make_contract, task_from_contract
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.height_scan import MAP, ScanConfig
-from surefoot.task.reference import ReferenceConfig, make_reference
+from surefoot.task.reference_config import ReferenceConfig, make_reference
 from surefoot.task.terrain import TerrainConfig
 from surefoot.world.sim_world import SimWorld
 

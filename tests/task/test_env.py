@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -13,10 +14,11 @@ from scripted import ScriptedWorld
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
-from surefoot.task.env import LocomotionEnv, has_fallen
+from surefoot.task.env import LocomotionEnv
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference import ReferenceConfig, WaveConfig
-from surefoot.world.interface import Truth
+from surefoot.task.reference_config import ReferenceConfig, WaveConfig
+from surefoot.task.terminations import is_low, is_tilted
+from surefoot.world.ground import FLAT
 from surefoot.world.sim_world import SimWorld
 
 FEEDBACK = FeedbackConfig(swing=(-0.5, 0.5), extension=(1.0, 2.0))
@@ -102,7 +104,7 @@ def test_a_fall_terminates_and_only_that_robot_starts_anew(make_env):
     assert sorted(set(info["final_obs"][1, 4:].tolist())) == [1.5, 2.5]
     # The first one of the new episode: motors where this world's reset puts them.
     assert not observation[1, 4:].any()
-    assert env.steps.tolist() == [2, 0, 2]
+    assert env.state.steps.tolist() == [2, 0, 2]
 
 
 def test_a_fall_in_the_last_step_is_no_truncation(make_env):
@@ -132,9 +134,9 @@ def test_without_autoreset_a_robot_waits(make_env):
     *_, truncated, info = env.step(rest(env))
     assert truncated.all()
     assert "final_obs" not in info
-    assert env.steps.tolist() == [2, 2]
+    assert env.state.steps.tolist() == [2, 2]
     env.reset(options={"reset_mask": np.array([True, False])})
-    assert env.steps.tolist() == [0, 2]
+    assert env.state.steps.tolist() == [0, 2]
 
 
 # --- observation and action -------------------------------------------------------------------------------
@@ -239,22 +241,22 @@ def test_the_first_observation_is_of_a_standing_robot():
 # --- ends of an episode ------------------------------------------------------------------------------------
 
 
-def at(angles: list[tuple[float, float, float]], height: float = 0.2) -> Truth:
-    """Truth of robots with roll, pitch and yaw [rad] and a base at a height [m]."""
+def at(angles: list[tuple[float, float, float]], height: float = 0.2) -> SimpleNamespace:
+    """State on flat ground of robots with roll, pitch and yaw [rad] and a base at a height [m]."""
     robot = RobotDescription.load("minitaur")
     world = ScriptedWorld(robot, len(angles), PhysicalParams.nominal(robot))
     position = np.tile([0.0, 0.0, height], (len(angles), 1))
-    return replace(world.truth(), roll_pitch_yaw=np.array(angles), base_position_world=position)
+    truth = replace(world.truth(), roll_pitch_yaw=np.array(angles), base_position_world=position)
+    return SimpleNamespace(truth=truth, ground=FLAT)
 
 
 def test_a_fall_is_a_tilt_or_a_low_base():
     upright = [(0.0, 0.0, 0.0), (0.499, -0.499, 0.0), (0.5, 0.5, 0.0), (0.0, 0.0, 3.0)]
     fallen = [(0.501, 0.0, 0.0), (0.0, 0.501, 0.0), (-0.501, 0.0, 0.0), (0.0, -0.501, 0.0)]
-    assert has_fallen(at(upright + fallen), 0.5).tolist() == [False] * 4 + [True] * 4
-    assert has_fallen(at(upright), 0.4).tolist() == [False, True, True, False]
-    assert has_fallen(at(upright, -0.1), 0.5).tolist() == [False] * 4
-    assert has_fallen(at(upright, 0.081), 0.5, 0.08).tolist() == [False] * 4
-    assert has_fallen(at(upright, 0.079), 0.5, 0.08).tolist() == [True] * 4
+    assert is_tilted(at(upright + fallen), 0.5).tolist() == [False] * 4 + [True] * 4
+    assert is_tilted(at(upright), 0.4).tolist() == [False, True, True, False]
+    assert is_low(at(upright, 0.081), 0.08).tolist() == [False] * 4
+    assert is_low(at(upright, 0.079), 0.08).tolist() == [True] * 4
 
 
 @pytest.mark.parametrize(("height", "fallen"), [(0.0, False), (0.19, False), (0.21, True)])
@@ -283,8 +285,8 @@ def test_robots_that_follow_commands_go_on_exactly_from_a_state(commands):
         path = []
         for _ in range(30):
             observation, reward, *_ = one.step(np.zeros((2, 12)))
-            now = one.commands.state
-            path += [observation.copy(), reward, one.source.command.copy(), now.command, now.activity, now.phase]
+            now = one.state.gait_state
+            path += [observation.copy(), reward, one.state.command.copy(), now.command, now.activity, now.phase]
         return path
 
     run(env)

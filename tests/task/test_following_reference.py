@@ -13,8 +13,8 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import TaskConfig, load_task
-from surefoot.task.foot_references import FollowingReference
 from surefoot.task.gait import HybridGait
+from surefoot.task.reference import FollowingReference
 
 ROBOTS = ("minitaur", "solo8", "go2", "pupper_v2")
 
@@ -47,14 +47,14 @@ def test_feet_go_backward_at_the_commanded_speed_times_the_gain(name: str) -> No
     # A foot is on the ground for the first part of its own cycle.
     share = (np.arange(200)[:, None] / 200 - reference.feet.phase) % 1.0
     moving = np.diff(place, axis=0)[((share > 0.02) & (share < reference.feet.duty_factor - 0.02))[:-1]] / step
-    assert moving == pytest.approx(np.full_like(moving, -reference.stride_gain * speed), rel=1e-6)
+    assert moving == pytest.approx(np.full_like(moving, -reference.choice.stride_gain * speed), rel=1e-6)
 
 
 def test_feet_go_sideways_by_abduction() -> None:
     reference = reference_of("go2")
     place = feet(reference, state((0.0, 0.2, 0.0)))
     span = np.ptp(place, axis=0)
-    stride = reference.stride_gain * 0.2 * 0.6 / reference.frequency(np.array([[0.0, 0.2, 0.0]]))[0]
+    stride = reference.choice.stride_gain * 0.2 * 0.6 / reference.frequency(np.array([[0.0, 0.2, 0.0]]))[0]
     assert span[:, 1].min() >= stride  # the swing goes a little beyond both ends
     assert span[:, 1].max() < 1.3 * stride
     assert span[:, 0].max() < 1e-9
@@ -67,14 +67,14 @@ def test_turning_moves_the_feet_of_the_left_backward_of_the_right() -> None:
     stride = reference.strides(command)[0]
     stance = reference.feet.duty_factor / reference.frequency(command)[0]
     # w x r has -w y forward; legs without abduction can't follow the part to the side.
-    assert stride[:, 0] == pytest.approx(-0.1 * reference.turn_gain * y * reference.stride_gain * stance)
+    assert stride[:, 0] == pytest.approx(-0.1 * reference.choice.turn_gain * y * reference.choice.stride_gain * stance)
     assert not stride[:, 1].any()
     assert (stride[y > 0, 0] < 0).all()
     aside = reference_of("go2")
     x = aside.robot.leg_mounts[:, 0]
     command = np.array([[0.0, 0.0, 0.5]])
     stride = aside.strides(command)[0]
-    assert stride[:, 1] == pytest.approx(0.5 * x * aside.stride_gain * 0.6 / aside.frequency(command)[0])
+    assert stride[:, 1] == pytest.approx(0.5 * x * aside.choice.stride_gain * 0.6 / aside.frequency(command)[0])
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -118,9 +118,9 @@ def test_commands_lead_by_what_the_weight_bends_the_actuators() -> None:
 
 
 def test_commands_lead_by_the_gains_of_the_task() -> None:
-    lead = changed("go2", {"servo_kp": 30.0, "servo_kd": 0.6}).reference.velocity_feedforward
+    lead = changed("go2", {"servo_kp": 30.0, "servo_kd": 0.6}).reference.feedforward.velocity
     assert lead == pytest.approx(0.8 * 0.6 / 30.0)  # of which the robot's task has .8
-    assert reference_of("go2").velocity_feedforward == pytest.approx(0.8 * 1.0 / 40.0)
+    assert reference_of("go2").feedforward.velocity == pytest.approx(0.8 * 1.0 / 40.0)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -136,7 +136,8 @@ def test_every_command_is_within_the_extent_and_the_legs_reach(name: str) -> Non
 
 
 def test_the_longest_stride_holds_with_its_frequency() -> None:
-    reference = replace(reference_of("go2"), frequency_rise=0.5)
+    reference = reference_of("go2")
+    reference = replace(reference, choice=replace(reference.choice, frequency_rise=0.5))
     fast = np.array([[50.0, 0.0, 0.0]])
     assert np.linalg.norm(reference.strides(fast)[0], axis=-1) == pytest.approx(reference.feet.stroke)
     assert reference.frequency(fast)[0] == pytest.approx(1.5 / reference.period)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.foot_references import FollowingReference
+from surefoot.task.foot_kinematics import FootKinematics
 from surefoot.task.footholds import Footholds
 from surefoot.task.height_scan import MAP
+from surefoot.task.reference import FollowingReference
 from surefoot.world.interface import Readings
 from surefoot.world.sim_world import SimWorld
 
@@ -161,7 +163,7 @@ def test_a_gap_whose_other_side_is_beyond_the_map_is_a_hole(reference):
         heights[row:] -= depth
         feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
         assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx(back)
-        feet.reset(np.arange(1))
+        feet.reset(np.arange(1), SimpleNamespace(gait_state=on_the_spot(0.0)))
 
 
 def test_feet_are_set_on_the_edges_of_steps(reference):
@@ -271,7 +273,7 @@ def test_what_feet_miss_their_places_by_counts_from_the_first_landing(reference)
     feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
     there = to_point(reference, FRONT_LEFT, rows=1)  # from where it lands, two rows ahead of its place, a row back
     assert feet.landing[0, FRONT_LEFT].tolist() == pytest.approx([there[0] - 2 * SPACING, there[1]])
-    feet.reset(np.arange(1))
+    feet.reset(np.arange(1), SimpleNamespace(gait_state=on_the_spot(0.0)))
     assert not feet.missed.any()
     assert not feet.landing.any()
 
@@ -300,7 +302,7 @@ def test_steps_of_feet_that_are_lifted_by_touch_stay_within_the_legs_reach():
 def test_a_reference_whose_feet_are_lifted_out_of_reach_is_refused(monkeypatch):
     task = load_task("terrain-seeing", "go2")[0]
     # No leg reaches a whole length ahead of its place, where nothing keeps it within its reach.
-    monkeypatch.setattr(FollowingReference, "reached", lambda self, step: np.zeros(step.shape[:-1]))
+    monkeypatch.setattr(FootKinematics, "reached", lambda self, step: np.zeros(step.shape[:-1]))
     with pytest.raises(SurefootError, match=r"foothold_radius and reference.touch_clearance together lead feet out"):
         replace(task, reference=replace(task.reference, foothold_radius=1.0)).gait(GO2)
 
@@ -309,9 +311,7 @@ def test_a_policy_observes_where_feet_land():
     task = replace(seeing_task(), observations=("roll", "footholds"))
     env = LocomotionEnv(task, 1, SimWorld, seed=0, threads=1)
     assert env.observer.columns[1:] == [f"foothold_{axis}.{leg}" for axis in "xy" for leg in GO2.leg_names]
-    assert env.follower is not None
-    assert env.follower.footholds is not None
-    env.follower.footholds.landing[0, FRONT_LEFT] = [0.213, -0.0426]
+    env.component(Footholds).landing[0, FRONT_LEFT] = [0.213, -0.0426]
     observation = env.step(np.zeros((1, len(env.gait.action_names))))[0]
     assert observation[0, 1 + FRONT_LEFT] == pytest.approx(1.0)  # half a leg: the radius
     assert observation[0, 1 + len(GO2.legs) + FRONT_LEFT] == pytest.approx(-0.2)
@@ -326,9 +326,7 @@ def test_a_robot_that_sees_goes_on_exactly_from_a_state():
     for _ in range(30):
         env.step(action)
     assert_resumes_exactly(env, [action] * 40)
-    assert env.follower is not None
-    assert env.follower.footholds is not None
-    assert env.follower.footholds.landed.any()
+    assert env.component(Footholds).landed.any()
 
 
 def test_legs_without_abduction_land_ahead_or_behind():

@@ -15,7 +15,7 @@ from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.handcrafted import HandcraftedGait, OpenLoop
 from surefoot.task.observation import IMU_4D
 from surefoot.task.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
-from surefoot.task.reference import FootConfig, ReferenceConfig
+from surefoot.task.reference_config import FootConfig, ReferenceConfig
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.sim_world import SimWorld
 

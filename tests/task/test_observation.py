@@ -19,7 +19,7 @@ from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import IMU_AND_MOTORS_12D, PARTS, Observer, gravity, phase
-from surefoot.task.reference import ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import ReferenceConfig, WaveConfig
 from surefoot.world.interface import Readings
 
 WIDTHS = {
@@ -132,7 +132,7 @@ def test_memory_is_what_the_policy_gave_last_and_moves_nothing():
     feedback = np.concatenate([np.tile(env.robot.resting_angles, (2, 1)), [[1.5, -300.0], [2.5, 40.0]]], axis=1)
     observation, *_ = env.step(env.gait.action(feedback))
     np.testing.assert_allclose(observation, np.roll(feedback, 2, axis=1), rtol=1e-6)
-    np.testing.assert_allclose(env.target, feedback[:, :-2], atol=1e-12)
+    np.testing.assert_allclose(env.state.target, feedback[:, :-2], atol=1e-12)
     observation, _ = env.reset()
     assert not observation.any()
     contract = make_contract(env)

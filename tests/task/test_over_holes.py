@@ -14,7 +14,8 @@ from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.foot_references import FollowingReference
+from surefoot.task.foothold_error import FootholdError
+from surefoot.task.reference import FollowingReference
 from surefoot.world.sim_world import SimWorld
 
 GO2 = RobotDescription.load("go2")
@@ -78,8 +79,7 @@ def test_a_robot_over_holes_observes_that_and_goes_on_exactly_from_a_state():
     assert_resumes_exactly(env, [action] * 30)
     assert np.min(seen) == 0.0
     assert np.max(seen) == 1.0
-    assert env.landings is not None
-    assert np.isfinite(env.landings.places).any()
+    assert np.isfinite(env.component(FootholdError).places).any()
 
 
 def test_a_gait_over_holes_is_refused_without_footholds_and_without_its_observation():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import pickle
 import sys
 from collections.abc import Iterator
@@ -17,13 +18,20 @@ from scripted import ScriptedWorld
 
 from surefoot.errors import SurefootError
 from surefoot.learn.symmetry import mirror_columns
-from surefoot.policy.contract import Contract
+from surefoot.policy.contract import Contract, PluginRecord
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import make_contract, plugin_notes, task_from_contract
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS, Observer
-from surefoot.task.plugins import load_plugins, register_plugin, registered_plugins, remove_plugins
-from surefoot.task.reference import ReferenceConfig, WaveConfig
+from surefoot.task.plugins import (
+    changed_plugins,
+    load_plugins,
+    register_plugin,
+    registered_plugins,
+    remove_plugins,
+    used_plugins,
+)
+from surefoot.task.reference_config import ReferenceConfig, WaveConfig
 from surefoot.task.reward import TERMS
 
 HEAD = """
@@ -77,7 +85,7 @@ def test_terms_and_observations_work_as_built_in_ones(write) -> None:
     write(CONSTANT, TWICE)
     env = make_env()
     observation, _ = env.reset()
-    np.testing.assert_allclose(observation[:, 1], 2 * env.readings.motor_angle[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(observation[:, 1], 2 * env.state.readings.motor_angle[:, 0], rtol=1e-6)
     _, reward, *_ = env.step(np.zeros((2, 8)))
     np.testing.assert_allclose(reward, 2.0 * 3.0 * env.world.params.control_step)  # a rate
     assert env.observer.columns == ["roll", "twice"]
@@ -194,6 +202,11 @@ def test_an_installed_plugin_is_named_by_its_entry_point(tmp_path: Path, monkeyp
         load_plugins(["mein"])
     assert "constant" not in TERMS  # it is installed, and nobody named it
     load_plugins(["mine"])
-    assert registered_plugins()[0].rewards == ["constant"]
-    assert len(registered_plugins()[0].sha256) == 64
+    sha256 = hashlib.sha256((tmp_path / "gaits_of_mine.py").read_bytes()).hexdigest()
+    assert used_plugins(["constant"], []) == (PluginRecord("mine", sha256, ("constant",), ()),)
+    (tmp_path / "gaits_of_mine.py").write_text(HEAD + CONSTANT + "# a word\n")
+    load_plugins(["mine"])
+    assert changed_plugins([PluginRecord("mine", sha256, ("constant",), ())]) == [
+        "plug-in mine has changed since the policy was trained with it"
+    ]
     sys.modules.pop("gaits_of_mine")

@@ -65,7 +65,7 @@ def test_a_ramp_lets_the_force_grow_over_a_robots_first_pushes_through_all_its_e
     for _ in range(3):  # episodes with two pushes each
         path = forces(pusher, 500)[:, 0]
         sizes += np.linalg.norm(path[[200, 400]], axis=1).tolist()
-        pusher.reset(np.array([0]))
+        pusher.restart(np.array([0]))
     assert sizes == pytest.approx([25, 50, 75, 100, 100, 100])
 
 
@@ -104,7 +104,7 @@ def test_a_reset_starts_the_clock_anew_and_ends_a_push():
     pusher = make_pusher(PushConfig(enabled=True), 2, seed=1)
     forces(pusher, 203)
     assert pusher.force.any(axis=1).all()
-    pusher.reset(np.array([1]))
+    pusher.restart(np.array([1]))
     assert pusher.force.any(axis=1).tolist() == [True, False]
     # Robot 1 is at the start of its episode: its next push comes 200 steps later.
     time = np.array([203 * STEP, 0.0])

@@ -11,7 +11,8 @@ from references import read_reference
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.task.foot_references import FootReference
+from surefoot.task.foot_paths import FootPaths
+from surefoot.task.periodic_references import FootReference
 from surefoot.task.raibert import OBSERVATIONS, RaibertConfig, RaibertController
 
 ROBOT = RobotDescription.load("minitaur")
@@ -30,18 +31,18 @@ SPEED = 0.4
 """Of the path [m/s]: .1 m in half a cycle of .5 s."""
 
 
-def reference(**other: Any) -> FootReference:
+def paths(**other: Any) -> FootPaths:
     reference_path = read_reference({"kind": "foot", "foot": {"frequency": 2.0, **PATH, **other}}, ROBOT)
     assert isinstance(reference_path, FootReference)
-    return reference_path
+    return reference_path.feet
 
 
 def controller(history: int = 1, **gains: float) -> RaibertController:
-    return RaibertController(ROBOT, reference(), RaibertConfig(**{"lag": 0.0, **gains}), OBSERVATIONS, history)
+    return RaibertController(ROBOT, paths(), RaibertConfig(**{"lag": 0.0, **gains}), OBSERVATIONS, history)
 
 
 def angles(time: float, **other: Any) -> np.ndarray:
-    return ROBOT.to_motors(reference(**other).pose([time]))[0]
+    return ROBOT.to_motors(paths(**other).pose([time]))[0]
 
 
 def observation(time: float, imu: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), **other: Any) -> np.ndarray:
@@ -53,9 +54,9 @@ def observation(time: float, imu: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), **ot
 
 def feet(feedback: np.ndarray, time: float) -> np.ndarray:
     """Return how far feedback moves the feet (4, 2) [m]."""
-    pose = reference().pose([time]) + feedback.reshape(-1, 2, 4)
+    pose = paths().pose([time]) + feedback.reshape(-1, 2, 4)
     moved = LEG.foot_in_plane(LEG.to_motors(pose))
-    return (moved - reference().path([2.0 * time]))[0]
+    return (moved - paths().path([2.0 * time]))[0]
 
 
 @pytest.mark.parametrize("time", [0.06, 0.125, 0.19, 0.31, 0.4])
@@ -118,7 +119,7 @@ def test_robots_have_gains_and_paths_of_their_own():
     alone = [controller(pitch=gain).feedback(seen[:1])[0] for gain in (0.2, 0.6)]
     column: Any = np.array([[0.2], [0.6]])
     gains = replace(RaibertConfig(lag=0.0), pitch=column)
-    both = RaibertController(ROBOT, FootReference.stacked([reference()] * 2), gains, OBSERVATIONS, 1)
+    both = RaibertController(ROBOT, FootPaths.stacked([paths()] * 2), gains, OBSERVATIONS, 1)
     np.testing.assert_allclose(both.feedback(seen), alone, atol=1e-12)
 
 
@@ -126,4 +127,4 @@ def test_other_observations_are_refused():
     with pytest.raises(
         SurefootError, match="observations are roll, pitch; Raibert's controller takes roll, pitch, roll_"
     ):
-        RaibertController(ROBOT, reference(), RaibertConfig(), ("roll", "pitch"))
+        RaibertController(ROBOT, paths(), RaibertConfig(), ("roll", "pitch"))

@@ -13,21 +13,24 @@ from scripted import ScriptedWorld
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import load_task
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.reward import PAPER_REWARD, TERMS, Scales, StepMotion, energy_weight, step_reward
+from surefoot.task.reward import PAPER_REWARD, TERMS, energy_weight, step_reward
+from surefoot.task.state import EnvState, RobotScales
+from surefoot.task.velocity_tracking import VelocityTracking
 from surefoot.world.ground import FLAT
 
 DURATION = 0.1
-SCALES = Scales(length=0.5, speed=2.0, rate=4.0, weight=100.0)
+SCALES = RobotScales(length=0.5, speed=2.0, rate=4.0, weight=100.0)
 
 
-def step_motion(
+def moved_state(
     start: tuple[float, float, float] = (0.0, 0.0, 0.2),
     end: tuple[float, float, float] = (0.03, -0.01, 0.21),
     yaw: tuple[float, float] = (0.0, 0.08),
-) -> StepMotion:
-    """Return the motion of one robot that moves from `start` to `end`, turns, and takes 5 J."""
+) -> EnvState:
+    """Return the state of one robot that has moved from `start` to `end`, turned, and taken 5 J."""
     robot = RobotDescription.load("minitaur")
-    truth = ScriptedWorld(robot, 1, PhysicalParams.nominal(robot)).truth()
+    world = ScriptedWorld(robot, 1, PhysicalParams.nominal(robot))
+    truth = world.truth()
     torque, heat = np.zeros((2, 1, 8))
     torque[0, :2], heat[0, 3] = 5.0, 20.0
     before = replace(truth, base_position_world=np.array([start]), roll_pitch_yaw=np.array([[0.0, 0.0, yaw[0]]]))
@@ -39,22 +42,23 @@ def step_motion(
         motor_torque=torque,
         heat=heat,
     )
-    return StepMotion(
+    gait = SimpleNamespace(action=lambda feedback: feedback, action_names=robot.motor_names, robot=robot)
+    state = replace(
+        EnvState.of_world(world, gait, FLAT),
         scales=SCALES,
         duration=np.array([DURATION]),
         before=before,
-        after=after,
+        truth=after,
         start_position=np.array([[0.0, 0.0, 0.16]]),
-        ground=FLAT,
-        gait=SimpleNamespace(action=lambda feedback: feedback),
         feedback=np.full((1, 8), 0.5),
         last_feedback=np.full((1, 8), 0.2),
-        command=np.array([[0.06, -0.1, 0.48]]),
+        filtered_command=np.array([[0.06, -0.1, 0.48]]),
         heading_error=np.array([-0.3]),
-        last_stride_error=np.array([[0.04, 0.0, -0.08]]),
-        stride=0.4,
+        stride_error=np.array([[0.04, 0.0, -0.08]]),
         foothold_error=np.array([2.5]),
     )
+    VelocityTracking(0.4).measure(state)
+    return state
 
 
 EXPECTED = {
@@ -88,17 +92,17 @@ def test_every_term_has_an_expected_value():
 
 @pytest.mark.parametrize(("name", "value"), EXPECTED.items())
 def test_term_has_the_value_worked_by_hand(name: str, value: float):
-    np.testing.assert_allclose(TERMS[name].value(step_motion()), [value])
+    np.testing.assert_allclose(TERMS[name].value(moved_state()), [value])
 
 
 def test_speed_is_along_the_heading_and_progress_along_the_worlds_x_axis():
-    motion = step_motion(end=(0.0, 0.03, 0.2), yaw=(np.pi / 2, np.pi / 2))
+    motion = moved_state(end=(0.0, 0.03, 0.2), yaw=(np.pi / 2, np.pi / 2))
     np.testing.assert_allclose(TERMS["forward_speed"].value(motion), [0.15])
     np.testing.assert_allclose(TERMS["progress"].value(motion), [0.0])
 
 
 def test_yaw_rate_is_continuous_where_yaw_wraps():
-    np.testing.assert_allclose(step_motion(yaw=(np.pi - 0.05, 0.05 - np.pi)).turn[0, 2], 1.0 / SCALES.rate)
+    np.testing.assert_allclose(moved_state(yaw=(np.pi - 0.05, 0.05 - np.pi)).turn[0, 2], 1.0 / SCALES.rate)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +119,7 @@ def test_yaw_rate_is_continuous_where_yaw_wraps():
     ],
 )
 def test_reward_of_a_step_is_the_weighted_sum_of_limited_terms(weights, limits, reward):
-    total, parts = step_reward(weights, limits, step_motion())
+    total, parts = step_reward(weights, limits, moved_state())
     np.testing.assert_allclose(total, [reward], atol=1e-15)
     assert list(parts) == list(weights)
     np.testing.assert_allclose(sum(parts.values()), total, atol=1e-15)

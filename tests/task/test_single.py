@@ -11,7 +11,8 @@ from scripted import ScriptedWorld
 import surefoot.envs
 from surefoot.errors import SurefootError
 from surefoot.task.config import FeedbackConfig, TaskConfig, preset_names
-from surefoot.task.env import LocomotionEnv, LocomotionSingleEnv
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.single_env import LocomotionSingleEnv
 from surefoot.world.sim_world import SimWorld
 
 FEEDBACK = FeedbackConfig(swing=(-0.5, 0.5), extension=(1.0, 2.0))
@@ -36,7 +37,7 @@ def test_an_episode_ends_after_its_steps_and_starts_anew_with_a_reset(single):
     assert (terminated, truncated) == (False, True)
     assert info["figures"] == pytest.approx({"return": 0.018, "steps": 3, "distance": 0.018, "duration": 0.018})
     env.reset()
-    assert env.batch.steps.tolist() == [0]
+    assert env.batch.state.steps.tolist() == [0]
 
 
 def test_a_single_robot_moves_as_robot_0_of_a_batch():

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from resuming import assert_resumes_exactly
 
-from surefoot.api.simulator import on_terrain
 from surefoot.errors import SurefootError
+from surefoot.evaluation.conditions import on_terrain
 from surefoot.evaluation.rollout import EpisodeRecorder
 from surefoot.evaluation.tracking import distance_along, kept_up
 from surefoot.robot import RobotDescription
@@ -17,7 +18,10 @@ from surefoot.rotations import in_heading_frame
 from surefoot.task.config import load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.height_scan import AROUND, HeightScanner, ScanConfig, scan_heights
-from surefoot.task.terrain import TerrainConfig, TerrainCurriculum
+from surefoot.task.state import base_height
+from surefoot.task.terminations import is_low, is_tilted
+from surefoot.task.terrain import TerrainConfig
+from surefoot.task.terrain_curriculum import TerrainCurriculum
 from surefoot.world.ground import FLAT
 from surefoot.world.registry import find_world
 from surefoot.world.terrain import make_terrain
@@ -35,19 +39,20 @@ def env() -> LocomotionEnv:
 
 def test_robots_rest_on_the_middles_of_their_tiles(env):
     env.reset(seed=0)
-    assert env.curriculum is not None
-    starts = env.curriculum.tiles.starts
+    starts = env.component(TerrainCurriculum).tiles.starts
     # The base rests some centimetres from where its feet have their middle, and turns with the robot.
-    yaw = env.truth.roll_pitch_yaw[:, 2]
-    away = np.column_stack([env.truth.base_position_world[:, :2] - starts[0, [0, 1, 0, 1]], np.zeros(4)])
+    yaw = env.state.truth.roll_pitch_yaw[:, 2]
+    away = np.column_stack([env.state.truth.base_position_world[:, :2] - starts[0, [0, 1, 0, 1]], np.zeros(4)])
     rest = in_heading_frame(away, yaw)
     np.testing.assert_allclose(rest, np.tile(rest[0], (4, 1)), atol=1e-9)
     assert len(np.unique(yaw)) == 4
-    over = env.truth.base_position_world[:, 2] - env.ground.height(env.truth.base_position_world[:, :2])
+    over = env.state.truth.base_position_world[:, 2] - env.state.ground.height(
+        env.state.truth.base_position_world[:, :2]
+    )
     np.testing.assert_allclose(over, over[0], atol=1e-9)
     feet = env.world.foot_positions()
     radius = 0.022
-    np.testing.assert_allclose(feet[..., 2] - env.ground.height(feet[..., :2]), radius, atol=0.006)
+    np.testing.assert_allclose(feet[..., 2] - env.state.ground.height(feet[..., :2]), radius, atol=0.006)
 
 
 def test_levels_rise_with_what_a_robot_covers_and_fall_with_it():
@@ -88,16 +93,20 @@ def test_a_curriculum_counts_the_ways_that_success_is_judged_by(env):
     recorder = EpisodeRecorder(env, pushed=False)
     rng = np.random.default_rng(1)
     for _ in range(60):
-        start, seen = env.readings.time, env._observation()
+        start, seen = env.state.readings.time, env._observation()
         env.step(0.2 * rng.uniform(-1, 1, (4, env.single_action_space.shape[0])))
         recorder.record(start, seen)
     for i in range(4):
         trace = recorder.trace(i, 60, {"world": "mujoco", "policy": "", "seed": 5, "episode": i, "ended": "time"})
-        covered = env.curriculum.covered[i]
+        covered = env.component(TerrainCurriculum).covered[i]
         assert distance_along(trace) == pytest.approx(covered, abs=1e-9)
-        share = covered / env.curriculum.commanded[i] if env.curriculum.commanded[i] else 0.0
-        assert kept_up(trace) == bool(0.7 <= share <= 1.25 or not env.curriculum.commanded[i])
-    assert np.abs(env.curriculum.covered).max() > 0.01
+        share = (
+            covered / env.component(TerrainCurriculum).commanded[i]
+            if env.component(TerrainCurriculum).commanded[i]
+            else 0.0
+        )
+        assert kept_up(trace) == bool(0.7 <= share <= 1.25 or not env.component(TerrainCurriculum).commanded[i])
+    assert np.abs(env.component(TerrainCurriculum).covered).max() > 0.01
 
 
 def test_an_environment_on_terrain_resumes_exactly(env):
@@ -115,14 +124,16 @@ def test_tilt_and_height_count_from_the_course_of_the_ground():
     env = LocomotionEnv(on_terrain(task, "slope:25"), 1, find_world("mujoco"), 0, threads=1)
     angles = np.array([[0.0, -np.radians(25), 0.0]])
     truth = replace(
-        env.truth, roll_pitch_yaw=angles, base_position_world=np.array([[3.0, 0.0, 2 * np.tan(np.radians(25)) + 0.3]])
+        env.state.truth,
+        roll_pitch_yaw=angles,
+        base_position_world=np.array([[3.0, 0.0, 2 * np.tan(np.radians(25)) + 0.3]]),
     )
-    from surefoot.task.env import has_fallen
-    from surefoot.task.reward import base_height
-
-    assert not has_fallen(truth, 0.3, 0.2, env.ground)[0]
-    assert has_fallen(truth, 0.3, 0.2, FLAT)[0]
-    assert base_height(truth.base_position_world, env.ground)[0] == pytest.approx(0.3, abs=1e-6)
+    on_slope = SimpleNamespace(truth=truth, ground=env.state.ground)
+    on_floor = SimpleNamespace(truth=truth, ground=FLAT)
+    assert not is_tilted(on_slope, 0.3)[0]
+    assert not is_low(on_slope, 0.2)[0]
+    assert is_tilted(on_floor, 0.3)[0]
+    assert base_height(truth.base_position_world, env.state.ground)[0] == pytest.approx(0.3, abs=1e-6)
 
 
 def test_a_scan_has_the_heights_around_a_turned_robot():

@@ -212,13 +212,13 @@ class DrivePage:
             self.recordings.error = ""
 
     def _draw(self) -> None:
-        truths = [robot.env.truth for robot in self._robots]
+        truths = [robot.env.state.truth for robot in self._robots]
         self._view.move(*((t.base_position_world[0], t.base_quat_world[0], t.motor_angle[0]) for t in truths))
         self._view.show_push(self.robot.push_force_world)
 
     def _show_robot(self) -> None:
         """Show new robots on the page."""
-        self._view.show(self.robot.env.ground, *(robot.robot for robot in self._robots))
+        self._view.show(self.robot.env.state.ground, *(robot.robot for robot in self._robots))
         self._draw()
         self._send_options()
 
@@ -324,7 +324,7 @@ class DrivePage:
     def _record(self, on: bool) -> None:
         if on and not self.recordings.is_recording:
             names = [self._name] if self.ghost is None else [self._name, f"{self._ghost_name} (ghost)"]
-            self.recordings.start(self.world, dict(zip(names, self._robots, strict=True)))
+            self.recordings.start(dict(zip(names, self._robots, strict=True)))
         elif not on and self.recordings.is_recording:
             self.recordings.stop()
 

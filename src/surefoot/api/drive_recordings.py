@@ -1,4 +1,7 @@
-"""Recordings of the drive page: traces in a folder, and pages and videos that `surefoot show` makes of them."""
+"""Recordings of the drive page: traces in a folder, and pages and videos that `surefoot show` makes of them.
+
+A trace is written while it is recorded: of a page that is killed, all but the last moments remain (.npz.partial).
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,12 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from surefoot.deploy.trace_file import TraceFile
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluation.driven import MAX_RECORDING
 
 if TYPE_CHECKING:
-    from surefoot.evaluation.driven import DrivenRobot, Recording
+    from surefoot.evaluation.driven import DrivenRecording, DrivenRobot
 
 KINDS = ("html", "mp4")
 """What can be made of a recorded trace."""
@@ -37,7 +41,7 @@ class DriveRecordings:
         """Files of the last recording, by kind: npz, ghost (the ghost's trace), html and mp4."""
         self.error = ""
         """What went wrong; who reports it sets it back."""
-        self._recordings: list[tuple[str, Recording]] = []
+        self._recordings: list[tuple[TraceFile, DrivenRecording]] = []
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[str] | None = None
         self._kind, self._duration, self._note = "", 0.0, ""
@@ -47,17 +51,22 @@ class DriveRecordings:
         """Whether a recording goes on."""
         return bool(self._recordings)
 
-    def start(self, world: str, robots: dict[str, DrivenRobot]) -> None:
+    def start(self, robots: dict[str, DrivenRobot]) -> None:
         """Record robots, by names of their policies, from now on.
 
         Raises:
-            SurefootError: the last recording is still being written.
+            SurefootError: the last recording is still being written, or the folder can't be written.
         """
         if self._thread is not None or self._process is not None:
             raise SurefootError("the last recording is still being written; record again in a moment")
-        self.files, self._note, self._world = {}, "", world
+        self.files, self._note = {}, ""
         self._robot = next(iter(robots.values())).robot
-        self._recordings = [(policy, robot.record()) for policy, robot in robots.items()]
+        stem = re.sub(r"[^\w.-]+", "-", next(iter(robots)))[:60] + time.strftime("-%Y-%m-%d_%H-%M-%S")
+        for end, (policy, robot) in zip(("", "-ghost"), robots.items(), strict=False):
+            recording = robot.record(policy)
+            file = TraceFile(self.folder / f"{stem}{end}.npz", recording.head)
+            recording.on_rows = file.add
+            self._recordings.append((file, recording))
 
     def stop(self) -> None:
         """End the recording and write its traces, in a thread."""
@@ -68,15 +77,17 @@ class DriveRecordings:
         self._thread = threading.Thread(target=self._write, args=(recordings,))
         self._thread.start()
 
-    def _write(self, recordings: list[tuple[str, Recording]]) -> None:
-        stem = re.sub(r"[^\w.-]+", "-", recordings[0][0])[:60] + time.strftime("-%Y-%m-%d_%H-%M-%S")
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            for kind, (policy, recording) in zip(("npz", "ghost"), recordings, strict=False):
-                path = self.folder / f"{stem}{'-ghost' if kind == 'ghost' else ''}.npz"
-                self.files[kind] = recording.trace(policy, self._world).save(path)
-        except (SurefootError, OSError) as error:
-            self.error = f"the recording is lost: {error}"
+    def _write(self, recordings: list[tuple[TraceFile, DrivenRecording]]) -> None:
+        for kind, (file, recording) in zip(("npz", "ghost"), recordings, strict=False):
+            file.close()
+            try:
+                problem = file.replace(recording.trace())
+            except SurefootError as error:
+                problem = f"the recording is lost: {error}"
+            if problem:
+                self.error = problem
+            else:
+                self.files[kind] = file.path
 
     def export(self, kind: str) -> None:
         """Make a page or a video of the last recording, in a process.

@@ -15,8 +15,11 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _EXTRAS = {
-    "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas", "trimesh", "collada", "fast_simplification"),
-    "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
+    "sim": (
+        *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas", "tomli_w"),
+        *("trimesh", "collada", "fast_simplification"),
+    ),
+    "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard", "filelock"),
     "report": ("matplotlib", "imageio_ffmpeg", "PIL"),
     "search": ("optuna", "ray", "grpc"),
     "tune": ("cma",),

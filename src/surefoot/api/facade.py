@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import tempfile
-import threading
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
@@ -18,8 +17,8 @@ from surefoot.errors import SurefootError
 __all__ = ["drive", "evaluate", "export", "load", "play", "robots", "train"]
 
 if TYPE_CHECKING:
+    from surefoot.evaluation.conditions import Condition
     from surefoot.robot import RobotDescription
-    from surefoot.task.config import TaskConfig
 
 Parameters = Mapping[str, Any] | str | Path | None
 """Physical parameters by name, or a file of a robot's (.toml, or the name of one that ships with it)."""
@@ -73,15 +72,11 @@ def train(
         _require_drawing()
     from rich.console import Console
 
-    from surefoot.api.training import TrainingProgress, check_config, finish_run
+    from surefoot.api.training import check_config, run_training
     from surefoot.configuration import from_mapping
     from surefoot.learn.config import TrainConfig, load_train_config
-    from surefoot.learn.folder_lock import folder_lock
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.training_loop import TrainingLoop
     from surefoot.robot.randomization import resolve_table
-    from surefoot.stop_signals import StopSignals
-    from surefoot.world.registry import find_world
 
     base = load_train_config(str(task), None if robot is None else str(robot))
     chosen = {name: value for name, value in (("steps", steps), ("seed", seed), ("world", world)) if value is not None}
@@ -94,27 +89,11 @@ def train(
         data["task"] = changes
     config = from_mapping(TrainConfig, data, base=base)
     check_config(config)
-    # The configuration in the folder names copies, which stay where they are.
-    folder, config = RunFolder.open(RunFolder.create(config, Path(runs)).path)
-    console = Console(highlight=False, soft_wrap=True, markup=False)
-    console.print(f"Training {config.task.name} in {folder.path}")
-
-    def stop(count: int) -> None:
-        if count > 1:
-            raise KeyboardInterrupt
-
-    # Only the main thread has signals.
-    signals = ("SIGINT",) if threading.current_thread() is threading.main_thread() else ()
-    with folder_lock(folder.path):
-        loop = TrainingLoop(config, folder, find_world(config.world))
-        with TrainingProgress(config, console) as progress, StopSignals(signals, stop) as stops:
-            loop.run(progress.report, lambda: stops.count > 0)
-        if not loop.finished:
-            raise KeyboardInterrupt
-        if not figures:
-            loop.export(folder.policy)
-            return Run(folder.path, {})
-        return Run(folder.path, finish_run(loop, folder, lambda line: None))
+    folder = RunFolder.create(config, Path(runs))
+    summaries = run_training(folder, Console(highlight=False, soft_wrap=True, markup=False), figures=figures)
+    if summaries is None:
+        raise KeyboardInterrupt
+    return Run(folder.path, summaries)
 
 
 @report_missing_extras
@@ -155,25 +134,16 @@ def evaluate(
     Raises:
         SurefootError: a policy, world or value that does not exist or is not allowed.
     """
-    from surefoot.api.policies import run_policy
-    from surefoot.evaluation.runs import measure_runs, summarize
+    from surefoot.api.evaluation import run_evaluation
     from surefoot.world.registry import find_world
 
     find_world(world)
     loaded = load(policy, robot=robot)
-    task = _task(
-        loaded,
-        params,
-        duration,
-        randomize,
-        pushes=pushes,
-        push_force=push_force,
-        commands=None if commands is None else Path(commands),
-        terrain=str(terrain),
+    condition = _condition(
+        loaded, params, duration, randomize, pushes=pushes, push_force=push_force, commands=commands, terrain=terrain
     )
-    title = f"{episodes} episodes"
-    traces = run_policy(loaded.controller, task, episodes, world, seed, threads, loaded.name, title)
-    return Evaluation(measure_runs(traces), summarize(traces, loaded.robot.urdf.total_mass), traces)
+    task = condition.apply(loaded.task, loaded.robot)
+    return run_evaluation(replace(loaded, task=task), episodes, world, seed, threads)
 
 
 @report_missing_extras
@@ -218,8 +188,8 @@ def play(
     path = folder / f"{loaded.name}.mp4" if out is None else Path(out)
     if path.suffix.lower() != ".mp4":
         raise SurefootError(f"video {path}: the name must end in .mp4")
-    schedule = None if commands is None else Path(commands)
-    task = _task(loaded, params, duration, pushes=pushes, commands=schedule, terrain=str(terrain))
+    condition = _condition(loaded, params, duration, pushes=pushes, commands=commands, terrain=terrain)
+    task = condition.apply(loaded.task, loaded.robot)
     (trace,) = run_policy(loaded.controller, task, 1, world, seed, name=loaded.name)
     return Video(film(loaded.robot, trace, path, task.terrain.build(seed).ground))
 
@@ -285,7 +255,7 @@ def export(
 
     from surefoot.policy.export import export_policy
     from surefoot.task.contract_mapping import make_contract
-    from surefoot.task.env import find_batch
+    from surefoot.task.single_env import find_batch
 
     network = model
     if not isinstance(model, nn.Module):
@@ -299,29 +269,32 @@ def export(
     return load(export_policy(network, contract, path, output, batch.robot.archive))
 
 
-def _task(
+def _condition(
     policy: Policy,
     params: Parameters,
     duration: float | None,
     randomize: str | Path | Mapping[str, Any] | None = None,
-    **conditions: Any,
-) -> TaskConfig:
-    """Return the task to run a policy on; `conditions` as `evaluation_task` takes them."""
-    from surefoot.api.simulator import change_simulator, evaluation_task, with_duration
+    commands: str | Path | None = None,
+    terrain: str | Path = "flat",
+    **changes: Any,
+) -> Condition:
+    """Return what a policy is run under; `changes` are further fields of `Condition`."""
     from surefoot.configuration import from_mapping
+    from surefoot.evaluation.conditions import Condition
     from surefoot.robot.randomization import resolve_table
     from surefoot.task.config import TaskConfig
 
-    if isinstance(params, str | Path):
-        task = change_simulator(policy.task, file=Path(params))
-    else:
-        task = change_simulator(policy.task, settings=params)
-    if randomize is not None:
-        table = randomize if isinstance(randomize, Mapping) else str(randomize)
-        data = resolve_table({"randomize": table}, robot=task.robot)
-        task = from_mapping(TaskConfig, data, base=replace(task, randomize={}))
-    task = evaluation_task(task, policy.robot, {} if randomize is None else task.randomize, **conditions)
-    return task if duration is None else with_duration(task, policy.robot, duration)
+    table = {} if randomize is None else randomize if isinstance(randomize, Mapping) else str(randomize)
+    data = resolve_table({"randomize": table}, robot=policy.task.robot)
+    return Condition(
+        params_file=Path(params) if isinstance(params, str | Path) else None,
+        params=params if isinstance(params, Mapping) else {},
+        randomize=from_mapping(TaskConfig, data, base=replace(policy.task, randomize={})).randomize,
+        commands=None if commands is None else Path(commands),
+        terrain=str(terrain),
+        duration=duration,
+        **changes,
+    )
 
 
 def _require_drawing() -> None:

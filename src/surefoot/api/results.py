@@ -38,6 +38,8 @@ class Policy:
     """The task that it was trained for, on that robot."""
     controller: Controller
     """What computes: a `PolicyRuntime`, or a handcrafted gait."""
+    config_hash: str
+    """Hash of the configuration that it was trained with."""
 
     def feedback(self, observation: ArrayLike) -> Array:
         """Return feedback (N, A) in leg space for observations (N, O * history) in SI units.
@@ -97,6 +99,13 @@ class Evaluation:
     """Means, deviations, falls and gait, as JSON holds them; see `surefoot.evaluation.runs.summarize`."""
     traces: list[EpisodeTrace]
     """What happened, an episode each, in arrays by control step; `save` writes one that `surefoot show` shows."""
+
+    @classmethod
+    def from_traces(cls, traces: list[EpisodeTrace], robot: RobotDescription) -> Evaluation:
+        """Measure episodes of one policy in one world, which were run or recorded."""
+        from surefoot.evaluation.runs import measure_runs, summarize
+
+        return cls(measure_runs(traces), summarize(traces, robot.urdf.total_mass), traces)
 
     def __repr__(self) -> str:
         return _table({self._title: self.summary}).to_string()
@@ -199,4 +208,4 @@ def load(policy: str | Path | Run | Policy, *, robot: str | Path | None = None) 
         policy = policy.path
     path = find_policy(str(policy.path if isinstance(policy, Run) else policy))
     controller, description, task, origin = load_gait(path, None if robot is None else str(robot))
-    return Policy(origin["name"], path, description, task, controller)
+    return Policy(origin["name"], path, description, task, controller, origin["config_hash"])

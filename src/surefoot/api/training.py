@@ -1,11 +1,13 @@
-"""One training: checks before it, its progress, and what is made of it at its end."""
+"""One training: checks before it, its run with a progress display, and what is made of it at its end."""
 
 from __future__ import annotations
 
 import json
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,14 +17,16 @@ from rich.console import Console
 from surefoot.api.episodes import draw_episode, film
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
-from surefoot.learn.config import TrainConfig
+from surefoot.learn.config import LoggerName, TrainConfig
 from surefoot.progress import ProgressBar
+from surefoot.stop_signals import StopSignals
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.learn.ppo_learner import UpdateFigures
+    from surefoot.learn.evaluation import Evaluation
+    from surefoot.learn.rollout_statistics import UpdateFigures
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.training_loop import Evaluation, TrainingLoop
+    from surefoot.learn.training_loop import TrainingLoop
 
 EPISODE = "episode.npz"
 """File of the median episode's trace among the figures of a run."""
@@ -126,6 +130,72 @@ def error_text(rmse: Mapping[str, float | None]) -> str:
     return f"{', '.join(speeds)} m/s, {rate} rad/s"
 
 
+def run_training(
+    folder: RunFolder,
+    console: Console,
+    *,
+    resume: bool = False,
+    logger: LoggerName = "tensorboard",
+    watch: Callable[[TrainingLoop], AbstractContextManager[Callable[[], None]]] | None = None,
+    figures: bool = True,
+) -> dict[str, dict[str, Any]] | None:
+    """Train in a run's folder with a progress display, and evaluate the policy at the end.
+
+    SIGINT or SIGTERM stops after the present update, a second one at once.
+
+    Args:
+        folder: the run's folder.
+        console: where to show it.
+        resume: continue from the folder's last checkpoint, else train from the beginning.
+        logger: see `open_writer`.
+        watch: shows the training; gives what is called after every update.
+        figures: evaluate the policy and write table, figures and video, see `finish_run`.
+
+    Returns:
+        what `finish_run` returns, empty without figures; None if the training was stopped.
+    """
+    from surefoot.learn.folder_lock import folder_lock
+    from surefoot.learn.run_folder import RunFolder
+    from surefoot.learn.training_loop import TrainingLoop
+
+    # Configurations name copies in the folder: what they were copied from may change or go.
+    folder, config = RunFolder.open(folder.path)
+
+    def stop(count: int) -> None:
+        if count > 1:
+            raise KeyboardInterrupt
+        console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
+
+    with folder_lock(folder.path):
+        make_loop = TrainingLoop.resume if resume else TrainingLoop.create
+        loop = make_loop(config, folder, find_world(config.world), logger)
+        console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}")
+        with ExitStack() as stack:
+            progress = stack.enter_context(TrainingProgress(config, console, loop.learner.steps))
+            # Only the main thread has signals.
+            signals = ("SIGINT", "SIGTERM") if threading.current_thread() is threading.main_thread() else ()
+            stops = stack.enter_context(StopSignals(signals, stop))
+            show = stack.enter_context(watch(loop)) if watch else None
+
+            def report(update: UpdateFigures, evaluation: Evaluation | None) -> None:
+                progress.report(update, evaluation)
+                if show is not None:
+                    show()
+
+            try:
+                loop.run(report, lambda: stops.count > 0)
+            except KeyboardInterrupt:
+                console.print("Stopped at once; what was saved last remains.")
+                return None
+            if not loop.finished:
+                console.print(f"Stopped and saved at {loop.learner.steps:,} steps.")
+                return None
+        if not figures:
+            loop.export(folder.policy)
+            return {}
+        return finish_run(loop, folder, console.print)
+
+
 def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], None]) -> dict[str, dict[str, Any]]:
     """Export the best policy and evaluate it: on the nominal robot, and with randomization and pushes if the task has.
 
@@ -139,7 +209,7 @@ def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], No
     Returns:
         what `summarize` returns, by kind of evaluation.
     """
-    from surefoot.evaluation.gap import home_task
+    from surefoot.evaluation.conditions import Condition
     from surefoot.evaluation.rollout import run_episodes
     from surefoot.evaluation.runs import summarize
     from surefoot.policy.runtime import PolicyRuntime
@@ -150,17 +220,18 @@ def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], No
     task, policy, world = loop.config.task, PolicyRuntime.load(folder.policy), loop.config.world
     robot, figures = RobotDescription.load(task.robot), folder.path / "figures"
     report(f"Evaluating over {_EPISODES} episodes ...")
-    nominal = home_task(task)
-    kinds = {"without_pushes": (nominal, _EPISODES)}
+    conditions = [Condition("without_pushes")]
     if task.randomize:
-        kinds["randomized"] = (replace(nominal, randomize=task.randomize), _RANDOMIZED_EPISODES)
+        conditions.append(Condition("randomized", randomize=task.randomize))
     if task.pushes.enabled:
-        kinds["with_pushes"] = (replace(nominal, pushes=task.pushes.for_evaluation(True)), _EPISODES)
-    name = policy.contract.name
-    traces = {
-        kind: run_episodes(policy, task, episodes, find_world(world), seed=0, world_name=world, policy_name=name)
-        for kind, (task, episodes) in kinds.items()
-    }
+        conditions.append(Condition("with_pushes", pushes=True))
+    traces = {}
+    for condition in conditions:
+        run = replace(condition, terrain=None, curricula=True).apply(task, robot)
+        options = (_RANDOMIZED_EPISODES if condition.randomize else _EPISODES, find_world(world))
+        traces[condition.name] = run_episodes(
+            policy, run, *options, seed=0, world_name=world, policy_name=policy.contract.name
+        )
     summaries = {kind: summarize(episodes, robot.urdf.total_mass) for kind, episodes in traces.items()}
     (folder.path / "evaluation.json").write_text(json.dumps(summaries, indent=2) + "\n", encoding="utf-8")
     report("Drawing figures and video ...")

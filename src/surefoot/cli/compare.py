@@ -1,4 +1,4 @@
-"""`surefoot compare`: policies side by side, with the same commands on the same robots."""
+"""`surefoot evaluate POLICY POLICY ...`: policies side by side, with the same commands on the same robots."""
 
 from __future__ import annotations
 
@@ -45,17 +45,15 @@ class CompareCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the arguments `argv`; return the exit code."""
-    command = parse(CompareCommand, argv, "surefoot compare")
+    """Run the comparison with the arguments `argv`; return the exit code."""
+    command = parse(CompareCommand, argv, "surefoot evaluate POLICY POLICY")
     unknown = [name for name in command.conditions if name not in CONDITIONS]
     if unknown or not command.conditions or len(set(command.conditions)) != len(command.conditions):
         named = choices(command.conditions) or "none"
         raise SurefootError(f"--conditions are {named}; give some of {choices(CONDITIONS)}, none twice")
-    import pandas as pd
-
+    from surefoot.api.evaluation import compare_policies
     from surefoot.api.policies import load_policies
-    from surefoot.evaluation.policy_table import common_commands, conditions, measure, prepare_task, texts
-    from surefoot.progress import ProgressBar
+    from surefoot.evaluation.policy_table import common_commands, comparison_conditions, texts
     from surefoot.robot.randomization import load_ranges
     from surefoot.tables import plain_rows, print_table, write_csv
     from surefoot.world.registry import find_world
@@ -64,27 +62,11 @@ def main(argv: list[str]) -> int:
     candidates, robot = load_policies(command.policies)
     limits = [candidate.policy.contract.commands for candidate in candidates]
     commands = common_commands(limits, [candidate.name for candidate in candidates])
-    by_name = {one.name: one for one in conditions(load_ranges("table1", robot=robot.folder))}
+    by_name = comparison_conditions(robot, load_ranges("table1", robot=robot.folder), command.duration)
     chosen = [by_name[name] for name in command.conditions]
     for condition in chosen:
         find_world(condition.world)
-    rows = []
-    for candidate in candidates:
-        task = prepare_task(candidate.task, commands, command.duration, robot)
-        for condition in chosen:
-            with ProgressBar(f"{candidate.name}, {condition.name}") as bar:
-                measures = measure(
-                    candidate.policy,
-                    task,
-                    robot,
-                    condition,
-                    command.episodes,
-                    command.seed,
-                    command.threads,
-                    bar.advance,
-                )
-            rows.append({"policy": candidate.name, "world": condition.world, **measures})
-    table = pd.DataFrame(rows)
+    table = compare_policies(candidates, chosen, robot, commands, command.episodes, command.seed, command.threads)
     files = []
     if command.out is not None:
         from surefoot.report.pages.policy_table import write_page

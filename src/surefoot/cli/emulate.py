@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from surefoot.cli.helpers.viewer import EmulateViewer
     from surefoot.deploy.dds.bus import Bus
     from surefoot.emulator.board import EmulatedBoard
-    from surefoot.emulator.faults import InjectedFault
+    from surefoot.emulator.fault_table import InjectedFault
     from surefoot.emulator.plant import Plant
     from surefoot.emulator.real_time import RealTime, Summary
     from surefoot.emulator.serial.lockstep import Lockstep
@@ -106,12 +106,12 @@ def main(argv: list[str]) -> int:
     command = parse(EmulateCommand, argv, "surefoot emulate")
     words = [word for group in command.faults for word in group]
     if "help" in words:
-        from surefoot.emulator.faults import describe
+        from surefoot.emulator.fault_table import describe
 
         print("\n".join(describe()))
         return 0
     _check(command)
-    from surefoot.emulator.faults import parse_faults
+    from surefoot.emulator.fault_table import parse_faults
     from surefoot.world.registry import check_takes_params
 
     robot = RobotDescription.load(command.robot)

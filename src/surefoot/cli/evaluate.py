@@ -1,15 +1,16 @@
-"""`surefoot evaluate`: run a policy in simulation and measure it."""
+"""`surefoot evaluate`: run a policy in simulation and measure it; several side by side; which parameters break them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from surefoot.api.episodes import draw_episode, print_summaries
-from surefoot.api.simulator import with_duration
+from surefoot.cli import compare, sensitivity
 from surefoot.cli.helpers.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
@@ -19,8 +20,8 @@ from surefoot.configuration import Duration, to_mapping
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
+    from surefoot.api.results import Evaluation, Policy
     from surefoot.robot import RobotDescription
-    from surefoot.task.trace import EpisodeTrace
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,9 @@ class EvaluateCommand(RunOptions):
     With --randomize NAME (table1, none, or a YAML file) every episode draws its physical parameters;
     --randomize.NAME LOW HIGH sets or changes one range, such as --randomize.control-latency 0.010 0.030.
     --trace FILE measures what a robot or a simulation recorded, by the same functions, and simulates nothing.
+
+    Several policies are compared, with the same commands on the same robots: surefoot evaluate POLICY POLICY --help.
+    surefoot evaluate sensitivity POLICY finds which physical parameters break a policy.
     """
 
     policy: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")] = None
@@ -55,17 +59,20 @@ class EvaluateCommand(RunOptions):
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
+    if argv[:1] == ["sensitivity"]:
+        return sensitivity.main(argv[1:])
+    policies = list(takewhile(lambda word: not word.startswith("-"), argv))
+    if len(policies) > 1 or any(word.partition("=")[0] == "--conditions" for word in argv):
+        return compare.main(argv)
     words, ranges = take_ranges(argv)
     command = parse(EvaluateCommand, words, "surefoot evaluate")
     if command.trace:
-        traces, robot, about = _load_traces(command, ranges != RangeOptions(None, {}))
+        evaluation, robot, about = _load_traces(command, ranges != RangeOptions(None, {}))
     elif command.policy is None:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
     else:
-        traces, robot, about = _simulate(command, ranges)
-    from surefoot.evaluation.runs import summarize
-
-    summary = summarize(traces, robot.urdf.total_mass)
+        evaluation, robot, about = _simulate(command, ranges)
+    summary, traces = evaluation.summary, evaluation.traces
     summary["faults"] = sum(trace.meta["ended"] == "fault" for trace in traces)
     if command.trace:
         summary["stopped"] = sum(trace.meta["ended"] == "stopped" for trace in traces)
@@ -92,32 +99,25 @@ def main(argv: list[str]) -> int:
 
 def _simulate(
     command: EvaluateCommand, range_options: RangeOptions
-) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
-    """Run the policy; return its traces, the robot, and the settings of the run."""
-    from surefoot.api.policies import find_policy, load_gait, run_policy
+) -> tuple[Evaluation, RobotDescription, dict[str, Any]]:
+    """Run the policy; return its evaluation, the robot, and the settings of the run."""
+    from surefoot.api.evaluation import run_evaluation
+    from surefoot.api.results import load
     from surefoot.world.registry import find_world
 
-    path = find_policy(str(command.policy))
     find_world(command.world)
-    policy, robot, task, names = load_gait(path, command.robot)
-    ranges = range_options.apply(robot.folder)
-    task = command.apply(task, robot, ranges, command.thermal_protection)
-    if command.duration is not None:
-        task = with_duration(task, robot, command.duration)
-    episodes = command.episodes
-    given = {"command": command.command, "command-grid": command.command_grid or None, "commands": command.commands}
-    if len(options := [f"--{name}" for name, value in given.items() if value is not None]) > 1:
-        raise SurefootError(f"{' and '.join(options)} are given; give one of them")
-    if command.command_grid or command.command:
-        from surefoot.evaluation.tracking import check_command, command_grid
-
-        limits = task.commands.limits(robot)
-        rows = command_grid(limits) if command.command is None else (check_command(command.command, limits),)
-        task = replace(task, commands=replace(task.commands, each=rows))
-        episodes = episodes if command.command else len(rows)
+    policy = load(str(command.policy), robot=command.robot)
+    ranges = range_options.apply(policy.robot.folder)
+    condition = command.condition(
+        ranges,
+        duration=command.duration,
+        command_rows=_command_rows(command, policy),
+        thermal_protection=command.thermal_protection,
+    )
+    task = condition.apply(policy.task, policy.robot)
     make_figures_folder(command.out)
-    title = f"{episodes} episodes"
-    traces = run_policy(policy, task, episodes, command.world, command.seed, command.threads, names["name"], title)
+    episodes = len(condition.command_rows) if command.command_grid else command.episodes
+    evaluation = run_evaluation(replace(policy, task=task), episodes, command.world, command.seed, command.threads)
     parameters = [word.split("=")[0] for group in command.settings for word in group]
     about = {
         "seed": command.seed,
@@ -128,16 +128,27 @@ def _simulate(
         "randomize": to_mapping(ranges),
         "set": command.simulator.latencies | {name: task.params[name] for name in parameters},
         **describe_simulator(task),
-        "policy_file": str(path),
-        "config_hash": names["config_hash"],
+        "policy_file": str(policy.path),
+        "config_hash": policy.config_hash,
     }
-    return traces, robot, about
+    return evaluation, policy.robot, about
 
 
-def _load_traces(
-    command: EvaluateCommand, has_ranges: bool
-) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
-    """Load recorded runs of one robot; return traces, robot, and the traces' files."""
+def _command_rows(command: EvaluateCommand, policy: Policy) -> tuple[tuple[float, float, float], ...]:
+    """Return the commands that hold for a whole episode; none, if commands are drawn or read from a file."""
+    given = {"command": command.command, "command-grid": command.command_grid or None, "commands": command.commands}
+    if len(options := [f"--{name}" for name, value in given.items() if value is not None]) > 1:
+        raise SurefootError(f"{' and '.join(options)} are given; give one of them")
+    if not (command.command_grid or command.command):
+        return ()
+    from surefoot.evaluation.tracking import check_command, command_grid
+
+    limits = policy.task.commands.limits(policy.robot)
+    return command_grid(limits) if command.command is None else (check_command(command.command, limits),)
+
+
+def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation, RobotDescription, dict[str, Any]]:
+    """Measure recorded runs of one robot; return their evaluation, the robot, and the traces' files."""
     allowed = ("trace", "robot", "out", "json", "simulator")
     options: list[tuple[Any, Any]] = [(item, command) for item in fields(command) if item.name not in allowed]
     options += [(item, command.simulator) for item in fields(command.simulator)]
@@ -146,6 +157,7 @@ def _load_traces(
         name = changed[0] if changed else "randomize"
         option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
         raise SurefootError(f"--trace and {option} are given; recorded runs are measured as they are, nothing is run")
+    from surefoot.api.results import Evaluation
     from surefoot.evaluation.recorded import find_traces, load_robot
     from surefoot.robot import RobotDescription
 
@@ -158,4 +170,5 @@ def _load_traces(
                 "runs that are measured together must be of one robot"
             )
     make_figures_folder(command.out)
-    return [trace for _, trace in recorded], robot, {"traces": [str(path) for path, _ in recorded]}
+    evaluation = Evaluation.from_traces([trace for _, trace in recorded], robot)
+    return evaluation, robot, {"traces": [str(path) for path, _ in recorded]}

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from surefoot.api.simulator import with_duration
 from surefoot.cli.helpers.options import (
     Count,
     Json,
@@ -25,9 +24,10 @@ from surefoot.cli.helpers.options import (
 )
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import RunOptions, Simulator, describe_simulator
+from surefoot.cli.helpers.simulator import Simulator, describe_simulator
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, check_name, prefix_errors
+from surefoot.evaluation.conditions import Actuator, Condition, episode_duration
 
 if TYPE_CHECKING:
     from surefoot.api.policies import Candidate
@@ -125,7 +125,7 @@ class GapCommand:
     """Physical parameters at home, over those of --set."""
     to_settings: Annotated[Repeated, tyro.conf.arg(name="to-set", metavar="NAME=VALUE [...]")] = ()
     """Physical parameters in the worlds of --to, over those of --set."""
-    to_actuator: Literal["dc", "constraint"] = "dc"
+    to_actuator: Actuator = "dc"
     """Actuator in the worlds of --to; dc: servo and DC motor; constraint: the position motor of physics engines."""
     terrain: Terrain = "flat"
     pushes: Pushes = False
@@ -140,14 +140,14 @@ class GapCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
-    from surefoot.api.policies import load_policies, run_policy
+    from surefoot.api.evaluation import run_conditions
+    from surefoot.api.policies import load_policies
     from surefoot.world.registry import find_world
 
     home, away = parse_side("--from", command.home), [parse_side("--to", words) for words in command.away]
     _check_sides(command, home, away)
     from surefoot.evaluation.recorded import assign_to_policies, find_traces, save_runs
     from surefoot.evaluation.runs import common_value
-    from surefoot.evaluation.sensitivity import episode_duration
     from surefoot.world.process_world import worker_pool
 
     sides, worlds = (home, *away), []
@@ -155,7 +155,8 @@ def main(argv: list[str]) -> int:
         if isinstance(side, str):
             find_world(side)
     candidates, robot = load_policies(command.policies)
-    tasks = [_tasks(command, one.task, robot) for one in candidates]
+    at_home, elsewhere = _conditions(command)
+    tasks = {one.name: [part.apply(one.task, robot) for part in (at_home, elsewhere)] for one in candidates}
     recorded: dict[Side, dict[str, RecordedTraces]] = {}
     for side in sides:
         if isinstance(side, str):
@@ -166,9 +167,10 @@ def main(argv: list[str]) -> int:
         with prefix_errors(_text(side)):
             worlds.append(common_value([trace for _, trace in traces], "world"))
     labels = make_labels(worlds, sides)
-    for one, (at_home, _) in zip(candidates, tasks, strict=True):
+    for one in candidates:
+        duration = episode_duration(tasks[one.name][0])
         for path, trace in [pair for part in recorded.values() for pair in part[one.name]]:
-            length, duration = trace.meta["max_steps"] * trace.meta["control_step"], episode_duration(at_home)
+            length = trace.meta["max_steps"] * trace.meta["control_step"]
             if abs(length - duration) > _LENGTH_TOLERANCE * duration:
                 raise SurefootError(
                     f"trace file {path}: its run was to last {length:.3g} s, the others last {duration:.3g} s; "
@@ -176,44 +178,43 @@ def main(argv: list[str]) -> int:
                 )
         check_name("policy name", one.name)
     make_figures_folder(command.out)
-    runs: dict[str, dict[str, RecordedTraces]] = {one.name: {} for one in candidates}
+    simulated = [
+        replace(at_home if label == labels[0] else elsewhere, name=label, world=side)
+        for side, label in zip(sides, labels, strict=True)
+        if isinstance(side, str)
+    ]
+    places = dict(zip(labels, sides, strict=True))
+    runs: dict[str, dict[str, RecordedTraces]] = {
+        one.name: {label: recorded[side][one.name] if side in recorded else [] for label, side in places.items()}
+        for one in candidates
+    }
     with worker_pool():
-        for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True):
-            for side, label in zip(sides, labels, strict=True):
-                if isinstance(side, Path):
-                    runs[one.name][label] = recorded[side][one.name]
-                    continue
-                task, title = (
-                    at_home if label == labels[0] else elsewhere,
-                    f"{one.name} in {label}: {command.episodes} episodes",
-                )
-                options = (command.episodes, side, command.seed, command.threads, one.name, title)
-                simulated = run_policy(one.policy, task, *options)
-                runs[one.name][label] = save_runs(command.out / one.name / label, simulated)
+        how = (command.episodes, command.seed, command.threads)
+        for one, condition, made in run_conditions(candidates, simulated, robot, *how):
+            runs[one.name][condition.name] = save_runs(command.out / one.name / condition.name, made)
     _report(command, candidates, tasks, robot, sides, runs)
     return 0
 
 
-def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
-    """Return the task of a policy at home, and in the other worlds, of the same duration."""
-    from surefoot.evaluation.gap import away_task, home_task
-    from surefoot.evaluation.sensitivity import episode_duration
-
-    def adjusted(side: TaskConfig, settings: Repeated, actuator: Literal["dc", "constraint"] | None) -> TaskConfig:
-        simulator, words = Simulator(actuator, params=command.params), (*command.settings, *settings)
-        options = RunOptions(pushes=command.pushes, settings=words, simulator=simulator, terrain=command.terrain)
-        side = options.apply(side, robot)
-        # Returns over different times could not be compared.
-        return with_duration(side, robot, command.duration or episode_duration(task))
-
-    at_home = adjusted(home_task(task), command.from_settings, None)
-    return at_home, adjusted(away_task(task), command.to_settings, command.to_actuator)
+def _conditions(command: GapCommand) -> tuple[Condition, Condition]:
+    """Return the conditions at home and in the other worlds, in which episodes last equally long."""
+    changes = {
+        "pushes": command.pushes,
+        "terrain": command.terrain,
+        "duration": command.duration,
+        "same_duration": True,
+    }
+    there = Simulator(command.to_actuator, params=command.params)
+    return (
+        Simulator(params=command.params).condition((*command.settings, *command.from_settings), **changes),
+        there.condition((*command.settings, *command.to_settings), data_sheet=True, **changes),
+    )
 
 
 def _report(
     command: GapCommand,
     candidates: list[Candidate],
-    tasks: list[tuple[TaskConfig, TaskConfig]],
+    tasks: dict[str, list[TaskConfig]],
     robot: RobotDescription,
     sides: tuple[Side, ...],
     runs: dict[str, dict[str, RecordedTraces]],
@@ -226,7 +227,7 @@ def _report(
     from surefoot.tables import plain_rows, print_files, print_table, write_csv
 
     out, gaps, episodes, figures = command.out, [], [], []
-    unit = min(task.return_unit(robot) for task, _ in tasks)
+    unit = min(at_home.return_unit(robot) for at_home, _ in tasks.values())
     for name, worlds in runs.items():
         traces = {world: [trace for _, trace in recorded] for world, recorded in worlds.items()}
         gaps.append(PolicyGap.from_runs(name, [measure_runs(part, world) for world, part in traces.items()]))
@@ -266,11 +267,11 @@ def _report(
                 "policy": one.name,
                 "policy_file": str(one.path),
                 "config_hash": one.policy.contract.config_hash,
-                "home": describe_simulator(at_home),
-                "away": describe_simulator(elsewhere),
+                "home": describe_simulator(tasks[one.name][0]),
+                "away": describe_simulator(tasks[one.name][1]),
                 "worlds": plain[one.name],
             }
-            for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True)
+            for one in candidates
         ],
         "pooled": plain[pooled[0].name] if pooled else None,
         "files": [str(file) for file in files],

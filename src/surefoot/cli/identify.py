@@ -133,10 +133,13 @@ def _identify_from_traces(argv: list[str]) -> int:
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
 
     check_installed()
-    from surefoot.identify.traces.fit import fit_traces
+    from surefoot.identify.motion.torque_fit import fit_torques
+    from surefoot.identify.motion.traces import deployed_motion
+
+    motions = [deployed_motion(path.name, trace) for path, trace in traces]
 
     with fit_progress("traces") as report:
-        result = fit_traces(robot, [trace for _, trace in traces], command.fit or None, prior.params, report)
+        result = fit_torques(robot, motions, command.fit or None, prior.params, report)
     folder, source = command.out or _new_folder("traces"), str(command.trace)
     more = {"traces": [str(path) for path, _ in traces]}
     save_and_print(robot, prior, result, command.params, folder, source, more, command.json)
@@ -145,12 +148,13 @@ def _identify_from_traces(argv: list[str]) -> int:
 
 def _identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     """Fit a whole robot with joint actuators to logs."""
-    from surefoot.identify.logs.robot_log import common_gains, read_log
+    from surefoot.identify.motion.recorded import common_gains
+    from surefoot.identify.motion.traces import read_motion
 
     paths = sorted(command.trace.glob("*.npz")) if command.trace.is_dir() else [command.trace]
     if not paths:
         raise SurefootError(f"folder {command.trace} holds no logs (.npz)")
-    logs = {path.name.removesuffix(".npz"): read_log(path, robot) for path in paths}
+    logs = {path.name.removesuffix(".npz"): read_motion(path, robot) for path in paths}
     for option, names in (("rack", command.rack), ("hold-out", command.hold_out)):
         if bad := [name for name in names if name not in logs]:
             raise SurefootError(f"--{option} names '{bad[0]}', which is no log; {suggest(bad[0], logs)}")
@@ -160,15 +164,14 @@ def _identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
 
     check_installed()
-    from surefoot.identify.logs.fit import fit_logs
-    from surefoot.identify.logs.model import LogRun
+    from surefoot.identify.motion.robot_fit import fit_robot
 
-    runs = {name: LogRun(log, name in command.rack) for name, log in logs.items()}
+    runs = {name: replace(log, rack=name in command.rack) for name, log in logs.items()}
     fitted = [run for name, run in runs.items() if name not in command.hold_out]
     held = [runs[name] for name in command.hold_out]
     with fit_progress("logs") as report:
-        result = fit_logs(robot, fitted, held, command.fit or None, prior.params, command.duration, command.generations,
-                          command.seed, report)  # fmt: skip
+        result = fit_robot(robot, fitted, held, command.fit or None, prior.params, command.duration,
+                           command.generations, command.seed, report)  # fmt: skip
     folder, more = command.out or _new_folder("logs"), {"logs": [str(path) for path in paths]}
     save_and_print(robot, prior, result, command.params, folder, command.trace.name, more, command.json)
     return 0

@@ -43,19 +43,16 @@ def main(argv: list[str]) -> int:
     command = parse(ImportCommand, argv, "surefoot identify import")
     check_suffix("out", command.out, ".npz")
     robot = RobotDescription.load(command.robot)
-    from surefoot.identify.logs.importing import import_log, missing_columns, part_of
-    from surefoot.identify.logs.robot_log import log_from_trace, measure_timing
+    from surefoot.identify.motion.importing import import_log
+    from surefoot.identify.motion.traces import trace_from_motion
 
-    trace = import_log(command.file, robot, command.map, command.any_checksum)
+    motion = import_log(command.file, robot, command.map, command.any_checksum)
     if command.between is not None:
-        trace = part_of(trace, *command.between)
-    if trace.meta.get("read_at_row"):
-        timing = measure_timing(trace.time, trace.time)  # with commands or without
-    else:
-        timing = log_from_trace(command.file.name, trace).timing()
-    notes = list(trace.meta.get("notes", []))
-    missing = missing_columns(trace)
-    trace.save(command.out)
+        motion = motion.between(*command.between)
+    # States of a Go2 are imported with commands or without.
+    timing = (motion if motion.read_at_row else motion.checked()).timing()
+    notes, missing = list(motion.meta.get("notes", [])), motion.missing()
+    trace_from_motion(motion, robot).save(command.out)
     if command.json:
         print_json({"trace": str(command.out), "missing": missing, "timing": timing, "notes": notes})
         return 0

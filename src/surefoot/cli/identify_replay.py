@@ -55,17 +55,17 @@ def main(argv: list[str]) -> int:
         robot = load_robot(command.trace, EpisodeTrace.load(command.trace))
     else:
         robot = RobotDescription.load(command.robot)
-    from surefoot.identify.logs.errors import compare_logs, replay_log
-    from surefoot.identify.logs.robot_log import read_log
+    from surefoot.identify.motion.replay_errors import compare_motions, replay_motion
+    from surefoot.identify.motion.traces import read_motion
     from surefoot.identify.replay import Replayer
     from surefoot.world.registry import check_takes_params
 
     check_takes_params(command.world)
-    log = read_log(command.trace, robot)
+    log = read_motion(command.trace, robot)
     params = load_params(robot, command.params, command.settings, log.gains)
-    other = None if command.beside is None else compare_logs(log, read_log(command.beside, robot))
+    other = None if command.beside is None else compare_motions(log, read_motion(command.beside, robot))
     replayer = Replayer(robot, 1, command.rack, command.world, torques=False)
-    errors = replay_log(log, robot, params, replayer)
+    errors = replay_motion(log, robot, params, replayer)
     report: dict[str, Any] = {
         "rms": errors.rms,
         "rms_by_motor": dict(zip(robot.motor_names, map(plain_value, errors.by_motor.tolist()), strict=True)),
@@ -93,7 +93,7 @@ def main(argv: list[str]) -> int:
         unit = "rad/s" if name.endswith("rate") else "rad"
         print(f"  {name:<24} {'not read' if value is None else f'{value:.4f} {unit}'}")
     if other is not None:
-        print(f"{command.beside}: {other.rms:.4f} rad, until {other.log.time[-1]:.1f} s")
+        print(f"{command.beside}: {other.rms:.4f} rad, until {other.motion.time[-1]:.1f} s")
     if command.out is not None:
         print(f"figure: {command.out}")
     return 0

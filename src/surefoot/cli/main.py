@@ -25,9 +25,7 @@ GROUPS = {
         "drive": "steer, push and change a simulated robot, on a page in the browser",
     },
     "measure it": {
-        "evaluate": "run a policy in simulation and measure it",
-        "compare": "measure policies side by side: same commands, same robots",
-        "sensitivity": "find which physical parameters break a policy",
+        "evaluate": "measure policies in simulation, side by side, and find what breaks them",
         "gap": "measure what policies lose in another world, or on a robot",
     },
     "robot": {
@@ -45,6 +43,8 @@ GROUPS = {
 COMMANDS = {name: purpose for group in GROUPS.values() for name, purpose in group.items()}
 FORMER = {
     "play": "surefoot show POLICY, or for its --browser surefoot drive POLICY",
+    "compare": "surefoot evaluate POLICY POLICY",
+    "sensitivity": "surefoot evaluate sensitivity POLICY",
     "replay": "surefoot identify replay TRACE",
     "trace": "surefoot identify import LOG",
     "firmware": "surefoot robot firmware",

@@ -1,4 +1,4 @@
-"""`surefoot sensitivity`: which physical parameters break a policy, one at a time."""
+"""`surefoot evaluate sensitivity`: which physical parameters break a policy, one at a time."""
 
 from __future__ import annotations
 
@@ -64,40 +64,31 @@ class SensitivityCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
-    command = parse(SensitivityCommand, argv, "surefoot sensitivity")
+    command = parse(SensitivityCommand, argv, "surefoot evaluate sensitivity")
     import pandas as pd
 
+    from surefoot.api.evaluation import run_test_worlds
     from surefoot.api.policies import load_policies
-    from surefoot.api.simulator import on_terrain
-    from surefoot.progress import ProgressBar
+    from surefoot.evaluation.conditions import episode_duration
     from surefoot.robot.randomization import load_ranges
-    from surefoot.world.registry import WORLDS, find_world
+    from surefoot.world.registry import find_world
 
-    make_world = find_world(command.world)
+    find_world(command.world)
     loaded, robot = load_policies(command.policies)
     ranges = load_ranges(command.ranges, robot=robot.folder)
-    tasks = [on_terrain(command.simulator.apply(one.task), command.terrain) for one in loaded]
-    for task in tasks:
-        task.nominal(robot)  # refuses parameters that the robot does not allow
+    own = {name: getattr(command, name) for name in ("world", "pushes", "terrain")}
+    condition = command.simulator.condition(**own, curricula=True)
+    tasks = [condition.apply(one.task, robot) for one in loaded]
     make_figures_folder(command.out)
-    from surefoot.evaluation.sensitivity import episode_duration, find_breaks, run_sensitivity, trained_ranges
+    from surefoot.evaluation.sensitivity import find_breaks, trained_ranges
     from surefoot.report.figures.parameters import aggregate_figure, parameter_figure
     from surefoot.tables import write_csv
 
     duration = command.duration or max(episode_duration(task) for task in tasks)
     names = ("values", "episodes", "pushes", "push_force", "seed")
     settings = {name: getattr(command, name) for name in names} | {"duration": duration}
-    options = settings | {
-        "ranges": ranges,
-        "threads": command.threads,
-        "robots": WORLDS[command.world].robots_side_by_side,
-    }
-    results, unit = [], min(task.return_unit(robot) for task in tasks)
-    for one, task in zip(loaded, tasks, strict=True):
-        with ProgressBar(one.name) as bar:
-            results.append(
-                run_sensitivity(one.policy, task, make_world, policy_name=one.name, progress=bar.advance, **options)
-            )
+    results = run_test_worlds(loaded, condition, robot, ranges=ranges, threads=command.threads, **settings)
+    unit = min(task.return_unit(robot) for task in tasks)
     groups, trained = {one.policy: [one] for one in results}, {one.name: trained_ranges(one.task) for one in loaded}
     tables = {
         "policies": [pd.DataFrame([_summary(one)]).drop(columns="breaks") for one in results],

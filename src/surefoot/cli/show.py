@@ -113,8 +113,8 @@ def _show_policy(argv: list[str]) -> int:
     check_suffix("video", command.out, ".mp4")
     from surefoot.api.episodes import film
     from surefoot.api.policies import load_gait, run_policy
-    from surefoot.api.simulator import with_duration
     from surefoot.cli.helpers.viewer import has_display, replay
+    from surefoot.evaluation.conditions import with_duration
     from surefoot.world.registry import find_world
 
     path = find_policy(command.policy)
@@ -182,7 +182,8 @@ def _load_traces(command: ShowRunsCommand) -> list[ShownTrace]:
     """Load traces and robots; a trace is named by its policy, and by world or file where that is not unique."""
     from surefoot.api.policies import distinct_names
     from surefoot.evaluation.recorded import find_traces, load_robot
-    from surefoot.identify.logs.importing import import_log
+    from surefoot.identify.motion.importing import import_log
+    from surefoot.identify.motion.traces import trace_from_motion
     from surefoot.npz import read_npz
     from surefoot.report.pages.recorded_runs import ShownTrace
 
@@ -190,7 +191,7 @@ def _load_traces(command: ShowRunsCommand) -> list[ShownTrace]:
     traces = []
     for path in command.trace:
         if robot is not None and path.is_file() and path.suffix == ".npz" and "meta" not in read_npz(path):
-            traces.append((path, import_log(path, robot)))
+            traces.append((path, trace_from_motion(import_log(path, robot), robot)))
         else:
             traces += find_traces(path)
     # Robots of one name may differ, where each trace carries its own.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,17 +19,14 @@ from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
 from surefoot.errors import SurefootError, choices, suggest
 from surefoot.learn.config import LoggerName, Steps, TrainConfig, load_train_config
-from surefoot.robot import parse_settings
-from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
 from surefoot.task.plugins import load_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from surefoot.learn.ppo_learner import UpdateFigures
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.training_loop import Evaluation
+    from surefoot.learn.training_loop import TrainingLoop
 
 _USAGE = """usage: surefoot train TASK [options]                 learn a gait
        surefoot train --resume RUN [--steps N]         resume a run exactly where it stopped, with its own options
@@ -122,8 +121,7 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     # Ranges have options of their own: tyro's would take any count of numbers.
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize={})})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
-    settings = parse_settings([word for group in command.settings for word in group])
-    task = command.simulator.apply(command.task, settings)
+    task = command.simulator.condition(command.settings).simulate(command.task)
     pushes = replace(task.pushes, enabled=task.pushes.enabled or command.pushes)
     task = replace(task, pushes=pushes, randomize=ranges)
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
@@ -163,54 +161,25 @@ def _print_next_commands(console: Console, folder: RunFolder) -> None:
 def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: LoggerName) -> int:
     """Train in a run's folder, from its beginning or on from its last checkpoint; return the exit code."""
     from surefoot.api.episodes import print_summaries
-    from surefoot.api.training import EPISODE, TrainingProgress, finish_run
-    from surefoot.learn.folder_lock import folder_lock
-    from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.training_loop import TrainingLoop
-    from surefoot.world.registry import find_world
+    from surefoot.api.training import EPISODE, run_training
 
     console = make_console()
-    # Configurations name copies in the folder: what they were copied from may change or go.
-    folder, config = RunFolder.open(folder.path)
-
-    def stop(count: int) -> None:
-        if count > 1:
-            raise KeyboardInterrupt
-        console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
-
-    with folder_lock(folder.path):
-        loop = TrainingLoop(config, folder, find_world(config.world), resume=resume, logger=logger)
-        console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}")
-        with ExitStack() as stack:
-            progress = stack.enter_context(TrainingProgress(config, console, loop.learner.steps))
-            stops = stack.enter_context(StopSignals(("SIGINT", "SIGTERM"), stop))
-            page = None
-            if page_port is not None:
-                from surefoot.cli.helpers.train_page import TrainingPage
-
-                page = TrainingPage(loop, page_port)
-                stack.callback(page.close)
-
-            def report(figures: UpdateFigures, evaluation: Evaluation | None) -> None:
-                progress.report(figures, evaluation)
-                if page is not None:
-                    page.update()
-
-            try:
-                loop.run(report, lambda: stops.count > 0)
-            except KeyboardInterrupt:
-                console.print("Stopped at once; what was saved last remains.")
-                stopped = True
-            else:
-                stopped = not loop.finished
-                if stopped:
-                    console.print(f"Stopped and saved at {loop.learner.steps:,} steps.")
-        if stopped:
-            _print_next_commands(console, folder)
-            return 130
-        summaries = finish_run(loop, folder, console.print)
+    watch = None if page_port is None else partial(_page, port=page_port)
+    summaries = run_training(folder, console, resume=resume, logger=logger, watch=watch)
+    if summaries is None:
+        _print_next_commands(console, folder)
+        return 130
     print_summaries({kind.replace("_", " "): summary for kind, summary in summaries.items()})
     console.print(f"Policy, table, figures and video are in {folder.path}")
     console.print(show_command([folder.path / "figures" / EPISODE]))
     console.print(next_command("drive it", "drive", folder.policy))
     return 0
+
+
+@contextmanager
+def _page(loop: TrainingLoop, port: int) -> Iterator[Callable[[], None]]:
+    """Show a training on a page in the browser; give what is called after every update."""
+    from surefoot.cli.helpers.train_page import TrainingPage
+
+    with closing(TrainingPage(loop, port)) as page:
+        yield page.update

@@ -14,10 +14,12 @@ from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import STAND
-from surefoot.task.commands import CommandState
+from surefoot.task.commands import CommandGenerator
+from surefoot.task.component import RobotComponent
 from surefoot.task.contract_mapping import task_from_contract
-from surefoot.task.follower import Follower
-from surefoot.task.observation import ObservationInputs, Observer
+from surefoot.task.gait_components import gait_components
+from surefoot.task.observation import Observer
+from surefoot.task.state import RobotState
 from surefoot.world.interface import Readings
 
 
@@ -37,18 +39,26 @@ class Controller:
         self.observation, self.feedback = np.zeros(self.observer.width), np.zeros(len(contract.action_names))
         self.target, self.inference = robot.resting_angles, 0.0
         """The newest observation (O,), feedback (A,), motor angles (M,) [rad], and time of inference [s]."""
-        self.command = np.array(STAND)
-        """The command (3,), within the contract's limits: speeds [m/s], yaw rate [rad/s]."""
         self.heights: Array | None = None
         """Heights of the ground (K,) [m] on the grid of the contract's map, for a policy that sees them."""
         self._history: NDArray[np.float32] | None = None
-        self._follower = None if limits is None else Follower(self.gait.reference, limits, robot, 1)
+        self._source = CommandGenerator(1)
+        self._components: list[RobotComponent] = []
+        if limits is not None:
+            self._components += gait_components(self.gait, limits, self._source, 1)
+        self._state: RobotState
 
     def reset(self) -> None:
         """Start a new episode, with the command to stand."""
         self.feedback = np.zeros_like(self.feedback)
-        self.command = np.array(STAND)
+        self._source.command[:] = STAND
         self._history = None
+
+    @property
+    def command(self) -> Array:
+        """The command (3,), within the contract's limits: speeds [m/s], yaw rate [rad/s]."""
+        command: Array = self._source.command[0].copy()
+        return command
 
     def set_command(self, command: ArrayLike) -> str:
         """Set the command (3,) from the next control step on; return what was clamped, in words.
@@ -58,11 +68,8 @@ class Controller:
         """
         if self.contract.commands is None:
             raise SurefootError(f"policy '{self.contract.name}' has no commands to follow")
-        self.command, clamped = self.contract.commands.clamp(command)
+        self._source.command[0], clamped = self.contract.commands.clamp(command)
         return clamped
-
-    def _state(self) -> CommandState | None:
-        return None if self._follower is None else self._follower.state
 
     def observe(self, moment: float, state: State, missed: int = 0) -> NDArray[np.float32]:
         """Return the policy's input (1, O * history), the newest observation first.
@@ -82,16 +89,19 @@ class Controller:
             motor_angle=state.motor_angle[None],
             motor_velocity=state.motor_velocity[None],
         )
-        heights = None if self.heights is None else self.heights[None]
-        if self._follower is not None and self._history is None:
-            self._follower.reset(np.arange(1), readings.roll_pitch_yaw[:, 2])
-        elif self._follower is not None:
-            step = np.array([self.contract.control_step * (missed + 1)])
-            self._follower.advance(self.command[None], step, readings, self.target[None], heights)
-        inputs = ObservationInputs(
-            readings, self.gait.reference, self.feedback[None], self._state(), self.gait.memory, heights
-        )
-        self.observation = self.observer.observe(inputs)[0]
+        duration = np.array([self.contract.control_step * (missed + 1)])
+        if self._history is None:
+            self._state = RobotState.initial(self.gait, readings, duration)
+        now = self._state
+        now.readings, now.duration = readings, duration
+        now.feedback, now.target = self.feedback[None], self.target[None]
+        now.heights = None if self.heights is None else self.heights[None]
+        for component in self._components:
+            if self._history is None:
+                component.reset(np.arange(1), now)
+            else:
+                component.after_step(now)
+        self.observation = self.observer.observe(now)[0]
         check_finite("observation", self.contract.columns, self.observation)
         if self._history is None:
             self._history = np.tile(self.observation, (self.contract.history, 1)).astype(np.float32)
@@ -111,6 +121,6 @@ class Controller:
         self.feedback = np.asarray(self.policy.feedback(observation), float)[0]
         self.inference = time.perf_counter() - started
         check_finite("feedback", self.contract.action_names, self.feedback)
-        self.target = self.gait.motor_targets(np.array([moment]), self.feedback[None], self._state())[0]
+        self.target = self.gait.motor_targets(np.array([moment]), self.feedback[None], self._state.gait_state)[0]
         check_finite("target", self.robot.motor_names, self.target)
         return self.target

@@ -200,7 +200,7 @@ class Deployment:
         def after(k: int, state: State, computed: bool) -> None:
             if k == 0:
                 recorder.begin(state, loop.pacer.due(0) - self.link.sync.offset)
-            recorder.close(k, state, self.link.state_sent)
+            recorder.close(k, state)
             if computed:
                 recorder.open(controller.observation, controller.feedback, controller.target, controller.command)
 

@@ -13,9 +13,9 @@ from collections.abc import Callable
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.columns import RowLayout
 from surefoot.deploy.messages import State
 from surefoot.deploy.safety import is_finite
-from surefoot.task.partial_trace import RowLayout
 
 
 class Recorder:
@@ -46,10 +46,10 @@ class Recorder:
         """Take the state at the start of the episode, and the robot's time then [s]."""
         self._energy, self.start = state.energy, robot_time
 
-    def close(self, until: int, state: State, robot_time: float) -> None:
+    def close(self, until: int, state: State) -> None:
         """Close all rows before control step `until`, which starts now; rows after the first were missed.
 
-        `state` is the newest state, which the robot sent at `robot_time` [s] on its clock.
+        `state` is the newest state.
         """
         first, end = self.steps, min(until, self.max_steps)
         if self._open is None or end <= first or not is_finite(state):
@@ -58,11 +58,10 @@ class Recorder:
         self.missed += range(first + 1, end)
         columns = self.layout.columns(self._rows[first:end])
         columns["time"][:] = np.arange(first + 1, end + 1) * self.control_step
-        columns["robot_time"][:] = robot_time
         for name in ("roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity", "motor_torque"):
             columns[name][:] = getattr(state, name)
         columns["observation"][:], columns["feedback"][:], columns["target"][:] = observation, feedback, target
-        if self.layout.commands:
+        if "command" in columns:
             columns["command"][:] = command
         # A counter of energy that has started anew adds nothing, rather than a negative number.
         columns["energy"][0] = max(state.energy - self._energy, 0.0)

@@ -14,7 +14,8 @@ from surefoot.deploy.board.signals import MotorOrder, Sensors, microseconds
 from surefoot.deploy.messages import Handshake, Mode, Packet, Reason
 from surefoot.deploy.robot_link import LinkStatistics
 from surefoot.emulator.capture_writer import PERIOD
-from surefoot.emulator.faults import FaultInjector, InjectedFault
+from surefoot.emulator.fault_table import InjectedFault
+from surefoot.emulator.faults import FaultInjector
 from surefoot.emulator.host_link import HostLink
 from surefoot.emulator.plant import Plant
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from surefoot.deploy.board.signals import MotorOrder
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.board import EmulatedBoard
-from surefoot.emulator.faults import InjectedFault
+from surefoot.emulator.fault_table import InjectedFault
 from surefoot.emulator.firmware_process import FirmwareProcess
 from surefoot.emulator.plant import Plant
 

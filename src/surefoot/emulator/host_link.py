@@ -29,7 +29,7 @@ class HostLink(Transport, Protocol):
     """What an emulated microcontroller needs of a link."""
 
     chances: Mapping[str, float]
-    """Chance of each harm of `faults.HARMS` that may happen now, 0 to 1 per packet."""
+    """Chance of each harm of `fault_table.HARMS` that may happen now, 0 to 1 per packet."""
     lead: float
     """Time [s] between a state's sending and its use by a deployment; 0 in lockstep."""
 

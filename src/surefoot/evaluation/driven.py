@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +18,7 @@ from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandGenerator
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.reward import base_rates
+from surefoot.task.state import base_rates
 from surefoot.task.terrain import TerrainConfig
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world, is_modelled
@@ -74,27 +76,34 @@ class DrivenStep:
     """Share of the step in which each foot touched the ground (L,)."""
 
 
-class Recording:
-    """Control steps of a driven robot, up to a fall, a restart, `MAX_RECORDING` or its end."""
+class DrivenRecording:
+    """Control steps of a driven robot, up to a fall, a restart, `MAX_RECORDING` or its end.
 
-    def __init__(self, env: LocomotionEnv) -> None:
-        self._env, self._recorder = env, EpisodeRecorder(env, pushed=True)
+    Args:
+        env: the robot's.
+        meta: entries of the trace's meta.
+    """
+
+    def __init__(self, env: LocomotionEnv, meta: dict[str, Any]) -> None:
+        self._env, self._recorder, self._meta = env, EpisodeRecorder(env, pushed=True), meta
         self.ended = ""
         """How it ended, as in a trace's meta; empty while it goes on."""
+        self.on_rows: Callable[[Array], None] = lambda rows: None
+        """Called with the row (1, width) of every control step."""
 
     @property
     def duration(self) -> float:
         """Length [s]."""
-        return len(self._recorder.steps) * float(self._env.world.params.control_step[0])
+        return len(self._recorder.rows) * float(self._env.world.params.control_step[0])
 
     def add(self, observation: NDArray[np.float32], fell: bool) -> None:
         """Add the control step that just ended, unless the recording has; `observation` (1, O) is of its start."""
         if self.ended:
             return
-        if self._env.truth.diverged[0]:
+        if self._env.state.truth.diverged[0]:
             self.end("fault")
             return
-        self._recorder.record(self._env.readings.time, observation)
+        self.on_rows(self._recorder.record(self._env.state.readings.time, observation))
         if fell or self.duration >= MAX_RECORDING:
             self.end("fall" if fell else "time")
 
@@ -102,16 +111,20 @@ class Recording:
         """End the recording, if it goes on."""
         self.ended = self.ended or ended
 
-    def trace(self, policy: str, world: str) -> EpisodeTrace:
+    def head(self) -> bytes:
+        """Return the first line of the file of its rows."""
+        return self._recorder.head(0, self._meta).line()
+
+    def trace(self) -> EpisodeTrace:
         """Return the trace.
 
         Raises:
             SurefootError: no control step was recorded.
         """
-        meta = {"policy": policy, "world": world, "seed": _SEED, "ended": self.ended or "stopped"}
-        if not self._recorder.steps:
+        if not self._recorder.rows:
             raise SurefootError("no control step was recorded")
-        return self._recorder.trace(0, len(self._recorder.steps), meta)
+        meta = {**self._meta, "ended": self.ended or "stopped"}
+        return self._recorder.trace(0, len(self._recorder.rows), meta)
 
 
 class DrivenRobot:
@@ -139,7 +152,7 @@ class DrivenRobot:
         self.falls, self.steps, self.restarts = 0, 0, 0
         self._push_until = self._stand_at = np.inf
         self._observation, _ = self.env.reset()
-        self._recording: Recording | None = None
+        self._recording: DrivenRecording | None = None
 
     @property
     def commanded(self) -> Array:
@@ -150,7 +163,7 @@ class DrivenRobot:
     @property
     def push_force_world(self) -> Array:
         """Force (3,) [N] that pushes the base now."""
-        force: Array = self.env.pusher.force[0]
+        force: Array = self.env.state.push_force[0]
         return force
 
     @property
@@ -182,12 +195,12 @@ class DrivenRobot:
         vector = np.asarray(force, float)
         if vector.shape != (3,) or not (np.linalg.norm(vector) <= _MAX_FORCE) or not 0.0 < duration <= 10.0:
             raise SurefootError(f"push: must be up to {_MAX_FORCE:g} N, for up to 10 s")
-        yaw = self.env.truth.roll_pitch_yaw[0, 2]
+        yaw = self.env.state.truth.roll_pitch_yaw[0, 2]
         self._push(in_heading_frame(vector[None], np.array([-yaw])))
         self._push_until = self.time + duration
 
     def _push(self, force_world: Array) -> None:
-        self.env.pusher.force[:] = force_world
+        self.env.state.push_force[:] = force_world
         self.env.world.push(force_world)
 
     def knobs(self) -> list[Knob]:
@@ -250,9 +263,9 @@ class DrivenRobot:
         self._push(np.zeros((1, 3)))
         self._push_until = self._stand_at = np.inf
 
-    def record(self) -> Recording:
-        """Start to record the control steps from now on, in place of an earlier recording; return the recording."""
-        self._recording = Recording(self.env)
+    def record(self, policy: str) -> DrivenRecording:
+        """Start to record the control steps of a policy of this name; return the recording, in place of an earlier."""
+        self._recording = DrivenRecording(self.env, {"policy": policy, "world": self.world, "seed": _SEED})
         return self._recording
 
     def step(self) -> DrivenStep:
@@ -263,7 +276,7 @@ class DrivenRobot:
         if self.time >= self._push_until:
             self._push(np.zeros((1, 3)))
             self._push_until = np.inf
-        before, observation = env.truth, self._observation
+        before, observation = env.state.truth, self._observation
         self._observation, _, fell, over, _ = env.step(env.gait.action(self.policy.feedback(observation)))
         self.steps += 1
         if self._recording is not None:
@@ -271,10 +284,10 @@ class DrivenRobot:
         if fell[0] or over[0]:
             self.falls += int(fell[0])
             self._stand_at = self.time + _LIE_TIME
-        truth = env.truth
+        truth = env.state.truth
         (velocity,), (turn,) = base_rates(before, truth, self.step_time)
         velocity[2] = turn[2]
-        state, torque = env.command_state, truth.motor_torque[0]
+        state, torque = env.state.gait_state, truth.motor_torque[0]
         command = np.full(3, np.nan) if state is None else state.command[0]
         heat = float(truth.heat.sum()) / self.step_time
         row = DrivenStep(

@@ -12,7 +12,7 @@ policies and robots stand beside it: run k of every policy away is on robot k.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,7 @@ import pandas as pd
 from surefoot.arrays import Array
 from surefoot.evaluation.runs import summarize_runs
 from surefoot.evaluation.statistics import MeanEstimate
-from surefoot.robot.params import CONTROLLER
 from surefoot.tables import with_unit
-from surefoot.task.config import TaskConfig
 
 
 @dataclass(frozen=True)
@@ -117,17 +115,3 @@ def gap_text(row: Mapping[str, Any], is_home: bool, sign: bool = False, unit: st
         "falls": f"{row['falls']} of {row['runs']}",
         "success": f"{100 * row['success_rate']:.0f} %",
     }
-
-
-def home_task(task: TaskConfig) -> TaskConfig:
-    """Return the task in the policy's own simulator, with its actuator and latencies; no randomization, no pushes."""
-    return replace(task, randomize={}, pushes=replace(task.pushes, enabled=False))
-
-
-def away_task(task: TaskConfig) -> TaskConfig:
-    """Return the task on the robot of the data sheet, whatever it was trained with: a stand-in for reality.
-
-    What the controller sets stays: control step and gains.
-    """
-    params = {name: value for name, value in task.params.items() if name in CONTROLLER}
-    return replace(home_task(task), actuator="dc", params=params, params_source={})

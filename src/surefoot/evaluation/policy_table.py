@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.rollout import Policy, Progress, run_episodes
-from surefoot.evaluation.tracking import STRIDE, Tracking, distance_along, kept_up
+from surefoot.evaluation.conditions import Condition
+from surefoot.evaluation.runs import following, summarize_load
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.robot.randomization import Ranges
+from surefoot.tables import with_unit
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import TaskConfig
 from surefoot.task.pushes import PushConfig
-from surefoot.world.registry import find_world
+from surefoot.task.trace import EpisodeTrace
 
 PUSH = (0.5, 0.8)
 """Least and greatest push [weights of the robot]."""
@@ -27,44 +29,29 @@ STIFFNESS = 3.0
 """Stiffness of the feet over the nominal one, under the condition of that name."""
 
 
-@dataclass(frozen=True)
-class Condition:
-    """Under which policies are measured."""
-
-    name: str
-    meaning: str
-    world: str
-    change: Callable[[TaskConfig, RobotDescription], TaskConfig]
-    """Returns a policy's task under it."""
-
-
-def conditions(table1: Ranges) -> list[Condition]:
-    """Return the conditions: a nominal robot in both worlds, and one thing that differs in each of the others.
+def comparison_conditions(robot: RobotDescription, table1: Ranges, duration: float) -> dict[str, Condition]:
+    """Return the conditions by name: a nominal robot in both worlds, and one thing that differs in each of the others.
 
     Args:
+        robot: the policies'.
         table1: ranges of the paper's table I.
+        duration: length of an episode [s].
     """
-
-    def pushed(task: TaskConfig, robot: RobotDescription) -> TaskConfig:
-        pushes = PushConfig(enabled=True, relative=True, force=PUSH, direction="horizontal")
-        return replace(task, pushes=pushes)
-
-    def late(task: TaskConfig, robot: RobotDescription) -> TaskConfig:
-        return replace(task, params={**task.params, "control_latency": LATENCY})
-
-    def stiff(task: TaskConfig, robot: RobotDescription) -> TaskConfig:
-        return replace(task, params={**task.params, "contact_stiffness": STIFFNESS * robot.contact.stiffness})
-
-    return [
-        Condition("nominal", "nominal robot", "mujoco", lambda task, robot: task),
-        Condition("bullet", "nominal robot in the other engine", "bullet", lambda task, robot: task),
-        Condition("table1", "robots of table I", "mujoco", lambda task, robot: replace(task, randomize=table1)),
+    pushes = PushConfig(enabled=True, relative=True, force=PUSH, direction="horizontal")
+    pushed = f"pushed by {PUSH[0]:g} to {PUSH[1]:g} of its weight for 60 ms, each 1.2 s"
+    conditions = [
+        Condition("nominal", "nominal robot"),
+        Condition("bullet", "nominal robot in the other engine", "bullet"),
+        Condition("table1", "robots of table I", randomize=table1),
+        Condition("pushes", pushed, pushes=pushes),
+        Condition("latency", f"readings {1e3 * LATENCY:g} ms old", params={"control_latency": LATENCY}),
         Condition(
-            "pushes", f"pushed by {PUSH[0]:g} to {PUSH[1]:g} of its weight for 60 ms, each 1.2 s", "mujoco", pushed
+            "feet",
+            f"feet {STIFFNESS:g} times as stiff",
+            params={"contact_stiffness": STIFFNESS * robot.contact.stiffness},
         ),
-        Condition("latency", f"readings {1e3 * LATENCY:g} ms old", "mujoco", late),
-        Condition("feet", f"feet {STIFFNESS:g} times as stiff", "mujoco", stiff),
     ]
+    return {one.name: replace(one, terrain=None, duration=duration, curricula=True) for one in conditions}
 
 
 def common_commands(limits: Sequence[CommandLimits | None], names: Sequence[str]) -> CommandConfig:
@@ -82,65 +69,22 @@ def common_commands(limits: Sequence[CommandLimits | None], names: Sequence[str]
     return CommandConfig(**ranges)  # type: ignore[arg-type]
 
 
-def prepare_task(task: TaskConfig, commands: CommandConfig, duration: float, robot: RobotDescription) -> TaskConfig:
-    """Return a policy's task as it is compared: commands as the others', no pushes, nothing randomized."""
-    drawn = replace(
-        commands,
-        acceleration=task.commands.acceleration,
-        heading_gain=task.commands.heading_gain,
-    )
-    step = float(task.nominal(robot).control_step[0])
-    return replace(
-        task,
-        commands=drawn,
-        randomize={},
-        pushes=PushConfig(),
-        max_steps=max(round(duration / step), 1),
-    )
+def with_commands(task: TaskConfig, commands: CommandConfig) -> TaskConfig:
+    """Return a policy's task with the commands of all others, which the gait follows as the policy has learned."""
+    own = task.commands
+    return replace(task, commands=replace(commands, acceleration=own.acceleration, heading_gain=own.heading_gain))
 
 
-def measure(
-    policy: Policy,
-    task: TaskConfig,
-    robot: RobotDescription,
-    condition: Condition,
-    episodes: int,
-    seed: int = 0,
-    threads: int = 0,
-    progress: Progress | None = None,
-) -> dict[str, object]:
-    """Return the measures of a policy under a condition; see `COLUMNS`.
-
-    Args:
-        policy: gives the feedback.
-        task: as `prepare_task` returns it.
-        robot: the task's.
-        condition: what holds.
-        episodes: how many robots.
-        seed: of robots, commands and pushes: the same for all policies.
-        threads: of the simulation; 0: one a core.
-        progress: called with the share that is done.
-    """
-    traces = run_episodes(
-        policy, condition.change(task, robot), episodes, find_world(condition.world), seed, threads, progress
-    )
-    tracking = Tracking.from_traces(traces, float(traces[0].meta["gait_period"] or STRIDE))
-    time = sum(trace.duration for trace in traces)
-    energy = sum(float(trace.energy.sum()) for trace in traces)
-    distance = sum(map(distance_along, traces))
-    heat = np.sum([trace.motor_heat.sum(axis=0) for trace in traces], axis=0)
-    hottest = int(heat.argmax())
+def measure(traces: Sequence[EpisodeTrace], weight: float) -> dict[str, Any]:
+    """Return the measures of a policy under a condition from its episodes, see `COLUMNS`; `weight` [N] of the robot."""
+    followed = following(traces)
+    errors = {f"{kind}_{name}": value for kind in ("rmse", "rmse_stride") for name, value in followed[kind].items()}
     return {
-        "condition": condition.name,
-        "episodes": episodes,
+        "episodes": len(traces),
         "falls": sum(trace.fell for trace in traces),
-        "success": float(np.mean([kept_up(trace) for trace in traces])),
-        **{f"rmse_{name}": float(value) for name, value in zip(COMMANDS, tracking.rmse, strict=True)},
-        **{f"rmse_stride_{name}": float(value) for name, value in zip(COMMANDS, tracking.rmse_stride, strict=True)},
-        "power": energy / time,
-        "cost_of_transport": energy / (robot.weight * distance) if distance > 0 else float("nan"),
-        "hottest_motor": robot.motor_names[hottest],
-        "hottest_heat": float(heat[hottest] / time),
+        "success": followed["success"],
+        **errors,
+        **summarize_load(traces, weight),
     }
 
 
@@ -167,11 +111,11 @@ def texts(table: pd.DataFrame, condition: str) -> list[dict[str, str]]:
     for row in table[table.condition == condition].to_dict("records"):
         texts = {"policy": str(row["policy"])}
         for column, (heading, unit) in COLUMNS.items():
-            title = f"{heading} ({unit})" if unit else heading
             value = row[column]
             if column == "falls":
-                texts[title] = f"{value} of {row['episodes']}"
+                text = f"{value} of {row['episodes']}"
             else:
-                texts[title] = "-" if pd.isna(value) else f"{value:.3f}" if "rmse" in column else f"{value:.3g}"
+                text = "-" if pd.isna(value) else f"{value:.3f}" if "rmse" in column else f"{value:.3g}"
+            texts[with_unit(heading, unit)] = text
         rows.append(texts)
     return rows

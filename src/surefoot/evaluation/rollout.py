@@ -10,11 +10,14 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
+from surefoot.columns import columns_of
 from surefoot.errors import SurefootError
+from surefoot.evaluation.runs import episode_metrics
 from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.trace import EpisodeTrace
+from surefoot.task.partial_trace import TraceHead, row_layout
+from surefoot.task.trace import EpisodeTrace, run_meta, trace_sizes
 from surefoot.world.interface import SimulationFactory
 
 Progress = Callable[[float], None]
@@ -35,7 +38,7 @@ def run_to_end(
     observation: NDArray[np.float32],
     steps: NDArray[np.int64] | None = None,
     progress: Progress | None = None,
-    record: Callable[[Array, NDArray[np.float32]], None] | None = None,
+    record: Callable[[Array, NDArray[np.float32]], object] | None = None,
 ) -> pd.DataFrame:
     """Run every robot of an environment to its own end: a fall, or its number of control steps.
 
@@ -50,38 +53,34 @@ def run_to_end(
         record: called after every control step with time [s] (N,) and observation (N, O * history) at its start.
 
     Returns:
-        a row a robot, with the columns of `measure_runs` from `return` on.
+        a row a robot with the columns of `episode_metrics`.
     """
     limit = np.full(env.num_envs, env.task.max_steps) if steps is None else steps
-    env.over |= limit == 0
+    env.state.over |= limit == 0
     terminated, diverged = np.zeros((2, env.num_envs), np.bool_)
     time, energy = np.zeros((2, env.num_envs))
-    position = env.start_position[:, 0].copy()
-    while not env.over.all():
-        going = ~env.over
-        start, seen = env.readings.time, np.where(going[:, None], observation, np.float32(0.0))
+    position = env.state.start_position[:, 0].copy()
+    while not env.state.over.all():
+        going = ~env.state.over
+        start, seen = env.state.readings.time, np.where(going[:, None], observation, np.float32(0.0))
         observation, _, ended, _, _ = env.step(act(seen))
         if record is not None:
             record(start, seen)
-        sound = going & ~env.truth.diverged
-        position[sound], time[sound] = env.truth.base_position_world[sound, 0], env.readings.time[sound]
-        energy[sound] += env.truth.energy[sound]
+        sound = going & ~env.state.truth.diverged
+        position[sound], time[sound] = env.state.truth.base_position_world[sound, 0], env.state.readings.time[sound]
+        energy[sound] += env.state.truth.energy[sound]
         terminated |= ended
         diverged |= going & ~sound
-        env.over |= env.steps >= limit
+        env.state.over |= env.state.steps >= limit
         if progress is not None:
-            progress(float(np.where(env.over, limit, env.steps).sum() / limit.sum()))
-    distance, duration = position - env.start_position[:, 0], np.where(time > 0, time, np.inf)
-    return pd.DataFrame(
-        {
-            "return": env.returns.copy(),
-            "distance": distance,
-            "speed": distance / duration,
-            "power": energy / duration,
-            "steps": env.steps - diverged,
-            "fell": terminated & ~diverged,
-            "balanced": ~terminated,
-        }
+            progress(float(np.where(env.state.over, limit, env.state.steps).sum() / limit.sum()))
+    return episode_metrics(
+        env.state.returns.copy(),
+        position - env.state.start_position[:, 0],
+        np.where(time > 0, time, np.inf),
+        energy,
+        env.state.steps - diverged,
+        np.where(~terminated, "time", np.where(diverged, "fault", "fall")),
     )
 
 
@@ -89,74 +88,82 @@ class EpisodeRecorder:
     """Records every control step of all robots of an environment from now on; `pushed`: forces of pushes too."""
 
     def __init__(self, env: LocomotionEnv, pushed: bool) -> None:
-        self.env, self._pushed, self._start = env, pushed, env.readings.time.copy()
-        self.position, self.quat = [env.truth.base_position_world.copy()], [env.truth.base_quat_world.copy()]
-        self.steps: list[dict[str, Array]] = []
-        self.command = self._command()
+        self.env, self._pushed, self._started = env, pushed, env.state.readings.time.copy()
+        sizes = trace_sizes(0, env.state.feedback.shape, self._meta(0))
+        self.layout = row_layout(tuple(columns_of(EpisodeTrace)), sizes)
+        self.rows: list[Array] = []
+        """Rows (N, width) of the control steps."""
+        self._start = {name: values.copy() for name, values in self._base().items()}
+        self._command = self._newest_command()
 
-    def _command(self) -> Array:
-        source, robots = self.env.source, self.env.num_envs
-        return np.full((robots, 3), np.nan) if source is None else source.command.copy()
+    def _base(self) -> dict[str, Array]:
+        truth = self.env.state.truth
+        return {"base_position_world": truth.base_position_world, "base_quat_world": truth.base_quat_world}
 
-    def record(self, time: Array, observation: NDArray[np.float32]) -> None:
-        """Record the control step that just ended; `time` (N,) [s] and `observation` are of its start."""
-        env, readings, truth = self.env, self.env.readings, self.env.truth
-        self.position.append(truth.base_position_world.copy())
-        self.quat.append(truth.base_quat_world.copy())
-        self.steps.append(
+    def _newest_command(self) -> Array:
+        has_commands, command = self.env.task.commands.enabled, self.env.state.command
+        return command.copy() if has_commands else np.full_like(command, np.nan)
+
+    def record(self, time: Array, observation: NDArray[np.float32]) -> Array:
+        """Record the control step that just ended; return its rows (N, width).
+
+        `time` (N,) [s] and `observation` are of its start.
+        """
+        env, state = self.env, self.env.state
+        readings, truth = state.readings, state.truth
+        rows = self.layout.rows(
             {
-                "time": readings.time - self._start,
+                **self._base(),
+                "time": readings.time - self._started,
                 "roll_pitch_yaw": readings.roll_pitch_yaw,
                 "angular_velocity_base": readings.angular_velocity_base,
                 "motor_angle": readings.motor_angle,
                 "motor_velocity": readings.motor_velocity,
                 "motor_torque": truth.motor_torque,
-                "observation": observation[:, : env.observer.width].astype(float),
-                "feedback": env.feedback.copy(),
-                "target": env.target,
+                "observation": observation[:, : env.observer.width],
+                "feedback": state.feedback,
+                "target": state.target,
                 "energy": truth.energy,
                 "foot_contact": truth.foot_contact,
                 "foot_position_world": env.world.foot_positions(),
                 "motor_saturation": truth.motor_saturation,
                 "motor_heat": truth.heat,
                 "true_motor_angle": truth.motor_angle,
-                "command": self.command,
-                "reward": env.reward,
-                "push_force_world": env.pusher.force.copy() if self._pushed else np.full((env.num_envs, 3), np.nan),
+                "command": self._command,
+                "reward": state.reward,
+                "push_force_world": state.push_force if self._pushed else np.full((env.num_envs, 3), np.nan),
             }
         )
-        self.command = self._command()
+        self.rows.append(rows)
+        self._command = self._newest_command()
+        return rows
+
+    def head(self, robot: int, meta: dict[str, Any]) -> TraceHead:
+        """Return what makes a trace of a robot's rows, with further entries of its meta."""
+        start = {name: values[robot] for name, values in self._start.items()}
+        return TraceHead(self.layout, self._meta(robot) | meta, start, self.env.robot.archive)
 
     def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
         """Return the trace of a robot's first control steps, with further entries of its meta."""
         if steps < 1:
             raise SurefootError("the simulation diverged in the first control step; no episode can be recorded")
-        arrays = {name: np.array([step[name][robot] for step in self.steps[:steps]]) for name in self.steps[0]}
-        return EpisodeTrace(
-            base_position_world=np.array([row[robot] for row in self.position[: steps + 1]]),
-            base_quat_world=np.array([row[robot] for row in self.quat[: steps + 1]]),
-            meta=self._meta(robot) | meta,
-            robot_archive=self.env.robot.archive,
-            **arrays,
-        )
+        return self.head(robot, meta).trace(np.array([step[robot] for step in self.rows[:steps]]), {})
 
     def _meta(self, robot: int) -> dict[str, Any]:
         env, task = self.env, self.env.task
         params = param_values(env.world.params.rows([robot]))
-        return {
-            "robot": env.robot.name,
-            "actuator": task.actuator,
-            "leg_names": list(env.robot.leg_names),
-            "motor_names": list(env.robot.motor_names),
-            "observation_names": list(env.observer.columns),
+        return run_meta(
+            env.robot,
+            env.observer.columns,
+            env.gait.reference.period,
             **task.return_meta(env.robot),
-            "gait_period": env.gait.reference.period,
-            "max_steps": task.max_steps,
-            "terrain": task.terrain.name,
-            "params_source": task.params_source,
-            "params": params,
-            "control_step": params["control_step"],
-        }
+            max_steps=task.max_steps,
+            actuator=task.actuator,
+            terrain=task.terrain.name,
+            params_source=task.params_source,
+            params=params,
+            control_step=params["control_step"],
+        )
 
 
 def run_episodes(

@@ -26,45 +26,56 @@ SATURATION = 0.25
 this is half of every stance; trots that have enough torque stay below .04."""
 
 
-def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd.DataFrame:
-    """Measure one run or more in one world.
+def episode_metrics(
+    returns: ArrayLike, distance: ArrayLike, duration: ArrayLike, energy: ArrayLike, steps: ArrayLike, ended: ArrayLike
+) -> pd.DataFrame:
+    """Return the metrics that every episode has, a row each, from what it adds up to, in SI units (N,).
 
     The return is the sum of the task's own reward, as in training. The paper's reward r = (p_n - p_{n-1}) . d -
     w dt |tau . qdot| with d = world x sums to distance less w times the energy, so a robot's trace has it too.
+
+    Returns:
+        columns return, distance forward [m], mean speed [m/s] and mechanical power [W], control steps, whether it fell,
+        and whether it kept its balance to the end, which is what the paper counts as a success.
+    """
+    way, time, outcome = np.asarray(distance, np.float64), np.asarray(duration, np.float64), np.asarray(ended)
+    rates = {"return": returns, "distance": way, "speed": way / time, "power": np.asarray(energy, np.float64) / time}
+    return pd.DataFrame({**rates, "steps": steps, "fell": outcome == "fall", "balanced": outcome == "time"})
+
+
+def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd.DataFrame:
+    """Measure one run or more in one world.
 
     Args:
         traces: the runs.
         world: name of the world; that of the traces, if not given.
 
     Returns:
-        a row a run with columns world, run, return, distance forward [m], mean speed [m/s] and mechanical power [W],
-        control steps, whether it fell, whether it kept its balance to the end, which is what the paper counts as a
-        success, and the share of time for which the worst motor was at its limit. NaN for what was not measured.
+        a row a run with columns world, run, those of `episode_metrics`, and the share of time for which the worst motor
+        was at its limit. NaN for what was not measured.
 
     Raises:
         SurefootError: traces of several worlds.
     """
     runs = list(traces)
     name = common_value(runs, "world") if world is None else world
-    rows = []
-    for number, trace in enumerate(runs):
-        distance = float(trace.base_position_world[-1, 0] - trace.base_position_world[0, 0])
-        energy = float(trace.energy.sum())
-        rows.append(
-            {
-                "world": name,
-                "run": number,
-                "return": _return(trace, distance, energy),
-                "distance": distance,
-                "speed": distance / trace.duration,
-                "power": energy / trace.duration,
-                "steps": trace.num_steps,
-                "fell": trace.fell,
-                "balanced": trace.meta["ended"] == "time",
-                "saturation": float(trace.motor_saturation.mean(axis=0).max()),
-            }
-        )
-    return pd.DataFrame(rows)
+    sums = [(distance := _distance(t), t.duration, energy := _energy(t), _return(t, distance, energy)) for t in runs]
+    distances, durations, energies, returns = zip(*sums, strict=True)
+    outcomes = [trace.num_steps for trace in runs], [trace.meta["ended"] for trace in runs]
+    table = episode_metrics(returns, distances, durations, energies, *outcomes)
+    table.insert(0, "world", name)
+    table.insert(1, "run", range(len(runs)))
+    return table.assign(saturation=[float(trace.motor_saturation.mean(axis=0).max()) for trace in runs])
+
+
+def _distance(trace: EpisodeTrace) -> float:
+    """Return how far a run went along the world's x axis [m]."""
+    return float(trace.base_position_world[-1, 0] - trace.base_position_world[0, 0])
+
+
+def _energy(trace: EpisodeTrace) -> float:
+    """Return the mechanical energy of a run [J]."""
+    return float(trace.energy.sum())
 
 
 def _return(trace: EpisodeTrace, distance: float, energy: float) -> float:
@@ -104,8 +115,7 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         a dict that JSON can hold (None for NaN): episodes, falls, steps_mean, distance_mean (m), speed_mean and
         speed_std (m/s), power_mean (W), return_mean, return_std, drift_mean (m to either side), cost_of_transport_mean
         (energy over weight times distance, where that is over 0: along the commands, if there are any), with commands
-        rmse and rmse_stride by command and success (share of runs that have kept up), gait, and by leg name
-        duty_factor, phases (strides after front_left) and stance
+        what `following` returns, gait, and by leg name duty_factor, phases (strides after front_left) and stance
         (s), by motor name saturation (share of time at the motor's limit), world, policy.
 
     Raises:
@@ -116,8 +126,6 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
     saturation = np.concatenate([trace.motor_saturation for trace in traces]).mean(axis=0).tolist()
     gait = Counter(one.gait for one in feet).most_common(1)[0][0]
     feet = [one for one in feet if one.gait == gait]
-    commanded = [trace for trace in traces if np.isfinite(trace.command).any()]
-    tracking = Tracking.from_traces(commanded, float(commanded[0].meta["gait_period"] or STRIDE)) if commanded else None
     return {
         "episodes": len(runs),
         "falls": int(runs.fell.sum()),
@@ -129,7 +137,7 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         "return_mean": _mean(runs["return"]),
         "return_std": plain_value(float(runs["return"].std())),
         "drift_mean": _mean([abs(t.base_position_world[-1, 1] - t.base_position_world[0, 1]) for t in traces]),
-        "cost_of_transport_mean": _mean([_cost_of_transport(trace, total_mass * GRAVITY) for trace in traces]),
+        "cost_of_transport_mean": _mean([_cost_of_transport([trace], total_mass * GRAVITY) for trace in traces]),
         "gait": gait,
         "duty_factor": _by_leg(feet, "duty_factor"),
         "phases": _phases(feet),
@@ -137,18 +145,49 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         "saturation": dict(zip(traces[0].meta["motor_names"], map(plain_value, saturation), strict=True)),
         "world": runs.world.iloc[0],
         "policy": policy,
-        **(tracking.to_mapping() if tracking else {}),
-        **({"success": _mean([kept_up(trace) for trace in commanded])} if commanded else {}),
+        **following(traces),
     }
 
 
-def _cost_of_transport(trace: EpisodeTrace, weight: float) -> float:
-    """Return the energy of a run over weight [N] times distance; NaN where that is not over 0."""
-    if np.isfinite(trace.command).any():
-        distance = distance_along(trace)
-    else:
-        distance = float(trace.base_position_world[-1, 0] - trace.base_position_world[0, 0])
-    return float(trace.energy.sum()) / (weight * distance) if distance > 0 else np.nan
+def following(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
+    """Return how well episodes follow their commands: `rmse` and `rmse_stride` by command, see `Tracking`, and success.
+
+    Success is the share of episodes that have kept up. Empty without commands.
+    """
+    commanded = [trace for trace in traces if is_commanded(trace)]
+    if not commanded:
+        return {}
+    tracking = Tracking.from_traces(commanded, float(commanded[0].meta["gait_period"] or STRIDE))
+    return {**tracking.to_mapping(), "success": _mean([kept_up(trace) for trace in commanded])}
+
+
+def summarize_load(traces: Sequence[EpisodeTrace], weight: float) -> dict[str, Any]:
+    """Return what episodes of a robot of a weight [N] ask of its motors, over all of their time together.
+
+    Returns:
+        mechanical power [W]; cost_of_transport, as in `summarize`, NaN where the distance is not over 0; name and mean
+        heat [W] of the hottest_motor.
+    """
+    time = sum(trace.duration for trace in traces)
+    heat = np.sum([trace.motor_heat.sum(axis=0) for trace in traces], axis=0)
+    hottest = int(heat.argmax())
+    return {
+        "power": sum(map(_energy, traces)) / time,
+        "cost_of_transport": _cost_of_transport(traces, weight),
+        "hottest_motor": traces[0].meta["motor_names"][hottest],
+        "hottest_heat": float(heat[hottest] / time),
+    }
+
+
+def is_commanded(trace: EpisodeTrace) -> bool:
+    """Return whether the robot was given commands."""
+    return bool(np.isfinite(trace.command).any())
+
+
+def _cost_of_transport(traces: Sequence[EpisodeTrace], weight: float) -> float:
+    """Return the energy of runs over weight [N] times distance; NaN where that is not over 0."""
+    distance = sum(distance_along(trace) if is_commanded(trace) else _distance(trace) for trace in traces)
+    return sum(map(_energy, traces)) / (weight * distance) if distance > 0 else np.nan
 
 
 def _mean(values: ArrayLike) -> object:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
+from surefoot.evaluation.conditions import episode_duration
 from surefoot.evaluation.rollout import Policy, Progress, run_to_end
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
@@ -25,6 +26,7 @@ from surefoot.robot.randomization import ParamRange, Ranges, mean_interval, reso
 from surefoot.tables import plain_value
 from surefoot.task.config import MAX_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.pushes import Pusher
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
 TestWorlds = Sequence[tuple[str, float, tuple[float, ...]]]
@@ -144,11 +146,6 @@ def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
     return ranges | {PUSH_FORCE: task.pushes.force_range(robot.weight) if task.pushes.enabled else (0.0, 0.0)}
 
 
-def episode_duration(task: TaskConfig) -> float:
-    """Return how long an episode of a task lasts in the nominal world [s]."""
-    return task.max_steps * float(task.nominal(RobotDescription.load(task.robot)).control_step[0])
-
-
 def run_sensitivity(
     policy: Policy,
     task: TaskConfig,
@@ -209,17 +206,18 @@ def run_sensitivity(
         env = LocomotionEnv(task, count, make, seed, autoreset=False, threads=threads)
         _share_streams(env, episodes)
         if push_force is not None:
-            env.pusher.range[:] = other_force
+            pusher = env.component(Pusher)
+            pusher.range[:] = other_force
             for number, (row, value, _) in enumerate(chosen, start=1):
                 if row == PUSH_FORCE:
-                    env.pusher.range[number * episodes : (number + 1) * episodes] = value
+                    pusher.range[number * episodes : (number + 1) * episodes] = value
         steps = np.maximum(np.round(duration / env.world.params.control_step), 1).astype(np.int64)
         if first:
             steps[:episodes] = 0  # the nominal world has been run
 
         def act(observation: NDArray[np.float32], env: LocomotionEnv = env) -> Array:
             # The policy sees only robots that go on: control steps differ, and so do their numbers.
-            going, feedback = ~env.over, env.feedback.copy()
+            going, feedback = ~env.state.over, env.state.feedback.copy()
             feedback[going] = policy.feedback(observation[going])
             return env.gait.action(feedback)
 
@@ -264,7 +262,8 @@ def _share_streams(env: LocomotionEnv, episodes: int) -> None:
         return [streams[first + i % episodes] for first in range(0, len(streams), robots) for i in range(robots)]
 
     state["world"]["streams"] = shared(state["world"]["streams"])
-    state["push_streams"] = shared(state["push_streams"])
+    if "push_streams" in state:
+        state["push_streams"] = shared(state["push_streams"])
     env.set_state(state)
 
 

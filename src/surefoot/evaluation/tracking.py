@@ -52,9 +52,8 @@ class MotionRecorder:
 
     def _row(self) -> tuple[Array, Array, Array, Array]:
         env = self._env
-        assert env.source is not None
-        truth = env.truth
-        return env.readings.time, truth.base_position_world, truth.base_quat_world, env.source.command.copy()
+        truth = env.state.truth
+        return env.state.readings.time, truth.base_position_world, truth.base_quat_world, env.state.command.copy()
 
     def record(self, *_: object) -> None:
         """Record the control step that just ended."""

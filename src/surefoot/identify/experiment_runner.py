@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.columns import columns_of
+from surefoot.configuration import to_mapping
 from surefoot.deploy.loop import RunMonitor
 from surefoot.deploy.messages import Handshake, Mode, State
 from surefoot.deploy.motion_runner import MotionRunner
@@ -15,7 +17,14 @@ from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import Act, SafetyLimits
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Phase, Plan
-from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_of, recorded_arrays
+from surefoot.identify.recording import (
+    COMPLETE,
+    RecordedFrames,
+    RecordedPhase,
+    Recording,
+    RecordingMeta,
+    digest_of,
+)
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
@@ -171,30 +180,26 @@ class _ExperimentRunner:
             "time": np.array([sent for _, sent, _ in self._states], float),
             "host_time": np.array([received for _, _, received in self._states], float),
         }
-        for name in (name for name in recorded_arrays() if name not in arrays):
+        for name in (name for name in columns_of(Recording) if name not in arrays):
             arrays[name] = np.array([getattr(state, name) for state in states], float)
-        meta = {
-            "schema": SCHEMA,
-            "experiment": self.plan.experiment,
-            "robot": self.robot.name,
-            "firmware": self.handshake.firmware,
-            "motor_names": list(self.robot.motor_names),
-            "rack": self.plan.rack,
-            "phases": [
-                {"name": phase.name, "mode": int(phase.mode), "use": phase.use, "duration": phase.duration}
-                for phase in self.plan.phases
-            ],
-            "mode_changes": self._changes,
-            "ended": ended,
-            "period": self.period,
-            "lead": self.link.lead,
-            "servo_period": self.handshake.servo_period,
-            "resting_states": resting,
-            "frames": {"received": len(states), **frames},
-            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            "digest": digest_of(arrays),
-        }
-        return Recording(**arrays, meta=meta, robot_archive=self.robot.archive)
+        meta = RecordingMeta(
+            experiment=self.plan.experiment,
+            robot=self.robot.name,
+            firmware=self.handshake.firmware,
+            motor_names=self.robot.motor_names,
+            rack=self.plan.rack,
+            phases=tuple(RecordedPhase(p.name, int(p.mode), p.use, p.duration) for p in self.plan.phases),
+            mode_changes=tuple(self._changes),
+            ended=ended,
+            period=self.period,
+            lead=self.link.lead,
+            servo_period=self.handshake.servo_period,
+            resting_states=resting,
+            frames=RecordedFrames(len(states), **frames),
+            date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            digest=digest_of(arrays),
+        )
+        return Recording(**arrays, meta=to_mapping(meta), robot_archive=self.robot.archive)
 
 
 def run_plan(link: RobotLink, plan: Plan, robot: RobotDescription, monitor: RunMonitor) -> Recording:

@@ -12,7 +12,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors, suggest
 from surefoot.files import check_readable
-from surefoot.identify.logs.table import read_csv
+from surefoot.identify.motion.column_table import read_csv
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import ACTUATORS, SimulationFactory, WorldConfig
 

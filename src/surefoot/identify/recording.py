@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.configuration import is_number
+from surefoot.columns import column, columns_of
+from surefoot.configuration import Positive, Within, typed_entries
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
 from surefoot.robot import ROBOT, RobotDescription, carried_robot
@@ -25,52 +26,90 @@ CLOCK_RESOLUTION = 2e-5
 COMPLETE = "complete"
 _MAX_COMMAND_AGE = 0.6
 """Greatest age of a command [s] that a state can hold."""
-_META = (
-    *("schema", "experiment", "robot", "motor_names", "rack", "phases", "mode_changes", "ended", "period", "lead"),
-    *("servo_period", "resting_states", "frames", "date", "digest"),
-)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class RecordedPhase:
+    """A phase of the plan."""
+
+    name: str
+    mode: float
+    """The robot's mode."""
+    use: str
+    """Fit, check or transition."""
+    duration: float
+    """Length [s]."""
+
+
+@dataclass(frozen=True)
+class RecordedFrames:
+    """Counts of frames on the link."""
+
+    received: float
+    missing: float
+    damaged: float
+
+
+@dataclass(frozen=True)
+class RecordingMeta:
+    """Entries of every recording's meta."""
+
+    experiment: str
+    """Name of the experiment."""
+    robot: str
+    """Name of the robot."""
+    motor_names: tuple[str, ...]
+    """Names of the M motors, in the order of their columns."""
+    rack: bool
+    """Whether the robot hung on a rack."""
+    phases: tuple[RecordedPhase, ...]
+    """Phases of the plan: name, mode, use (fit, check or transition) and duration [s]."""
+    mode_changes: tuple[tuple[float, float], ...]
+    """The host's time [s] and the mode of all arming and disarming."""
+    ended: str
+    """`COMPLETE`, or why not."""
+    period: Positive
+    """Time between two commands, and between two states [s]."""
+    lead: float
+    """Time by which states are requested before they are needed [s]."""
+    servo_period: Positive
+    """Time between two servo steps [s]."""
+    resting_states: Annotated[int, Within(0, 1e9)]
+    """Number of states before arming."""
+    frames: RecordedFrames
+    """Counts of frames on the link: received, missing and damaged."""
+    date: str
+    """When it was recorded."""
+    digest: str
+    """SHA-256 over all arrays."""
+    firmware: str = ""
+    """What runs on the robot."""
+    schema: Literal[1] = 1
+    """Version of the format."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
     """An experiment with C commands and T states of a robot with M motors. Robot times are on the robot's clock."""
 
-    sent_number: Array
-    """Numbers of the frames that carried the commands (C,)."""
-    sent_time: Array
-    """When they were sent, on the host's clock (C,) [s]."""
-    sent_phase: Array
-    """Index of each command's phase (C,)."""
-    sent_value: Array
-    """Motor angles [rad] or duties (C, M), by the phase's mode."""
-    time: Array
-    """When the robot sent each state (T,) [s]."""
-    host_time: Array
-    """When it arrived, on the host's clock (T,) [s]."""
-    mode: Array
-    """The robot's mode (T,)."""
-    command: Array
-    """Number of the command in effect (T,)."""
-    command_age: Array
-    """Time since that arrived at the robot (T,) [s]."""
-    motor_angle: Array
-    """(T, M) [rad], delayed by the control latency."""
-    motor_velocity: Array
-    """(T, M) [rad/s], equally delayed."""
-    motor_torque: Array
-    """(T, M) [N m], from the currents of the last servo step."""
-    roll_pitch_yaw: Array
-    """(T, 3) [rad], delayed as angles are."""
-    angular_velocity_base: Array
-    """(T, 3) [rad/s], equally delayed."""
-    voltage: Array
-    """Of the battery, without delay (T,) [V]."""
-    temperature: Array
-    """Of the motors (T, M) [degC]."""
-    meta: dict[str, Any]
-    """Schema, experiment, robot, firmware, motor_names, rack, phases (name, mode, use, duration), mode_changes (the
-    host's time [s] and the mode of all arming and disarming), ended (`COMPLETE`, or why not), period, lead and
-    servo_period [s], resting_states (count before arming), frames (received, missing, damaged), date, digest."""
+    sent_number: Array = column("C", "1", "number of the frame that carried the command")
+    sent_time: Array = column("C", "s", "when it was sent, on the host's clock")
+    sent_phase: Array = column("C", "1", "index of the command's phase")
+    sent_value: Array = column("C, M", "rad or 1", "motor angle or duty, by the phase's mode")
+    time: Array = column("T", "s", "when the robot sent the state")
+    host_time: Array = column("T", "s", "when it arrived, on the host's clock")
+    mode: Array = column("T", "1", "the robot's mode")
+    command: Array = column("T", "1", "number of the command in effect")
+    command_age: Array = column("T", "s", "time since that arrived at the robot")
+    motor_angle: Array = column("T, M", "rad", "angle, delayed by the control latency")
+    motor_velocity: Array = column("T, M", "rad/s", "velocity, equally delayed")
+    motor_torque: Array = column("T, M", "N m", "torque, from the currents of the last servo step")
+    roll_pitch_yaw: Array = column("T, 3", "rad", "orientation, delayed as angles are", "world")
+    angular_velocity_base: Array = column("T, 3", "rad/s", "angular velocity, equally delayed", "base")
+    voltage: Array = column("T", "V", "voltage of the battery, without delay")
+    temperature: Array = column("T, M", "degC", "temperature of the motor")
+    meta: dict[str, Any] = field(default_factory=dict)
+    """The entries of `RecordingMeta`."""
     robot_archive: bytes = b""
     """The robot's folder as `RobotDescription.archive` has it; empty for a robot that ships."""
 
@@ -152,7 +191,7 @@ class Recording:
 
     def save(self, path: Path) -> Path:
         """Write an .npz file, whole or not at all."""
-        arrays = {name: getattr(self, name) for name in recorded_arrays()}
+        arrays = {name: getattr(self, name) for name in columns_of(Recording)}
         write_npz(path, arrays | pack_bytes(ROBOT, self.robot_archive), self.meta)
         return path
 
@@ -169,43 +208,6 @@ def digest_of(arrays: dict[str, Array]) -> str:
         total.update(name.encode())
         total.update(np.ascontiguousarray(arrays[name], "<f8").tobytes())
     return total.hexdigest()
-
-
-def _first_invalid(arrays: dict[str, Any], meta: dict[str, Any], motors: int) -> str:
-    """Return the name of an array or entry of the wrong shape or type; empty if there is none."""
-    commands, states = np.shape(arrays["sent_number"])[:1], np.shape(arrays["time"])[:1]
-    widths = dict.fromkeys(("sent_value", "motor_angle", "motor_velocity", "motor_torque", "temperature"), (motors,))
-    widths |= dict.fromkeys(("roll_pitch_yaw", "angular_velocity_base"), (3,))
-    for name, array in arrays.items():
-        rows = commands if name.startswith("sent_") else states
-        if len(rows) != 1 or array.shape != (*rows, *widths.get(name, ())) or array.dtype != np.float64:
-            return name
-
-    def is_phase(phase: Any) -> bool:
-        keys = {"name": str, "use": str, "mode": float, "duration": float}
-        return isinstance(phase, dict) and all(is_kind(phase.get(key), kind) for key, kind in keys.items())
-
-    def is_kind(value: Any, kind: type) -> bool:
-        return is_number(value) if kind is float else isinstance(value, kind)
-
-    phases, changes, frames = (meta[name] for name in ("phases", "mode_changes", "frames"))
-    counts = [frames.get(key) for key in ("received", "missing", "damaged")] if isinstance(frames, dict) else [None]
-    valid = {
-        "phases": isinstance(phases, list) and all(map(is_phase, phases)),
-        "mode_changes": isinstance(changes, list)
-        and all(isinstance(change, list) and len(change) == 2 and all(map(is_number, change)) for change in changes),
-        "frames": all(map(is_number, counts)),
-        "resting_states": isinstance(meta["resting_states"], int) and 0 <= meta["resting_states"] < 10**9,
-        "lead": is_number(meta["lead"]),
-    }
-    valid |= {name: is_number(meta[name]) and meta[name] > 0 for name in ("period", "servo_period")}
-    valid |= {name: isinstance(meta[name], str) for name in ("experiment", "ended", "date", "digest")}
-    return next((f"meta.{name}" for name, right in valid.items() if not right), "")
-
-
-def recorded_arrays() -> list[str]:
-    """Return the names of a recording's arrays, in order."""
-    return [item.name for item in fields(Recording) if item.name not in ("meta", "robot_archive")]
 
 
 def recorded_robot(path: Path) -> RobotDescription:
@@ -232,14 +234,16 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
         if meta.get("schema") != SCHEMA:
             raise SurefootError(f"has schema {meta.get('schema')}; surefoot reads schema {SCHEMA}")
         archive = pop_bytes(arrays, ROBOT)
-        if missing := [key for key in _META if key not in meta] + sorted(set(recorded_arrays()) ^ set(arrays)):
-            raise SurefootError(f"missing or unknown: {choices(missing)}")
+        columns = columns_of(Recording)
+        if odd := set(columns) ^ set(arrays):
+            raise SurefootError(f"missing or unknown: {choices(sorted(odd))}")
+        typed_entries(RecordingMeta, meta, "meta")
         if meta["robot"] != robot.name or meta["motor_names"] != list(robot.motor_names):
             raise SurefootError(f"is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
         if experiment is not None and meta["experiment"] != experiment:
             raise SurefootError(f"is of experiment {meta['experiment']}, not {experiment}")
-        if name := _first_invalid(arrays, meta, robot.num_motors):
-            raise SurefootError(f"{name} does not fit; it must be what surefoot wrote")
+        sizes = {"C": arrays["sent_number"].size, "T": arrays["time"].size, "M": robot.num_motors}
+        arrays = {name: declared.checked(name, arrays[name], sizes) for name, declared in columns.items()}
         if digest_of(arrays) != meta["digest"]:
             raise SurefootError("was changed after it was made: its digest does not fit")
         if meta["ended"] != COMPLETE:

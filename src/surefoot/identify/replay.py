@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
-from surefoot.identify.logs.robot_log import RobotLog
+from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.recording import CLOCK_RESOLUTION, Recording
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.actuation import read_imu
@@ -99,29 +99,29 @@ def segment_from_recording(recording: Recording, first: int, last: int) -> Segme
     )
 
 
-def segment_from_log(log: RobotLog, robot: RobotDescription) -> Segment:
-    """Return a log as a segment.
+def segment_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Segment:
+    """Return a recorded motion as a segment.
 
     Joints that stand still start at their command. Joints that move start where the same joints of other legs stand;
     where all move, at their first reading.
     """
-    dt, origin = robot.timing.servo_step, float(log.time[0])
-    state_time = np.maximum(log.read_time - origin, 0.0)
-    start = log.command[0].copy()
+    dt, origin = robot.timing.servo_step, float(motion.time[0])
+    state_time = np.maximum(motion.read_time - origin, 0.0)
+    start = motion.command[0].copy()
     for motors in robot.leg_motor_index.T:
-        still = motors[~log.moving[motors]]
-        for motor in motors[log.moving[motors]]:
-            reading = log.motor_angle[0, motor]
+        still = motors[~motion.moving[motors]]
+        for motor in motors[motion.moving[motors]]:
+            reading = motion.motor_angle[0, motor]
             if len(still):
-                start[motor] = log.command[0, still].mean()
+                start[motor] = motion.command[0, still].mean()
             elif np.isfinite(reading):
                 start[motor] = reading
     return Segment(
-        order_tick=np.ceil((log.time - origin) / dt - 1e-6).astype(np.int64),
-        order=log.command,
-        kind=np.full(len(log.time), int(Mode.POSITION)),
+        order_tick=np.ceil((motion.time - origin) / dt - 1e-6).astype(np.int64),
+        order=motion.command,
+        kind=np.full(len(motion.time), int(Mode.POSITION)),
         state_time=state_time,
-        states=np.arange(len(log.time)),
+        states=np.arange(len(motion.time)),
         voltage=np.full(_count_ticks(state_time, dt), float(robot.battery.nominal)),
         start=start,
     )

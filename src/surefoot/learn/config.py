@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from surefoot.configuration import Seed, Threads, Within, check_bounds, from_mapping
 from surefoot.errors import SurefootError, check_name, prefix_errors, quote
@@ -118,10 +118,6 @@ class TrainConfig:
     gets inputs for them, and loses those of former ones."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learning algorithm."""
-
-    former_keys: ClassVar[dict[str, str]] = {
-        "evaluation_energy_weight": "write it as `evaluation_reward: {progress: 1.0, energy: -0.008}`"
-    }
 
     def __post_init__(self) -> None:
         """Refuse values out of bounds."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 from surefoot.errors import SurefootError
 from surefoot.files import remove_abandoned
@@ -17,6 +17,8 @@ from surefoot.files import remove_abandoned
 def folder_lock(path: Path, timeout: float = 0.0) -> Iterator[None]:
     """Lock a folder, so that no other process trains in it, and remove unfinished files of killed processes.
 
+    The system releases the lock of a process that was killed. The file `lock` stays, with the process's number.
+
     Args:
         path: the folder.
         timeout: how long to wait for another process [s].
@@ -24,25 +26,15 @@ def folder_lock(path: Path, timeout: float = 0.0) -> Iterator[None]:
     Raises:
         SurefootError: another process has the lock, or nothing can be written there.
     """
+    lock = FileLock(path / "lock", timeout, thread_local=False, fallback_to_soft=False)
     try:
-        lock = (path / "lock").open("a+")
+        held = lock.acquire()
+        Path(lock.lock_file).write_text(f"{os.getpid()}\n")
+    except Timeout:
+        raise SurefootError(f"{path}: another process trains in this folder; wait for it, or end it") from None
     except OSError as error:
         raise SurefootError(f"{path}: can't be trained in: {error.strerror}") from error
-    with lock:
-        end = time.monotonic() + timeout
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() >= end:
-                    raise SurefootError(
-                        f"{path}: another process trains in this folder; wait for it, or end it"
-                    ) from None
-                time.sleep(0.2)
-        lock.truncate(0)
-        lock.write(f"{os.getpid()}\n")
-        lock.flush()
+    with held:
         for folder in (path, path / "checkpoints"):
             remove_abandoned(folder)
         yield

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
@@ -55,6 +57,25 @@ def open_writer(logger: LoggerName, folder: Path, config: TrainConfig, resumed_a
         writer.file_writer.close()
         writer.file_writer, writer.purge_step = None, resumed_at
     return writer
+
+
+def write_scalars(writer: SummaryWriter, row: Mapping[str, Any], steps: int) -> None:
+    """Write the numbers of a row of figures, as train/NAME, and those of its evaluation, as evaluation/NAME."""
+    training = {key: value for key, value in row.items() if key != "evaluation"}
+    for part, values in (("train", training), ("evaluation", row.get("evaluation", {}))):
+        for key, value in _scalars(values).items():
+            writer.add_scalar(f"{part}/{key}", value, steps)
+
+
+def _scalars(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
+    """Return the numbers of a row by name, those of tables as TABLE/NAME."""
+    scalars: dict[str, float] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            scalars |= _scalars(value, f"{prefix}{key}/")
+        elif isinstance(value, int | float) and key != "steps":
+            scalars[f"{prefix}{key}"] = value
+    return scalars
 
 
 def close_writer(writer: SummaryWriter) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from rsl_rl.extensions import Symmetry
 from tensordict import TensorDict
 
 from surefoot.errors import SurefootError
@@ -103,9 +104,9 @@ def reference_shift(env: LocomotionEnv) -> bool:
     times = np.linspace(0, period, 64, endpoint=False)
     source, _ = mirror_columns(legs)
     command = np.zeros((64, 3))
-    if env.commands is not None:
+    if limits := env.task.commands.limits(env.robot):
         shares = np.linspace(0, 1, 64)[:, None] * [1, 2, 3] % 1.0
-        command = env.commands.limits.low + shares * (env.commands.limits.high - env.commands.limits.low)
+        command = limits.low + shares * (limits.high - limits.low)
     for half in (False, True):
         later, cycles = times + half * period / 2, times / period
         here = reference.pose(times, CommandState(command, np.ones(64), cycles))
@@ -157,3 +158,18 @@ class MirrorSamples:
         if actions is not None:
             actions = torch.cat([actions, self.mirrored("actions", actions)])
         return obs, actions
+
+
+class MirrorAugmentation(Symmetry):
+    """rsl_rl's symmetry with mirrored samples, and without the mirror loss.
+
+    Args:
+        env: the environment of the samples; see `MirrorSamples`.
+    """
+
+    def __init__(self, env: LocomotionEnv) -> None:
+        super().__init__(env, MirrorSamples(env), use_data_augmentation=True)
+
+    def compute_loss(self, *_: Any) -> torch.Tensor:
+        """Return 0: for a figure that nobody reads, rsl_rl would run the policy once more on each minibatch."""
+        return torch.zeros(())

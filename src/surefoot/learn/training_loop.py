@@ -3,132 +3,82 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from surefoot.errors import SurefootError, describe_os_errors
-from surefoot.evaluation.rollout import run_to_end
-from surefoot.evaluation.tracking import MotionRecorder
 from surefoot.learn.config import LoggerName, TrainConfig
-from surefoot.learn.log_writer import close_writer, open_writer
-from surefoot.learn.ppo_learner import PpoLearner, UpdateFigures
+from surefoot.learn.evaluation import Evaluation, evaluate_policy
+from surefoot.learn.log_writer import close_writer, open_writer, write_scalars
+from surefoot.learn.ppo_learner import PpoLearner
+from surefoot.learn.rollout_statistics import UpdateFigures
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
+from surefoot.learn.transfer import warm_start
 from surefoot.tables import plain_value
-from surefoot.task.env import LocomotionEnv, SimulationFactory
+from surefoot.task.env import SimulationFactory
 
-EVALUATION_SEED = 1_000_003
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """The deterministic policy over some episodes, without pushes."""
-
-    steps: int
-    """Control steps of training behind it."""
-    speed_mean: float
-    """Distance over time of each episode, averaged [m/s]."""
-    return_mean: float
-    """Mean return."""
-    falls: int
-    """Episodes that ended before their time."""
-    pushed_falls: int
-    """The same with pushes, where the task has them; else 0."""
-    power_mean: float
-    """Mean mechanical power [W]."""
-    rmse: dict[str, Any] | None = None
-    """Root mean square error of each command's speed [m/s] or rate [rad/s], as `evaluate` has it; None without."""
-
-    @property
-    def rank(self) -> tuple[float, float]:
-        """Key of the order of policies, greater is better: fewest falls, then the return less falls under pushes."""
-        return -self.falls, self.return_mean - 0.25 * self.pushed_falls
-
-
-def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> Evaluation:
-    """Run the deterministic policy for whole episodes, always from the same seed."""
-    config, results, rmse = learner.config, [], None
-    base = replace(
-        config.task,
-        reward=config.evaluation_reward or config.task.reward,
-        terrain=replace(config.task.terrain, start_level=config.task.terrain.levels - 1, curriculum=False),
-    )
-    base = replace(base, randomize_ramp=0, commands=replace(base.commands, ramp=0))
-    for pushed in (False, True) if config.task.pushes.enabled else (False,):
-        task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
-        env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
-        observation, _ = env.reset()
-        recorder = None if env.commands is None else MotionRecorder(env)
-        results.append(run_to_end(learner.act, env, observation, record=recorder.record if recorder else None))
-        if recorder is not None and not pushed:
-            rmse = recorder.tracking(results[0].steps).to_mapping()["rmse"]
-    runs, falls = results[0], [int((~result.balanced).sum()) for result in results]
-    speed, mean_return, power = (float(column.mean()) for column in (runs.speed, runs["return"], runs.power))
-    return Evaluation(learner.steps, speed, mean_return, falls[0], sum(falls[1:]), power, rmse)
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
 
 
 class TrainingLoop:
-    """The training of a policy in a run folder.
-
-    Args:
-        config: configuration of the run.
-        folder: its run folder.
-        make_world: makes the simulation.
-        resume: continue from the folder's last checkpoint.
-        logger: see `open_writer`.
-
-    Raises:
-        SurefootError: a task that does not fit, or a checkpoint that can't be read.
-    """
+    """The training of a policy in a run folder, made by `create` or `resume`."""
 
     def __init__(
-        self,
-        config: TrainConfig,
-        folder: RunFolder,
-        make_world: SimulationFactory,
-        resume: bool = False,
-        logger: LoggerName = "tensorboard",
+        self, learner: PpoLearner, folder: RunFolder, make_world: SimulationFactory, writer: SummaryWriter
     ) -> None:
-        self.config, self.folder, self._make_world = config, folder, make_world
-        self.learner = PpoLearner(config, make_world)
-        if config.start_from is not None and not resume:
-            other, before = RunFolder.open(Path(config.start_from))
-            # These change what the networks observe, and bounds what actions mean.
-            former = before.task
-            task = replace(
-                config.task,
-                observations=former.observations,
-                history=former.history,
-                reference=former.reference,
-                randomize=former.randomize,
-                pushes=former.pushes,
-                terrain=former.terrain,
-                feedback=former.feedback,
-                reward=former.reward,
-            )
-            env = LocomotionEnv(task, 1, make_world, threads=1)
-            env.reset()
-            state = other.load()
-            self.learner.load_networks(state["learner"]["algorithm"], env, state["best_actor"])
+        self.config, self.learner, self.folder, self._make_world = learner.config, learner, folder, make_world
+        self._writer = writer
         self.best: Evaluation | None = None
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0
         self._saved_steps = -1
-        if resume:
-            state = folder.load()
-            try:
-                self.learner.set_state(state["learner"])
-            except (SurefootError, LookupError, TypeError, ValueError) as error:
-                raise SurefootError(
-                    f"{folder.latest}: does not fit the run's config.yaml: {error}; restore the file with which the "
-                    "run was started"
-                ) from error
-            self.best = Evaluation(**state["best"]) if state["best"] else None
-            self.best_actor, self.seconds = state["best_actor"], state["seconds"]
-            self._saved_steps = self.learner.steps
-            folder.drop_rows_after(self.learner.steps)
-        self._writer = open_writer(logger, folder.path, config, self.learner.steps if resume else None)
+
+    @classmethod
+    def create(
+        cls, config: TrainConfig, folder: RunFolder, make_world: SimulationFactory, logger: LoggerName = "tensorboard"
+    ) -> TrainingLoop:
+        """Begin a training in its run folder, with the networks of another run where `start_from` names one.
+
+        Args:
+            config: configuration of the run.
+            folder: its run folder.
+            make_world: makes the simulation.
+            logger: see `open_writer`.
+
+        Raises:
+            SurefootError: a task or a run to start from that does not fit.
+        """
+        learner = PpoLearner(config, make_world)
+        if config.start_from is not None:
+            warm_start(learner, Path(config.start_from), make_world)
+        return cls(learner, folder, make_world, open_writer(logger, folder.path, config, None))
+
+    @classmethod
+    def resume(
+        cls, config: TrainConfig, folder: RunFolder, make_world: SimulationFactory, logger: LoggerName = "tensorboard"
+    ) -> TrainingLoop:
+        """Continue a training from its folder's last checkpoint; arguments as of `create`.
+
+        Raises:
+            SurefootError: a checkpoint that can't be read or does not fit.
+        """
+        learner, state = PpoLearner(config, make_world), folder.load()
+        try:
+            learner.set_state(state["learner"])
+        except (SurefootError, LookupError, TypeError, ValueError) as error:
+            raise SurefootError(
+                f"{folder.latest}: does not fit the run's config.yaml: {error}; restore the file with which the "
+                "run was started"
+            ) from error
+        folder.drop_rows_after(learner.steps)
+        loop = cls(learner, folder, make_world, open_writer(logger, folder.path, config, learner.steps))
+        loop.best = Evaluation(**state["best"]) if state["best"] else None
+        loop.best_actor, loop.seconds = state["best_actor"], state["seconds"]
+        loop._saved_steps = learner.steps
+        return loop
 
     def save(self) -> None:
         """Save everything that the run needs to continue."""
@@ -245,18 +195,4 @@ class TrainingLoop:
         if evaluation is not None:
             row["evaluation"] = asdict(evaluation)
         self.folder.log(row)
-        evaluated = row.pop("evaluation", {})
-        for part, values in (("train", row), ("evaluation", evaluated)):
-            for key, value in _scalars(values).items():
-                self._writer.add_scalar(f"{part}/{key}", value, figures.steps)
-
-
-def _scalars(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
-    """Return the numbers of a row by name, those of tables as TABLE/NAME."""
-    scalars: dict[str, float] = {}
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            scalars |= _scalars(value, f"{prefix}{key}/")
-        elif isinstance(value, int | float) and key != "steps":
-            scalars[f"{prefix}{key}"] = value
-    return scalars
+        write_scalars(self._writer, row, figures.steps)

@@ -172,9 +172,6 @@ class Contract:
     def to_json(self) -> str:
         """Return the contract as JSON; `from_json` returns an equal contract."""
         data = {"kind": KIND, "schema": SCHEMA, **to_mapping(self)}
-        for key in ("plugins", "height_map"):
-            if not data[key]:
-                del data[key]  # so that earlier versions read it
         return json.dumps(data, ensure_ascii=False, allow_nan=False)
 
     @classmethod

@@ -10,10 +10,9 @@ Parameters that the file does not name are the robot's own. Other tables, with t
 from __future__ import annotations
 
 import hashlib
-import json
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from datetime import date, time
 from pathlib import Path
 from typing import Any
 
@@ -150,57 +149,34 @@ def write_params(
     Raises:
         SurefootError: a folder that does not exist, or a value that TOML cannot hold.
     """
-    others = {key: value for key, value in (tables or {}).items() if key != "robot"}
-    lines = _lines({"robot": robot.name, **{key: value for key, value in others.items() if not _is_table(value)}})
-    lines += ["", "[params]"]
+    others = _plain({key: value for key, value in (tables or {}).items() if key != "robot"})
+    first = {key: value for key, value in others.items() if not isinstance(value, dict)}
+    lines = [_dump({"robot": robot.name, **first}), "[params]"]
     for name in PhysicalParams.names(robot) if names is None else names:
-        value = np.asarray(getattr(params, name)[0])
-        unit = PARAMETERS[name].unit
-        lines.append(f"{name} = {_toml(value.tolist())}  # {unit}")
-    for key, value in others.items():
-        if _is_table(value):
-            lines += _table(_key(key), value)
+        numbers = np.asarray(getattr(params, name)[0]).tolist()
+        lines.append(f"{name} = {numbers}  # {PARAMETERS[name].unit}")
+    lines += ["", _dump({key: value for key, value in others.items() if key not in first})]
     with describe_os_errors(path, "written"):
-        atomic_write(path, "\n".join([*lines, ""]))
+        atomic_write(path, "\n".join(lines).rstrip() + "\n")
     return path
 
 
-def _is_table(value: Any) -> bool:
-    return isinstance(value, Mapping)
-
-
-def _lines(entries: Mapping[str, Any]) -> list[str]:
-    return [f"{_key(key)} = {_toml(value)}" for key, value in entries.items()]
-
-
-def _table(path: str, entries: Mapping[str, Any]) -> list[str]:
-    """Return the lines of a table and its nested tables, each with its dotted name."""
-    plain = {key: value for key, value in entries.items() if not _is_table(value)}
-    # A table that holds nothing but tables needs no line of its own.
-    lines = ["", f"[{path}]", *_lines(plain)] if plain or not entries else []
-    for key, value in entries.items():
-        if _is_table(value):
-            lines += _table(f"{path}.{_key(key)}", value)
-    return lines
-
-
-def _key(key: str) -> str:
-    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else _toml(key)
-
-
-def _toml(value: Any) -> str:
-    """Return a number, boolean, text, date, or list or inline table of them as TOML."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, bool | int | str):
-        # JSON writes them as TOML does, but for what JSON may leave as it is: DEL.
-        return json.dumps(value).replace("\x7f", "\\u007f")
-    if isinstance(value, float):
-        return repr(value)
+def _plain(value: Any) -> Any:
+    """Return tables, lists and numbers of NumPy as Python's own."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    if isinstance(value, date | time):
-        return value.isoformat()
-    if _is_table(value):
-        return f"{{{', '.join(_lines(value))}}}"
-    raise SurefootError(f"a file of parameters can't hold {value!r}; numbers, texts, booleans and lists can be written")
+        return [_plain(item) for item in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _dump(table: Mapping[str, Any]) -> str:
+    """Return a table as TOML, each list in one line."""
+    import tomli_w
+
+    try:
+        text = tomli_w.dumps(table)
+    except TypeError as error:
+        raise SurefootError(f"a file of parameters can't hold it: {error}") from error
+    # No text in it has an end of a line, so these are the lists', which `tomli_w` writes a value a line.
+    return re.sub(r"\[\n +", "[", re.sub(r",\n +(?=[^ \]])", ", ", re.sub(r",\n *\]", "]", text)))

@@ -53,15 +53,6 @@ _HIDDEN: Ranges = {
     "servo_latency": (0.001, 0.005),
 }
 """Ranges of hidden parameters beside those of a table."""
-_FORMER_NAMES = {
-    "mass": "base_mass_ratio and leg_mass_ratio",
-    "inertia": "base_inertia_ratio and leg_inertia_ratio",
-    "latency": "control_latency",
-    "spinning_friction": "contact_spinning_friction",
-    "friction": "motor_friction: {scale: [LOW, HIGH], independent: true}",
-    "viscous_friction": "motor_viscous_friction: {scale: [LOW, HIGH]}",
-}
-"""Keys of earlier versions, and what to write in their place."""
 _FIRST_STREAM_ENDS = "servo_latency"
 """The last parameter that draws from a robot's stream itself; later ones draw from parts far ahead in it."""
 
@@ -97,8 +88,6 @@ def is_independent(name: str, param_range: ParamRange) -> bool:
 def check_ranges(ranges: Mapping[str, ParamRange], robot: RobotDescription | None = None) -> None:
     """Refuse ranges that no robot can have, or that a robot's description does not allow."""
     for name, param_range in ranges.items():
-        if name in _FORMER_NAMES:
-            raise SurefootError(f"randomize.{name} is not a physical parameter; write {_FORMER_NAMES[name]}")
         with prefix_errors("randomize"):
             check_parameter(name, robot)
         _check_range(name, param_range, robot)
@@ -169,8 +158,6 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
         )
     data = _read_intervals(path, description) if path.suffix == ".toml" else read_yaml(path)
     with prefix_errors(path):
-        if "scaled" in data:
-            raise SurefootError("scaled is not a key; write NAME: {scale: [LOW, HIGH]} for each parameter in it")
         ranges = from_mapping(_Table, {"randomize": _drop_none(data)}).randomize
         check_ranges(ranges, description)
     return {name: ranges[name] for name in PARAMETERS if name in ranges}

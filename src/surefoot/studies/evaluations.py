@@ -18,8 +18,9 @@ from surefoot import __version__
 from surefoot.arrays import Array
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError, choices, suggest
+from surefoot.evaluation.conditions import away_task, home_task
 from surefoot.evaluation.footfalls import analyze_footfalls
-from surefoot.evaluation.gap import PolicyGap, away_task, home_task
+from surefoot.evaluation.gap import PolicyGap
 from surefoot.evaluation.recorded import save_runs
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.gap import away_task
+from surefoot.evaluation.conditions import away_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.evaluation.statistics import Interval, t_interval

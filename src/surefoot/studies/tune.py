@@ -26,12 +26,13 @@ from surefoot.robot import DEFAULT_ROBOT, GRAVITY, RobotDescription
 from surefoot.seeding import generator
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.foot_references import FootReference
+from surefoot.task.foot_paths import FootPaths
 from surefoot.task.gait import HybridGait
 from surefoot.task.handcrafted import HandcraftedGait, OpenLoop
 from surefoot.task.observation import IMU_4D
+from surefoot.task.periodic_references import FootReference
 from surefoot.task.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
-from surefoot.task.reference import FootConfig, ReferenceConfig, make_reference
+from surefoot.task.reference_config import FootConfig, ReferenceConfig, make_reference
 from surefoot.world.interface import SimulationFactory
 
 Gait = Literal["trot", "bound", "gallop", "free"]
@@ -282,14 +283,14 @@ class Tuner:
         """Return the costs of all episodes (C, starts) [W]: power, and penalties for missing speed or time."""
         config, env, starts = self.config, self._env, self.config.starts
         references = [self._reference(values) for values in candidates for _ in range(starts)]
-        stacked = FootReference.stacked(references)
-        env.gait = HybridGait(self.robot, stacked, *self.feedback.bounds(self.robot.coordinates))
+        paths = FootPaths.stacked([reference.feet for reference in references])
+        env.gait = HybridGait(self.robot, FootReference(paths), *self.feedback.bounds(self.robot.coordinates))
         policy: OpenLoop | RaibertController = OpenLoop(len(env.gait.action_names))
         if config.raibert:
             gains: dict[str, Any] = {
                 name: np.repeat([values[name] for values in candidates], starts)[:, None] for name in GAINS
             }
-            policy = RaibertController(self.robot, stacked, RaibertConfig(**gains))
+            policy = RaibertController(self.robot, paths, RaibertConfig(**gains))
         observation, _ = env.reset()
         runs = run_to_end(lambda rows: env.gait.action(policy.feedback(rows)), env, observation)
         done = runs.power + _SPEED_PENALTY * np.maximum(1.0 - runs.speed / config.speed, 0.0)

@@ -117,8 +117,8 @@ class Worker:
         training = replace(training, config=config)
         if state == "finished":
             return self._last_report(folder)
-        make_world = find_world(training.config.world)
-        self._loop = TrainingLoop(training.config, folder, make_world, resume=state == "started")
+        make_loop = TrainingLoop.resume if state == "started" else TrainingLoop.create
+        self._loop = make_loop(training.config, folder, find_world(training.config.world))
         if self._loop.finished:
             return self.end(export=True)
         return ProgressReport(self._loop.learner.steps, evaluations=tuple(folder.evaluations()))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +21,6 @@ from surefoot.seeding import generators
 
 Range = tuple[float, float]
 
-_START_TIME = 1.5
-"""Time in which a gait goes from standing to full steps, and back [sqrt(l / g)]."""
 _LAST_COMMAND = 2.0
 """Time for which the last command of a file is followed [s]."""
 _FILE_BYTES = 1_000_000
@@ -277,87 +275,6 @@ class CommandState:
     landing: Array | None = None
     """How far beside them they land, likewise; they keep that in stance."""
     lift: Array | None = None
-    """How much further feet are lifted in their swings (N, L) [m], see `TouchLift`."""
+    """How much further feet are lifted in their swings (N, L) [m], see `ContactReflex`."""
     over_holes: Array | None = None
     """Share of the gait over holes (N,), 0 to 1, see `Footholds`."""
-
-
-class CommandFilter:
-    """Turns the commands that are given into those that a gait follows, the same in simulation and on the robot.
-
-    Changes are limited, steps begin and end gradually, the phase advances with the gait's frequency, and the
-    heading is held: the integral of the commanded yaw rate, against the IMU's yaw.
-
-    Args:
-        limits: of the commands.
-        natural_time: sqrt(l / g) of the legs [s].
-        num_envs: robots.
-        frequency: gives the gait's frequency [Hz] (N,) for commands (N, 3) and the share of the gait over holes (N,).
-    """
-
-    arrays = ("filtered_command", "correction", "heading_error", "activity", "phase", "heading")
-    """Names of the arrays that change over time."""
-
-    def __init__(
-        self, limits: CommandLimits, natural_time: float, num_envs: int, frequency: Callable[..., Array]
-    ) -> None:
-        self.limits, self._frequency = limits, frequency
-        self._start_rate = 1.0 / (_START_TIME * natural_time)
-        self.filtered_command = np.zeros((num_envs, 3))
-        """The given commands, their change limited, (N, 3)."""
-        self.correction = np.zeros(num_envs)
-        """Yaw rate that holds the heading [rad/s], (N,)."""
-        self.heading_error = np.zeros(num_envs)
-        """Heading that is held less the robot's [rad], (N,)."""
-        self.activity = np.zeros(num_envs)
-        self.phase = np.zeros(num_envs)
-        self.heading = np.zeros(num_envs)
-        """The heading that is held [rad], (N,)."""
-
-    @classmethod
-    def from_reference(
-        cls, reference: Any, limits: CommandLimits, robot: RobotDescription, num_envs: int
-    ) -> CommandFilter:
-        """Return the filter of a robot's reference gait: its own `frequency`, if it follows commands."""
-        own = getattr(reference, "frequency", None)
-
-        def fixed(command: Array, over_holes: Array | None) -> Array:
-            return np.full(len(command), 1.0 / reference.period if reference.period else 0.0)
-
-        return cls(limits, robot.natural_time, num_envs, own if callable(own) else fixed)
-
-    def reset(self, rows: NDArray[np.int64], yaw: Array) -> None:
-        """Let robots stand, whose IMU says `yaw` (N,) [rad]."""
-        for array in (self.filtered_command, self.correction, self.heading_error, self.activity, self.phase):
-            array[rows] = 0.0
-        self.heading[rows] = yaw[rows]
-
-    def advance(self, target: Array, step: Array, yaw: Array, over_holes: Array | None = None) -> None:
-        """Go on by a control step.
-
-        Args:
-            target: commands (N, 3).
-            step: its duration (N,) [s].
-            yaw: of the IMU (N,) [rad].
-            over_holes: share of the gait over holes (N,).
-        """
-        limits = self.limits
-        change = np.array(limits.acceleration) * step[:, None]
-        self.filtered_command += np.clip(target - self.filtered_command, -change, change)
-        walks = ~limits.stands(target) | ~limits.stands(self.filtered_command)
-        change = self._start_rate * step
-        self.activity += np.clip(walks - self.activity, -change, change)
-        self.phase = (self.phase + self._frequency(self.filtered_command, over_holes) * step) % 1.0
-        self.heading += self.filtered_command[:, 2] * step
-        error = (self.heading - yaw + np.pi) % (2 * np.pi) - np.pi
-        limit = np.where(walks, MAX_HEADING_ERROR, MAX_STANDING_HEADING_ERROR)
-        self.heading_error = np.clip(error, -limit, limit)
-        self.heading = yaw + self.heading_error
-        self.correction = np.where(walks, limits.heading_gain * self.heading_error, 0.0)
-
-    @property
-    def state(self) -> CommandState:
-        """Filtered command, activity and phase that the gait follows now; the arrays are copies."""
-        command = self.filtered_command.copy()
-        command[:, 2] += self.correction
-        return CommandState(command, self.activity.copy(), self.phase.copy())

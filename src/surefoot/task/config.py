@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from surefoot.configuration import NoOption, Within, check_bounds, from_mapping, read_yaml
 from surefoot.errors import SurefootError, check_name, prefix_errors, quote, suggest
@@ -18,7 +18,7 @@ from surefoot.task.commands import CommandConfig
 from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
 from surefoot.task.observation import IMU_AND_MOTORS_12D, OVER_HOLES
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference import ReferenceConfig, make_reference
+from surefoot.task.reference_config import ReferenceConfig, make_reference
 from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
 from surefoot.task.terrain import TerrainConfig
 
@@ -112,14 +112,6 @@ class TaskConfig:
     """An episode starts with a random base velocity, each component up to this [m/s]."""
     start_angular_speed: Annotated[float, Within(0, 100)] = 0.1
     """An episode starts with a random angular velocity, each component up to this [rad/s]."""
-
-    former_keys: ClassVar[dict[str, str]] = {
-        "energy_weight": "write it as a negative weight of energy: `reward: {progress: 1.0, energy: -0.008}`",
-        "cost_weight": "write it as a negative weight: `reward: {progress: 1.0, transport_cost: -0.42}`",
-        "target_speed": "write it as a limit of progress: `reward_limits: {progress: 0.6}`",
-        "push_weight": "write it as `pushes: {relative: true, force: [0.0, 0.8]}`",
-    }
-    """Keys of earlier versions, and what to write."""
 
     def __post_init__(self) -> None:
         """Refuse an invalid name, values out of bounds, and a reward of unknown terms."""

@@ -25,7 +25,7 @@ from surefoot.task.gait import ActionKind, action_names
 from surefoot.task.height_scan import MAP
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.plugins import changed_plugins, used_plugins
-from surefoot.task.reference import ReferenceConfig
+from surefoot.task.reference_config import ReferenceConfig
 from surefoot.task.reward import TERMS
 from surefoot.task.terrain import TerrainConfig
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -17,9 +18,10 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.task.commands import CommandState
-from surefoot.task.foot_references import FollowingReference
+from surefoot.task.component import RobotComponent
 from surefoot.task.height_scan import MAP
-from surefoot.task.reference import Reference
+from surefoot.task.reference import FollowingReference
+from surefoot.task.state import RobotState
 from surefoot.world.interface import Readings
 
 HOLE = 0.35
@@ -53,7 +55,7 @@ _CELL = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
 """Points around a place on the map, from the one behind it and to its right."""
 
 
-class Footholds:
+class Footholds(RobotComponent):
     """Places where feet of N robots with L legs lift off and land.
 
     Args:
@@ -61,8 +63,8 @@ class Footholds:
         num_envs: robots.
     """
 
-    arrays = ("lift_off", "landing", "missed", "landed", "swung", "over_holes")
-    """Names of the arrays that change over time."""
+    prefix = "footholds"
+    changing = ("lift_off", "landing", "missed", "landed", "swung", "over_holes")
 
     def __init__(self, reference: FollowingReference, num_envs: int) -> None:
         self.reference, robot = reference.over_holes or reference, reference.robot
@@ -93,17 +95,25 @@ class Footholds:
         self.over_holes = np.zeros(num_envs)
         """Share of the gait over holes (N,)."""
 
-    @classmethod
-    def of(cls, reference: Reference, num_envs: int) -> Footholds | None:
-        """Return the footholds of a reference; None, if it has none."""
-        if isinstance(reference, FollowingReference) and reference.foothold_radius:
-            return cls(reference, num_envs)
-        return None
-
-    def reset(self, rows: NDArray[np.int64]) -> None:
+    def reset(self, rows: NDArray[np.int64], state: RobotState) -> None:
         """Let robots stand on the places of their strides."""
-        for name in self.arrays:
+        for name in self.changing:
             getattr(self, name)[rows] = 0
+        self.publish(state)
+
+    def after_step(self, state: RobotState) -> None:
+        """Choose footholds on the newest map; without one they stay."""
+        assert state.gait_state is not None
+        if state.heights is not None:
+            self.choose(state.heights, state.gait_state, state.readings, state.duration)
+        self.publish(state)
+
+    def publish(self, state: RobotState) -> None:
+        """Write the footholds to what the gait follows."""
+        assert state.gait_state is not None
+        state.gait_state = replace(
+            state.gait_state, lift_off=self.lift_off, landing=self.landing, over_holes=self.over_holes
+        )
 
     def choose(self, heights: Array, state: CommandState, readings: Readings, step: Array) -> None:
         """Choose footholds for what the gait follows now.

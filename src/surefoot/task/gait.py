@@ -13,7 +13,6 @@ from surefoot.errors import SurefootError
 from surefoot.policy.contract import MEMORY, MEMORY_RANGE
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
-from surefoot.task.foot_references import FollowingReference, FootReference
 from surefoot.task.reference import Reference
 
 Range = tuple[float, float]
@@ -38,7 +37,7 @@ def narrowed_bounds(bounds: Sequence[Range], reference: Reference, robot: RobotD
     is of use in some phase. Beside others it must fit in every phase.
     """
     extent = reference.extent()
-    if isinstance(_leading(reference), FollowingReference):
+    if reference.is_clipped:
         extent = tuple((highest, lowest) for lowest, highest in extent)
     spans = zip(bounds, extent, robot.leg_space.values(), strict=True)
     return [
@@ -47,19 +46,10 @@ def narrowed_bounds(bounds: Sequence[Range], reference: Reference, robot: RobotD
     ]
 
 
-def _leading(reference: Reference) -> FootReference | FollowingReference | None:
-    """Return a reference that commands lead, and None for others."""
-    if isinstance(reference, FootReference | FollowingReference) and reference.velocity_feedforward:
-        return reference
-    if isinstance(reference, FollowingReference) and reference.acceleration_feedforward:
-        return reference
-    return None
-
-
 class HybridGait:
     """Reference plus bounded feedback (Tan et al. 2018, eq. 3).
 
-    With `velocity_feedforward` T of the reference, commands are T dq/dt ahead of it: an actuator with T = k_d / k_p
+    With a velocity feed-forward T of the reference, commands are T dq/dt ahead of it: an actuator with T = k_d / k_p
     then damps the difference to the reference's velocity, not the velocity. Commands with a lead are clipped to what
     legs allow.
 
@@ -88,13 +78,7 @@ class HybridGait:
         memory: int = 0,
     ) -> None:
         self.robot, self.reference, self.action_kind, self.memory = robot, reference, action, memory
-        self._leading = _leading(reference)
-        self._accelerating: FollowingReference | None = None
-        self._carrying: FollowingReference | None = None
-        if isinstance(reference, FollowingReference) and reference.acceleration_feedforward:
-            self._accelerating = reference
-        if isinstance(reference, FollowingReference) and reference.weight_feedforward:
-            self._carrying = reference
+        if reference.feedforward.weight:
             self._allowed = robot.angle_extent(*robot.leg_space.values())
         legs, coordinates = len(robot.legs), robot.coordinates
         self._shape = (len(coordinates), legs)
@@ -117,7 +101,7 @@ class HybridGait:
         feedback = bounds if action == "leg" else [(0.0, 0.0)] * len(coordinates)
         spans = zip(robot.leg_space.items(), robot.leg_geometry.units, reference.extent(), feedback, strict=True)
         for (name, (allowed_low, allowed_high)), unit, (least, most), (low, high) in spans:
-            if isinstance(self._leading, FollowingReference):
+            if reference.is_clipped:
                 self._ranges.append((max(least + low, allowed_low), min(most + high, allowed_high)))
                 continue
             self._ranges.append((least + low, most + high))
@@ -146,8 +130,8 @@ class HybridGait:
         motors = self.robot.num_motors
         if self.action_kind == "angle":
             return self.low[:motors], self.high[:motors]
-        ahead = self._leading or self._carrying
-        ranges = self._ranges if ahead is None else list(self.robot.leg_space.values())
+        ahead = self.reference.feedforward
+        ranges = list(self.robot.leg_space.values()) if ahead.moves_poses or ahead.weight else self._ranges
         least, greatest = self.robot.angle_extent(*ranges)
         return (
             (least + self.low[:motors], greatest + self.high[:motors])
@@ -172,24 +156,25 @@ class HybridGait:
         feedback = feedback[:, : len(self.low) - self.memory]
         if self.action_kind == "angle":
             return feedback
-        pose = self.reference.pose(time, state)
+        reference, ahead = self.reference, self.reference.feedforward
+        pose = reference.pose(time, state)
         joint = self.action_kind == "joint"
         if not joint:
             pose = pose + feedback.reshape(len(feedback), *self._shape)
-        if self._leading is not None:
-            lead = self._leading.velocity_feedforward * self._leading.pose_rate(time, state)
-            if self._accelerating is not None and state is not None:
-                lead += self._accelerating.acceleration_feedforward * self._accelerating.pose_acceleration(state)
+        if ahead.moves_poses:
+            lead = ahead.velocity * reference.pose_rate(time, state)
+            if ahead.acceleration:
+                lead += ahead.acceleration * reference.pose_acceleration(time, state)
             pose = np.clip(pose + lead, *self._space)
         motors = self.robot.to_motors(pose)
-        if self._carrying is not None and state is not None:
-            motors = np.clip(motors + self._weight_lead(self._carrying, motors, state), *self._allowed)
+        if ahead.weight:
+            motors = np.clip(motors + self._weight_lead(motors, state), *self._allowed)
         return motors + feedback if joint else motors
 
-    def _weight_lead(self, reference: FollowingReference, motors: Array, state: CommandState) -> Array:
+    def _weight_lead(self, motors: Array, state: CommandState | None) -> Array:
         """Return the angles (N, M) [rad] by which the weight would bend actuators: J^T F / k_p."""
-        index = self.robot.leg_motor_index
+        index, reference = self.robot.leg_motor_index, self.reference
         rise = self.robot.leg_geometry.jacobian(motors[:, index])[..., 2, :]
         lead = np.empty_like(motors)
-        lead[:, index] = -reference.weight_feedforward * reference.load(state)[..., None] * rise
+        lead[:, index] = -reference.feedforward.weight * reference.load(state)[..., None] * rise
         return lead

@@ -17,9 +17,9 @@ from surefoot.errors import SurefootError, prefix_errors
 from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task
-from surefoot.task.foot_references import FootReference
+from surefoot.task.periodic_references import FootReference
 from surefoot.task.raibert import RaibertConfig, RaibertController
-from surefoot.task.reference import make_reference
+from surefoot.task.reference_config import make_reference
 
 KEY = "handcrafted"
 """Key in a task's file of everything besides the task."""
@@ -74,7 +74,7 @@ class HandcraftedGait:
         if self.raibert is None:
             return OpenLoop(len(self.task.gait(robot).action_names))
         assert isinstance(reference, FootReference)
-        return RaibertController(robot, reference, self.raibert, self.task.observations, self.task.history)
+        return RaibertController(robot, reference.feet, self.raibert, self.task.observations, self.task.history)
 
     def save(self, path: Path) -> None:
         """Write a file of the task, without defaults, that `surefoot train` takes too.

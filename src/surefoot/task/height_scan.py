@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from surefoot.configuration import Within, check_bounds
 from surefoot.robot import RobotDescription
 from surefoot.rotations import from_heading_frame
 from surefoot.seeding import generators
+from surefoot.task.component import Component
+from surefoot.task.state import EnvState
 from surefoot.world.ground import Ground
 
 
@@ -146,3 +149,39 @@ class HeightScanner:
         # A uniform error of the same deviation: its draws cost a tenth of normal ones.
         heights += self.config.noise * np.sqrt(12.0) * (draws[:, 0] - 0.5)
         return np.where(draws[:, 1] < self.config.holes, heights[:, [self._middle]], heights)
+
+
+class HeightScan(Component):
+    """The map of heights in a task.
+
+    Args:
+        scanner: the map with its errors.
+    """
+
+    def __init__(self, scanner: HeightScanner) -> None:
+        self.scanner = scanner
+
+    def arrays(self) -> Mapping[str, NDArray[Any]]:
+        """Return the arrays of the scanner that an exact resume needs, by name."""
+        return {f"scan_{name}": getattr(self.scanner, name) for name in self.scanner.arrays}
+
+    @property
+    def streams(self) -> Mapping[str, list[np.random.Generator]]:
+        """Streams of random numbers of the errors."""
+        return {"scan_streams": self.scanner.streams}
+
+    def reset(self, rows: NDArray[np.int64], state: EnvState) -> None:
+        """Begin the maps of new episodes where the robots stand."""
+        truth = state.truth
+        self.scanner.reset(rows, state.ground, truth.base_position_world, truth.roll_pitch_yaw[:, 2])
+        self.publish(state)
+
+    def after_step(self, state: EnvState) -> None:
+        """Take the scan of a control step."""
+        truth = state.truth
+        self.scanner.update(state.ground, truth.base_position_world, truth.roll_pitch_yaw[:, 2])
+        self.publish(state)
+
+    def publish(self, state: EnvState) -> None:
+        """Write the heights that the robots know to the state."""
+        state.heights = self.scanner.heights

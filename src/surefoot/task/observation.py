@@ -12,27 +12,8 @@ from surefoot.errors import SurefootError, choices, suggest
 from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
-from surefoot.task.commands import CommandState
-from surefoot.task.foot_references import FollowingReference
 from surefoot.task.height_scan import MAP
-from surefoot.task.reference import Reference
-from surefoot.world.interface import Readings
-
-
-@dataclass(frozen=True)
-class ObservationInputs:
-    """Inputs of an observation, of N robots."""
-
-    readings: Readings
-    reference: Reference
-    last_feedback: Array
-    """Feedback of the last control step (N, A), see `HybridGait`; zero before the first."""
-    commands: CommandState | None = None
-    """What the gait follows, of a task with commands."""
-    memory: int = 0
-    """How many of the last numbers of the feedback are the policy's memory."""
-    heights: Array | None = None
-    """Heights of the ground around the robots (N, K), see `height_scan`."""
+from surefoot.task.state import RobotState
 
 
 @dataclass(frozen=True)
@@ -43,7 +24,7 @@ class Part:
     frame: str
     columns: Callable[[RobotDescription], list[str]]
     """Names of its numbers."""
-    read: Callable[[ObservationInputs], Array]
+    read: Callable[[RobotState], Array]
     """Its numbers (N, width)."""
     flipped: tuple[str, ...] = ()
     """Columns that change their sign in the mirror image, of a plug-in; those of surefoot: `learn.symmetry`."""
@@ -57,11 +38,11 @@ def phase(time: Array, period: float | None) -> Array:
     return np.stack([np.sin(angle), np.cos(angle)], -1)
 
 
-def gait_phase(inputs: ObservationInputs) -> Array:
+def gait_phase(state: RobotState) -> Array:
     """Return sine and cosine (N, 2) of the gait's phase; with commands, times the share of full steps."""
-    if inputs.commands is None:
-        return phase(inputs.readings.time, inputs.reference.period)
-    return inputs.commands.activity[:, None] * phase(inputs.commands.phase, 1.0)
+    if state.gait_state is None:
+        return phase(state.readings.time, state.gait.reference.period)
+    return state.gait_state.activity[:, None] * phase(state.gait_state.phase, 1.0)
 
 
 def gravity(roll_pitch_yaw: Array) -> Array:
@@ -70,41 +51,41 @@ def gravity(roll_pitch_yaw: Array) -> Array:
     return np.stack([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)], axis=-1)
 
 
-def _command(inputs: ObservationInputs) -> Array:
+def _command(state: RobotState) -> Array:
     """Return the commands (N, 3) that are followed; the task must have commands."""
-    if inputs.commands is None:
+    if state.gait_state is None:
         raise SurefootError("observation 'command' needs commands with a range; this task has none")
-    return inputs.commands.command
+    return state.gait_state.command
 
 
-def _footholds(inputs: ObservationInputs) -> Array:
+def _footholds(state: RobotState) -> Array:
     """Return how far feet land beside the places of their strides, in `foothold_radius`: x, then y (N, 2 L)."""
-    reference, state = inputs.reference, inputs.commands
-    if not isinstance(reference, FollowingReference) or state is None or state.landing is None:
+    reference, feet = state.gait.reference, state.gait_state
+    if feet is None or feet.landing is None:
         raise SurefootError("observation 'footholds' needs reference.foothold_radius; it is 0 here")
-    return np.concatenate(np.moveaxis(state.landing / reference.foothold_radius, -1, 0), axis=1)
+    return np.concatenate(np.moveaxis(feet.landing / reference.foothold_radius, -1, 0), axis=1)
 
 
-def _over_holes(inputs: ObservationInputs) -> Array:
+def _over_holes(state: RobotState) -> Array:
     """Return the share of the gait over holes (N, 1), 0 to 1."""
-    if inputs.commands is None or inputs.commands.over_holes is None:
+    if state.gait_state is None or state.gait_state.over_holes is None:
         raise SurefootError("observation 'over_holes' needs reference.foothold_radius; it is 0 here")
-    return inputs.commands.over_holes[:, None]
+    return state.gait_state.over_holes[:, None]
 
 
-def _heights(inputs: ObservationInputs) -> Array:
+def _heights(state: RobotState) -> Array:
     """Return the heights of the ground (N, K); there must be a map."""
-    if inputs.heights is None:
+    if state.heights is None:
         raise SurefootError("observation 'height_scan' needs a map of the ground's heights; there is none here")
-    return inputs.heights
+    return state.heights
 
 
 def _motor_columns(prefix: str) -> Callable[[RobotDescription], list[str]]:
     return lambda robot: [f"{prefix}.{name}" for name in robot.motor_names]
 
 
-def _angular_velocity(axis: int) -> Callable[[ObservationInputs], Array]:
-    return lambda inputs: inputs.readings.angular_velocity_base[:, axis : axis + 1]
+def _angular_velocity(axis: int) -> Callable[[RobotState], Array]:
+    return lambda state: state.readings.angular_velocity_base[:, axis : axis + 1]
 
 
 OVER_HOLES = "over_holes"
@@ -139,13 +120,13 @@ PARTS: dict[str, Part] = {
         "rad",
         "leg space",
         lambda robot: [f"last_{part}.{leg}" for part in robot.coordinates for leg in robot.leg_names],
-        lambda m: m.last_feedback[:, : m.last_feedback.shape[1] - m.memory],
+        lambda m: m.feedback[:, : m.feedback.shape[1] - m.gait.memory],
     ),
     "memory": Part(
         "as the policy gave it",
         "policy",
         lambda _: [],
-        lambda m: m.last_feedback[:, m.last_feedback.shape[1] - m.memory :],
+        lambda m: m.feedback[:, m.feedback.shape[1] - m.gait.memory :],
     ),
 }
 """Every part that an observation can have."""
@@ -186,9 +167,9 @@ class Observer:
         """Numbers in an observation."""
         return len(self.columns)
 
-    def observe(self, inputs: ObservationInputs) -> Array:
+    def observe(self, state: RobotState) -> Array:
         """Return the observations (N, width), raw SI values."""
-        return np.concatenate([PARTS[name].read(inputs) for name in self.names], axis=1)
+        return np.concatenate([PARTS[name].read(state) for name in self.names], axis=1)
 
     def describe(self) -> list[dict[str, str]]:
         """Return name, unit and frame of each part, for the contract."""

@@ -1,108 +1,109 @@
-"""File of rows that a recorder writes during a run; if the run is cut off, a trace can be made from it.
+"""Rows of a trace that are written one by one while it is recorded; if the run is cut off, a trace is made from them.
 
-A partial file is a line of JSON (layout and meta of the trace, and its robot if that does not ship) and then rows of
-little-endian 64-bit floats. A row that was cut off is left out when it is read.
+A partial file is a line of JSON (columns and meta of the trace, the state at its start, and its robot if that does not
+ship) and then rows of little-endian 64-bit floats. A row that was cut off is left out when it is read.
 """
 
 from __future__ import annotations
 
 import base64
 import json
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.columns import RowLayout, columns_of
 from surefoot.configuration import Within, from_mapping
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.files import check_readable
-from surefoot.task.trace import EpisodeTrace
+from surefoot.task.trace import EpisodeTrace, trace_sizes
 
 SUFFIX = ".partial"
 """Behind the whole name of the trace's file."""
+MEASURED = (
+    *("time", "roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity", "motor_torque"),
+    *("observation", "feedback", "target", "energy"),
+)
+"""Columns that every robot measures."""
 _KIND = "surefoot-partial-trace"
+_VERSION = 2
 
 
-Count = Annotated[int, Within(0, 100_000)]
+def row_layout(names: tuple[str, ...], sizes: Mapping[str, int]) -> RowLayout:
+    """Return the layout of rows of a trace's columns; `sizes` are those of `trace_sizes`."""
+    columns, one_row = columns_of(EpisodeTrace), {**sizes, "T": 1, "T+1": 1}
+    return RowLayout({name: math.prod(columns[name].sized(one_row)) for name in names})
 
 
 @dataclass(frozen=True)
-class RowLayout:
-    """Columns of the quantities in a row of numbers."""
+class TraceHead:
+    """What makes a trace of rows of numbers, one a control step."""
 
-    motors: Count
-    """M"""
-    legs: Count
-    """L"""
-    observations: Count
-    """O"""
-    actions: Count
-    """A"""
-    commands: Count = 0
-    """Commands to a policy that is steered, 3; else 0."""
+    layout: RowLayout
+    """Columns of the rows; those that a trace does not have are left out of it."""
+    meta: dict[str, Any]
+    """The trace's meta, as far as it is known at the start."""
+    start: Mapping[str, Array] = field(default_factory=dict)
+    """Values at the start of columns that have them, (n,) by name."""
+    robot_archive: bytes = b""
+    """The trace's."""
 
-    @property
-    def widths(self) -> dict[str, int]:
-        """Number of values of each quantity, in the row's order; `robot_time` is the robot's clock at the state [s]."""
-        return {
-            "time": 1,
-            "robot_time": 1,
-            "roll_pitch_yaw": 3,
-            "angular_velocity_base": 3,
-            "motor_angle": self.motors,
-            "motor_velocity": self.motors,
-            "motor_torque": self.motors,
-            "observation": self.observations,
-            "feedback": self.actions,
-            "target": self.motors,
-            "energy": 1,
-            **({"command": self.commands} if self.commands else {}),
+    @classmethod
+    def of_robot(cls, meta: dict[str, Any], actions: int, commands: bool, robot_archive: bytes) -> TraceHead:
+        """Return the head of what a robot measures, with commands if its policy is steered."""
+        names = (*MEASURED, "command") if commands else MEASURED
+        return cls(row_layout(names, trace_sizes(0, (actions,), meta)), meta, robot_archive=robot_archive)
+
+    def line(self) -> bytes:
+        """Return the first line of a partial file."""
+        head = {
+            "kind": _KIND,
+            "version": _VERSION,
+            "columns": self.layout.widths,
+            "start": {name: values.tolist() for name, values in self.start.items()},
+            "meta": self.meta,
+            "robot": base64.b64encode(self.robot_archive).decode(),
         }
+        return json.dumps(head).encode() + b"\n"
 
-    @property
-    def width(self) -> int:
-        """Numbers in a row."""
-        return sum(self.widths.values())
+    def trace(self, rows: Array, meta: Mapping[str, Any], truth: Mapping[str, Array] | None = None) -> EpisodeTrace:
+        """Return the trace of rows (T, width), with further entries of its meta; refuse rows that are none.
 
-    def columns(self, rows: Array) -> dict[str, Array]:
-        """Return the rows (T, width) as arrays by name, (T,) or (T, n)."""
-        parts = np.split(rows, np.cumsum(list(self.widths.values()))[:-1], axis=1)
-        return {
-            name: part[:, 0] if width == 1 else part
-            for (name, width), part in zip(self.widths.items(), parts, strict=True)
-        }
-
-
-def make_trace(
-    layout: RowLayout,
-    rows: Array,
-    meta: dict[str, Any],
-    truth: dict[str, Array] | None = None,
-    robot_archive: bytes = b"",
-) -> EpisodeTrace:
-    """Return the trace of rows (T, width), one a control step, with its meta; refuse rows that are none.
-
-    Quantities that the robot does not measure are NaN, unless `truth` has them: base and feet, measured externally.
-    """
-    steps = len(rows)
-    if not steps:
-        raise SurefootError("no control step was done; there is nothing to save")
-    columns = layout.columns(rows)
-    columns.pop("robot_time")
-    unknown = {
-        "base_position_world": np.full((steps + 1, 3), np.nan),
-        "base_quat_world": np.full((steps + 1, 4), np.nan),
-        "foot_contact": np.full((steps, layout.legs), np.nan),
-    }
-    return EpisodeTrace(**columns, **(unknown | (truth or {})), meta=meta, robot_archive=robot_archive)
+        `truth` has further columns, such as base and feet that were measured externally.
+        """
+        if not len(rows):
+            raise SurefootError("no control step was done; there is nothing to save")
+        columns = {}
+        for name, values in self.layout.columns(rows).items():
+            if (declared := columns_of(EpisodeTrace).get(name)) is None:
+                continue
+            rest, width = declared.shape.split(", ")[1:], self.layout.widths[name]
+            try:
+                if declared.shape.startswith("T+1"):
+                    values = np.vstack([self.start.get(name, np.full(width, np.nan)), values])
+                columns[name] = values.reshape(len(values), *(int(size) if size.isdigit() else -1 for size in rest))
+            except ValueError:
+                raise SurefootError(f"column {name} ({declared.shape}) has {width} numbers in a row") from None
+        about = {**self.meta, **meta}
+        return EpisodeTrace(**{**columns, **(truth or {})}, meta=about, robot_archive=self.robot_archive)
 
 
-def head_line(layout: RowLayout, meta: dict[str, Any], robot_archive: bytes = b"") -> bytes:
-    """Return the first line of a partial file."""
-    robot = {"robot": base64.b64encode(robot_archive).decode()} if robot_archive else {}
-    return json.dumps({"kind": _KIND, **vars(layout), "meta": meta, **robot}).encode() + b"\n"
+@dataclass(frozen=True)
+class _FirstLine:
+    """Entries of the first line of a partial file."""
+
+    version: int
+    columns: dict[str, Annotated[int, Within(0, 100_000)]]
+    start: dict[str, tuple[float, ...]]
+
+    def __post_init__(self) -> None:
+        if self.version != _VERSION:
+            raise SurefootError(f"is of version {self.version}; surefoot reads versions 1 and {_VERSION}")
 
 
 def row_bytes(rows: Array) -> bytes:
@@ -122,16 +123,30 @@ def recover(path: str | Path) -> EpisodeTrace:
         line, _, body = path.read_bytes().partition(b"\n")
     with prefix_errors(f"partial trace {path}"):
         try:
-            head = json.loads(line)
-            kind, meta = head.pop("kind"), dict(head.pop("meta"))
-            robot = base64.b64decode(head.pop("robot", ""), validate=True)
+            entries = json.loads(line)
+            kind, meta = entries.pop("kind"), dict(entries.pop("meta"))
+            robot = base64.b64decode(entries.pop("robot", ""), validate=True)
+            if kind == _KIND and "version" not in entries:
+                entries = _from_version_1(entries)
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
             raise SurefootError(f"is not one: {' '.join(str(error).split())}") from error
         if kind != _KIND:
             raise SurefootError("is not one: it is of another kind")
-        layout = from_mapping(RowLayout, head)
-        steps = len(body) // (8 * layout.width)
+        first = from_mapping(_FirstLine, entries)
+        start = {name: np.array(values) for name, values in first.start.items()}
+        head = TraceHead(RowLayout(first.columns), meta, start, robot)
+        width = head.layout.width
+        steps = len(body) // (8 * width) if width else 0
         if not steps:
             raise SurefootError("holds no whole control step")
-        rows = np.frombuffer(body, "<f8", steps * layout.width).reshape(steps, layout.width).astype(float)
-        return make_trace(layout, rows, {**meta, "ended": "fault", "reason": "cut off"}, robot_archive=robot)
+        rows = np.frombuffer(body, "<f8", steps * width).reshape(steps, width).astype(float)
+        return head.trace(rows, {"ended": "fault", "reason": "cut off"})
+
+
+def _from_version_1(entries: dict[str, Any]) -> dict[str, Any]:
+    """Return the first line of a file with counts, whose rows hold the robot's clock after the time, as it is now."""
+    counts = {
+        size: entries[name] for size, name in zip("MLOA", ("motors", "legs", "observations", "actions"), strict=True)
+    }
+    row = row_layout((*MEASURED, "command") if entries.get("commands") else MEASURED, counts).widths
+    return {"version": _VERSION, "columns": {"time": row.pop("time"), "robot_time": 1, **row}, "start": {}}

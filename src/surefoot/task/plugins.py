@@ -25,8 +25,9 @@ from surefoot.errors import SurefootError, check_name, describe_os_errors, quote
 from surefoot.files import read_configuration
 from surefoot.policy.contract import PluginRecord
 from surefoot.robot import RobotDescription
-from surefoot.task.observation import PARTS, ObservationInputs, Part
-from surefoot.task.reward import TERMS, StepMotion, Term
+from surefoot.task.observation import PARTS, Part
+from surefoot.task.reward import TERMS, Term
+from surefoot.task.state import EnvState, RobotState
 
 GROUP = "surefoot.plugins"
 """Entry points by which an installed package offers plug-ins: the name of each is what `--plugin` takes."""
@@ -63,8 +64,8 @@ _registering: list[Plugin] = []
 
 def reward_term(
     name: str, unit: str, source: str = "", is_sum: bool = False
-) -> Callable[[Callable[[StepMotion], Any]], Callable[[StepMotion], Any]]:
-    """Register a function as a reward term: it takes the `StepMotion` of N robots and returns values (N,).
+) -> Callable[[Callable[[EnvState], Any]], Callable[[EnvState], Any]]:
+    """Register a function as a reward term: it takes the `EnvState` of N robots and returns values (N,).
 
     Args:
         name: name of the term, for a task's `reward`.
@@ -73,13 +74,13 @@ def reward_term(
         is_sum: whether it is a sum over the control step; else it is a rate.
     """
 
-    def register(function: Callable[[StepMotion], Any]) -> Callable[[StepMotion], Any]:
+    def register(function: Callable[[EnvState], Any]) -> Callable[[EnvState], Any]:
         plugin, what = _registering_plugin(), f"reward term '{name}'"
         _check_new("reward term", name, TERMS)
 
-        def value(motion: StepMotion) -> Array:
-            values = _call(plugin, what, function, motion)
-            return _check_values(plugin, what, values, motion.duration.shape, ~motion.after.diverged)
+        def value(state: EnvState) -> Array:
+            values = _call(plugin, what, function, state)
+            return _check_values(plugin, what, values, state.duration.shape, ~state.truth.diverged)
 
         TERMS[name] = Term(unit, value, source or plugin.name, is_sum)
         plugin.rewards.append(name)
@@ -94,8 +95,8 @@ def observation(
     frame: str,
     columns: Sequence[str] | Callable[[RobotDescription], Sequence[str]],
     flipped: Sequence[str] = (),
-) -> Callable[[Callable[[ObservationInputs], Any]], Callable[[ObservationInputs], Any]]:
-    """Register a function as an observation: it takes the `ObservationInputs` of N robots and returns (N, C) numbers.
+) -> Callable[[Callable[[RobotState], Any]], Callable[[RobotState], Any]]:
+    """Register a function as an observation: it takes the `RobotState` of N robots and returns (N, C) numbers.
 
     It must depend on nothing else: the robot's control computer calls it too.
 
@@ -108,7 +109,7 @@ def observation(
         flipped: columns that change their sign in the mirror image.
     """
 
-    def register(function: Callable[[ObservationInputs], Any]) -> Callable[[ObservationInputs], Any]:
+    def register(function: Callable[[RobotState], Any]) -> Callable[[RobotState], Any]:
         plugin, widths, what = _registering_plugin(), set[int](), f"observation '{name}'"
         _check_new("observation", name, PARTS)
 
@@ -119,8 +120,9 @@ def observation(
             widths.add(len(result))
             return [*result]
 
-        def read(inputs: ObservationInputs) -> Array:
-            values, readings = _call(plugin, what, function, inputs), inputs.readings
+        def read(state: RobotState) -> Array:
+            # What only a simulation knows is hidden: the function must do the same on a robot.
+            values, readings = _call(plugin, what, function, state.without_truth()), state.readings
             width = next((width for width in widths if np.shape(values)[1:] == (width,)), min(widths))
             angles = np.hstack([readings.roll_pitch_yaw, readings.angular_velocity_base, readings.motor_angle])
             rows = np.asarray(np.isfinite(angles).all(axis=1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -12,6 +13,8 @@ from surefoot.arrays import Array
 from surefoot.configuration import NoOption, Within, check_bounds
 from surefoot.errors import SurefootError
 from surefoot.seeding import generators
+from surefoot.task.component import Component, Privileged
+from surefoot.task.state import EnvState
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class PushConfig:
         return self.force[0] * unit, self.force[1] * unit
 
 
-class Pusher:
+class Pusher(Component):
     """Draws a force for each push of each robot, uniform in magnitude and in direction.
 
     Args:
@@ -70,12 +73,12 @@ class Pusher:
         weight: the robot's m g [N].
     """
 
-    arrays = ("force", "drawn", "before")
-    """Names of the arrays that change over time."""
+    prefix = "pushes"
+    changing = ("force", "drawn", "before")
 
     def __init__(self, config: PushConfig, num_envs: int, seed: int, weight: float) -> None:
         self.config = config
-        self.streams = generators(seed, "pushes", num_envs)
+        self._streams = generators(seed, "pushes", num_envs)
         self.range = np.tile(config.force_range(weight), (num_envs, 1))
         """Least and greatest force [N] of each robot's pushes, (N, 2)."""
         self.force = np.zeros((num_envs, 3))
@@ -84,7 +87,31 @@ class Pusher:
         self.before = np.zeros(num_envs, np.int64)
         """Pushes that were due in earlier episodes."""
 
-    def reset(self, index: NDArray[np.int64]) -> None:
+    @property
+    def streams(self) -> Mapping[str, list[np.random.Generator]]:
+        """Streams of random numbers, one per robot."""
+        return {"push_streams": self._streams}
+
+    def reset(self, rows: NDArray[np.int64], state: EnvState) -> None:
+        """End the pushes of robots whose episodes start, and start their clocks."""
+        self.restart(rows)
+        self.publish(state)
+        state.world.push(self.force)
+
+    def before_step(self, state: EnvState) -> None:
+        """Begin and end pushes that are due."""
+        if self.update(state.readings.time):
+            state.world.push(self.force)
+
+    def privileged(self, state: EnvState) -> Privileged:
+        """Return the horizontal force [100 N]."""
+        return [(["push_x", "push_y"], self.force[:, :2] / 100.0)]
+
+    def publish(self, state: EnvState) -> None:
+        """Write the forces to the state."""
+        state.push_force = self.force
+
+    def restart(self, index: NDArray[np.int64]) -> None:
         """Start the clock of the robots at `index` anew."""
         self.before[index] += self.drawn[index]
         self.force[index] = self.drawn[index] = 0
@@ -98,7 +125,7 @@ class Pusher:
         start = pushing & (self.drawn < number)
         stop = ~pushing & self.force.any(axis=1)
         for i in np.flatnonzero(start):
-            stream = self.streams[i]
+            stream = self._streams[i]
             happens = stream.uniform() < config.probability
             direction = stream.standard_normal(3)
             if config.direction == "horizontal":

@@ -24,7 +24,7 @@ from surefoot.arrays import Array
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
-from surefoot.task.foot_references import FootReference
+from surefoot.task.foot_paths import FootPaths
 
 OBSERVATIONS = ("roll", "pitch", "roll_rate", "pitch_rate", "motor_angles", "motor_speeds", "reference_phase")
 """Observations of the controller, in this order."""
@@ -75,7 +75,7 @@ class RaibertController:
     def __init__(
         self,
         robot: RobotDescription,
-        reference: FootReference,
+        reference: FootPaths,
         gains: RaibertConfig,
         observations: tuple[str, ...] = OBSERVATIONS,
         history: int = HISTORY,

@@ -1,4 +1,4 @@
-"""The open loop part of a gait: a periodic reference for the pose of every leg in leg space.
+"""The open loop part of a gait: poses of every leg in leg space, over time or for commands and a phase.
 
 L legs have C coordinates each, in the robot's order: (abduction,) swing, extension.
 
@@ -7,364 +7,243 @@ Tan et al. 2018, eq. 3: a(t, o) = reference(t) + feedback(o).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.configuration import Within, check_bounds
-from surefoot.errors import SurefootError, choices, suggest
-from surefoot.files import check_readable
-from surefoot.npz import read_npz
-from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
 from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import CommandState
-from surefoot.task.foot_references import FOLLOWING, LENGTHS, FollowingReference, FootReference
+from surefoot.task.foot_kinematics import FootKinematics
+from surefoot.task.foot_paths import FootPaths
+from surefoot.task.stride_choice import StrideChoice
 
-PerLeg = float | dict[str, float]
-"""One number, or one for each leg by name."""
-Length = Annotated[PerLeg, Within(0, 10)]
-
-
-@dataclass(frozen=True)
-class WaveConfig:
-    """A sinusoid for each leg: amplitude sin(2 pi frequency t + phase) + offset."""
-
-    amplitude: PerLeg = 0.0
-    """rad"""
-    frequency: Annotated[PerLeg, Within(0, 1e6)] = 0.0
-    """Hz"""
-    phase: PerLeg = 0.0
-    """rad"""
-    offset: PerLeg = 0.0
-    """rad"""
+Extent = tuple[tuple[float, float], ...]
+"""Lowest and highest value of each coordinate of leg space."""
+RATE_STEP = 0.002
+"""Half of the time [s] over which the velocity of a pose is taken."""
+ACCELERATION_STEP = 0.01
+"""Half of the time [s] over which the acceleration of a pose is taken: it jumps where feet touch down and lift off."""
 
 
 @dataclass(frozen=True)
-class FootConfig:
-    """Paths of the feet in their legs' planes. A duty factor of 0 or 1 would ask for an infinite speed."""
+class Feedforward:
+    """Leads of commands over a reference, which make up for what actuators lag and give way."""
 
-    frequency: Annotated[float, Within(0.01, 50)] = 2.0
-    """Cycles a second [Hz]."""
-    stroke: Annotated[PerLeg, Within(-10, 10)] = 0.1
-    """How far a foot goes backward in stance, relative to the base [m]; below 0: forward."""
-    clearance: Length = 0.03
-    """How far a foot is lifted in the middle of its swing [m]."""
-    duty_factor: Annotated[PerLeg, Within(0.05, 0.95)] = 0.5
-    """Part of the cycle that a foot is on the ground."""
-    phase: Annotated[PerLeg, Within(-1000, 1000)] = 0.0
-    """When a foot's cycle begins, with its touchdown [cycles]."""
-    height: Length = 0.22
-    """Of the motor axis over the foot's end at touchdown and lift-off [m]."""
-    offset: Annotated[PerLeg, Within(-10, 10)] = 0.0
-    """Of the middle of the stroke, forward from the motor axis [m]."""
-    depth: Length = 0.0
-    """How far a foot is pressed below that height in the middle of its stance [m]."""
+    velocity: float = 0.0
+    """Time [s] by which commands lead along the velocity of the pose; k_d / k_p makes up for an actuator's damping."""
+    acceleration: float = 0.0
+    """Square of the time [s^2] by which commands lead along the acceleration of the pose."""
+    weight: float = 0.0
+    """Angle by which commands lead, relative to the lever arm of the weight [rad/m]."""
+
+    @property
+    def moves_poses(self) -> bool:
+        """Whether poses lead; commands are clipped to the leg space then."""
+        return bool(self.velocity or self.acceleration)
+
+
+class Reference(ABC):
+    """Poses over time. Its defaults are for references that no command changes, without leads."""
+
+    @property
+    @abstractmethod
+    def period(self) -> Any:
+        """Time [s] after which the reference repeats; None if it never does."""
+
+    @abstractmethod
+    def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the poses (N, C, L) at times (N,) [s] since the episode's start."""
+
+    @abstractmethod
+    def extent(self) -> Extent:
+        """Return the lowest and highest value of each coordinate over all legs, times and commands."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return the `ReferenceConfig` that makes it again, as JSON values."""
+
+    @property
+    def feedforward(self) -> Feedforward:
+        """Leads of commands over the poses."""
+        return Feedforward()
+
+    @property
+    def is_clipped(self) -> bool:
+        """Whether reference and feedback together may exceed the leg space, to which commands are clipped."""
+        return False
+
+    @property
+    def following(self) -> FollowingReference | None:
+        """The reference itself, if it follows commands."""
+        return None
+
+    @property
+    def foothold_radius(self) -> float:
+        """Maximum distance [m] by which feet land beside the places of their strides, see `Footholds`."""
+        return 0.0
+
+    @property
+    def touch_clearance(self) -> float:
+        """Maximum height [m] by which feet are lifted further that meet something, see `ContactReflex`."""
+        return 0.0
+
+    @property
+    def over_holes(self) -> FollowingReference | None:
+        """The gait while the map of heights has holes, if that is another one; see `Footholds`."""
+        return None
+
+    def frequency(self, command: Array, over_holes: Array | None = None) -> Array:
+        """Return the frequency (N,) [Hz] at commands (N, 3) and the share of the gait over holes (N,)."""
+        return np.full(len(command), 1.0 / self.period if self.period else 0.0)
+
+    def pose_rate(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the velocities (N, C, L) of the poses at times (N,) [s], in units of leg space a second."""
+        time = np.asarray(time, float)
+        return (self.pose(time + RATE_STEP) - self.pose(time - RATE_STEP)) / (2 * RATE_STEP)
+
+    def pose_acceleration(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the second derivatives (N, C, L) of the poses at times (N,) [s]."""
+        time = np.asarray(time, float)
+        before, now, after = (self.pose(time + k * ACCELERATION_STEP) for k in (-1, 0, 1))
+        return (after - 2.0 * now + before) / ACCELERATION_STEP**2
+
+    def load(self, state: CommandState | None = None) -> Array:
+        """Return the fraction of the weight that each leg carries (L,): all alike, as stance is unknown."""
+        legs = self.pose(0.0).shape[-1]
+        return np.full(legs, 1.0 / legs)
 
 
 @dataclass(frozen=True)
-class OverHolesConfig:
-    """A gait over holes; units are those of the reference."""
+class FollowingReference(Reference):
+    """Feet whose strides have the commanded speed and direction; a robot that stands keeps them on the ground.
 
-    foot: FootConfig = field(default_factory=FootConfig)
-    """Paths of the feet."""
-    stride_gain: Annotated[float, Within(0, 3)] = 1.15
-    """Stride over that of a foot that does not slip."""
-    frequency_rise: Annotated[float, Within(0, 3)] = 0.0
-    """Frequency gained at the longest stride, over the frequency on the spot."""
+    Raises:
+        SurefootError: a stride out of the legs' reach.
+    """
 
-
-@dataclass(frozen=True)
-class ReferenceConfig:
-    """The open loop part of the gait."""
-
-    kind: Literal["none", "sine", "table", "foot", "follow"] = "none"
-    """none: zero at all times; sine: `swing` and `extension`; table: poses out of `file`, every `period`;
-    foot: paths of the feet, `foot`; follow: the same with strides that follow the task's commands."""
-    abduction: WaveConfig = field(default_factory=WaveConfig)
-    """Abduction of the legs, for kind sine; of robots that have it."""
-    swing: WaveConfig = field(default_factory=WaveConfig)
-    """Swing of the legs, for kind sine."""
-    extension: WaveConfig = field(default_factory=WaveConfig)
-    """Extension of the legs, for kind sine."""
-    file: str | None = None
-    """CSV or NPZ file with columns swing_LEG and extension_LEG, for kind table."""
-    period: Annotated[float, Within(0, 3600, above=True)] | None = None
-    """Time [s] in which the table is gone through once."""
-    foot: FootConfig = field(default_factory=FootConfig)
-    """Paths of the feet, for kinds foot and follow."""
-    stride_gain: Annotated[float, Within(0, 3)] = 1.15
-    """Stride over that of a foot that does not slip, for kind follow; `foot.stroke` is the longest."""
-    frequency_rise: Annotated[float, Within(0, 3)] = 0.0
-    """Frequency gained at the longest stride, over the frequency on the spot, for kind follow."""
-    turn_gain: Annotated[float, Within(0, 100)] = 1.0
-    """What a stride has for turning, over that of a foot that does not slip, for kind follow."""
-    clearance_rise: Annotated[float, Within(-1, 3)] = 0.0
-    """Clearance gained at the longest stride, over that on the spot, for kind follow."""
-    height_rise: Annotated[float, Within(-0.5, 0.5)] = 0.0
-    """Height gained at the longest stride, over that on the spot, for kind follow."""
-    foothold_radius: Annotated[float, Within(0, 1)] = 0.0
-    """Greatest distance [m] by which feet land beside the ends of their strides, where the map of heights has a gap, an
-    edge or a wall there, for kind follow; 0: none."""
-    touch_clearance: Annotated[float, Within(0, 1)] = 0.0
-    """Greatest height [m] by which feet are lifted further that meet something in their swing, for kind follow."""
-    velocity_feedforward: Annotated[float, Within(0, 10)] = 0.0
-    """Time [s] by which commands lead along the velocity of the reference, for kinds foot and follow."""
-    acceleration_feedforward: Annotated[float, Within(0, 10)] = 0.0
-    """Square of the time [s^2] by which commands lead along the acceleration of the reference, for kind follow: an
-    inertia over k_p makes up for it."""
-    weight_feedforward: Annotated[float, Within(0, 100)] = 0.0
-    """Angle by which commands of legs in stance lead, over the lever arm of the weight [rad/m], for kind follow:
-    m g / k_p makes up for what the weight bends actuators."""
-    over_holes: OverHolesConfig | None = None
-    """The gait while the map of heights has holes, for kind follow with `foothold_radius`; the same one, if not
-    given."""
-    relative: bool = False
-    """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi,
-    `velocity_feedforward` the actuators' k_d / k_p, `acceleration_feedforward` rotors' inertia over k_p, and
-    `weight_feedforward` m g over k_p. These are means over motors."""
-    rows: dict[str, dict[str, tuple[float, ...]]] | None = None
-    """The table itself, in place of `file`: under each coordinate of leg space, each leg's poses."""
+    choice: StrideChoice
+    """Strides and frequency for commands."""
+    feedforward: Feedforward = Feedforward()
+    _extent: Extent = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Refuse values out of bounds."""
-        check_bounds(self, "reference")
-
-
-@dataclass(frozen=True)
-class Wave:
-    """Sinusoids, one a leg, as of a `WaveConfig`; arrays (L,), rad and Hz."""
-
-    amplitude: Array
-    frequency: Array
-    phase: Array
-    offset: Array
-
-    def at(self, time: ArrayLike) -> Array:
-        """Return the values (N, L) [rad] at times (N,) [s]."""
-        if not self.amplitude.any():
-            return np.broadcast_to(self.offset, (*np.shape(time), len(self.offset)))
-        angle = 2 * np.pi * np.asarray(time, float)[..., None] * self.frequency + self.phase
-        return self.amplitude * np.sin(angle) + self.offset
+        """Check that legs reach every stride."""
+        poses = self.pose(0.0, self.choice.extremes())
+        if not np.isfinite(poses).all():
+            leg = self.feet.legs[int(np.argwhere(~np.isfinite(poses))[0][-1])]
+            raise SurefootError(
+                f"reference.foot: a stride of {leg} is out of the leg's reach; "
+                "change height, stroke, depth or clearance"
+            )
+        extent = tuple((float(part.min()), float(part.max())) for part in np.moveaxis(poses, -2, 0))
+        object.__setattr__(self, "_extent", extent)
+        both = self.foothold_radius and self.touch_clearance
+        if both and not np.isfinite(self.pose(0.0, self.choice.beside_extremes())).all():
+            raise SurefootError(
+                "reference.foothold_radius and reference.touch_clearance together lead feet out of the legs' "
+                "reach; make one of them less"
+            )
 
     @property
-    def extent(self) -> tuple[float, float]:
-        """Lowest and highest value over all legs."""
-        size = np.abs(self.amplitude)
-        return float(np.min(self.offset - size)), float(np.max(self.offset + size))
-
-    def to_dict(self, legs: tuple[str, ...]) -> dict[str, dict[str, float]]:
-        """Return each quantity as a mapping from leg to number."""
-        return {name: dict(zip(legs, values.tolist(), strict=True)) for name, values in vars(self).items()}
-
-
-@dataclass(frozen=True)
-class SineReference:
-    """One sinusoid for each coordinate of every leg."""
-
-    legs: tuple[str, ...]
-    waves: dict[str, Wave]
-    """By coordinate, in order."""
+    def following(self) -> FollowingReference:
+        """The reference itself."""
+        return self
 
     @property
-    def period(self) -> float | None:
-        """Time [s] after which the reference repeats; None if it does not move or has no common period."""
-        moving = [wave.frequency[wave.amplitude != 0] for wave in self.waves.values()]
-        frequencies = np.unique(np.abs(np.concatenate(moving)))
-        frequencies = frequencies[frequencies > 0]
-        if len(frequencies) == 0:
-            return None
-        ratios = frequencies / frequencies[0]
-        return float(1 / frequencies[0]) if np.allclose(ratios, np.round(ratios)) else None
+    def is_clipped(self) -> bool:
+        """Whether reference and feedback together may exceed the leg space, to which commands are clipped."""
+        return self.feedforward.moves_poses
+
+    @property
+    def kinematics(self) -> FootKinematics:
+        """Kinematics of the feet."""
+        return self.choice.kinematics
+
+    @property
+    def robot(self) -> RobotDescription:
+        """Robot whose legs these are."""
+        return self.kinematics.robot
+
+    @property
+    def feet(self) -> FootPaths:
+        """Feet on the spot; their stroke is the longest stride."""
+        return self.kinematics.feet
+
+    @property
+    def places(self) -> Array:
+        """Feet below the legs' mounts, (L, 3) [m] from the mounts; z is the height."""
+        return self.kinematics.places
+
+    @property
+    def limits(self) -> CommandLimits:
+        """Limits of the commands that are followed."""
+        return self.choice.limits
+
+    @property
+    def foothold_radius(self) -> float:
+        """Maximum distance [m] by which feet land beside the places of their strides, see `Footholds`."""
+        return self.kinematics.foothold_radius
+
+    @property
+    def touch_clearance(self) -> float:
+        """Maximum height [m] by which feet are lifted further that meet something, see `ContactReflex`."""
+        return self.kinematics.touch_clearance
+
+    @property
+    def period(self) -> float:
+        """Time of a step on the spot [s]."""
+        return float(self.feet.period)
+
+    def strides(self, command: Array) -> Array:
+        """Return the strides (N, L, 2) [m] forward and to the left for commands (N, 3), no longer than allowed."""
+        return self.choice.choose(command)[0]
+
+    def frequency(self, command: Array, over_holes: Array | None = None) -> Array:
+        """Return the frequency (N,) [Hz] at commands (N, 3)."""
+        return self.choice.frequency(command)
+
+    def load(self, state: CommandState | None = None) -> Array:
+        """Return the fraction of the weight that each leg carries (N, L), the same for all legs in stance."""
+        assert state is not None
+        return self.kinematics.load(state)
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the poses (N, C, L) at times (N,) [s] since the episode's start, whatever the commands."""
-        return np.stack([wave.at(time) for wave in self.waves.values()], axis=-2)
+        """Return the poses (N, C, L) at the state's commands and phases; the times (N,) are not used."""
+        assert state is not None
+        return self.kinematics.pose(state, *self.choice.choose(state.command))
 
-    def extent(self) -> tuple[tuple[float, float], ...]:
-        """Return the lowest and highest value of each coordinate over all legs and times."""
-        return tuple(wave.extent for wave in self.waves.values())
+    def pose_rate(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the rates (N, C, L) [leg space units per second] of the poses at the state's commands and phases."""
+        assert state is not None
+        # The frequency is that of the first gait, over holes too.
+        change = RATE_STEP * self.choice.frequency(state.command)
+        before, after = (self.pose(time, replace(state, phase=state.phase + sign * change)) for sign in (-1, 1))
+        return (after - before) / (2 * RATE_STEP)
+
+    def pose_acceleration(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the second derivatives (N, C, L) of the poses at the state's commands and phases."""
+        assert state is not None
+        change = ACCELERATION_STEP * self.choice.frequency(state.command)
+        before, now, after = (self.pose(time, replace(state, phase=state.phase + k * change)) for k in (-1, 0, 1))
+        return (after - 2.0 * now + before) / ACCELERATION_STEP**2
+
+    def extent(self) -> Extent:
+        """Return the lowest and highest value of each coordinate over all legs, phases and commands."""
+        return self._extent
 
     def to_dict(self) -> dict[str, Any]:
         """Return the `ReferenceConfig` that makes it again, as JSON values."""
-        return {"kind": "sine", **{part: wave.to_dict(self.legs) for part, wave in self.waves.items()}}
-
-
-@dataclass(frozen=True)
-class TableReference:
-    """A table of leg poses over one period, with straight lines between its rows.
-
-    Row k stands for the time k period / rows; after the last row comes the first.
-    """
-
-    legs: tuple[str, ...]
-    period: float
-    """Time [s] after which the reference repeats."""
-    coordinates: tuple[str, ...]
-    rows: Array
-    """Poses (rows, C, L)."""
-
-    def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the poses (N, C, L) at times (N,) [s] since the episode's start, whatever the commands."""
-        rows = len(self.rows)
-        place = np.asarray(time, float) / self.period % 1.0 * rows
-        first = np.floor(place).astype(int) % rows
-        share = (place - np.floor(place))[..., None, None]
-        return np.asarray(self.rows[first] + share * (self.rows[(first + 1) % rows] - self.rows[first]))
-
-    def extent(self) -> tuple[tuple[float, float], ...]:
-        """Return the lowest and highest value of each coordinate over all legs and times."""
-        return tuple((float(part.min()), float(part.max())) for part in np.moveaxis(self.rows, 1, 0))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the `ReferenceConfig` that makes it again, as JSON values: rows in place of the file."""
-        rows = {
-            part: dict(zip(self.legs, self.rows[:, k].T.tolist(), strict=True))
-            for k, part in enumerate(self.coordinates)
-        }
-        return {"kind": "table", "period": self.period, "rows": rows}
-
-
-Reference = SineReference | TableReference | FootReference | FollowingReference
-
-
-def make_reference(
-    config: ReferenceConfig,
-    robot: RobotDescription,
-    commands: CommandLimits | None = None,
-    params: PhysicalParams | None = None,
-) -> Reference:
-    """Make the reference of a robot's legs.
-
-    Args:
-        config: what it is; of kind none a sinusoid without amplitude.
-        robot: the robot.
-        commands: what the robot can be commanded, for kind follow.
-        params: with the actuators' gains, one row; nominal, if not given.
-
-    Raises:
-        SurefootError: an unknown leg, a table that does not fit, or a foot out of reach.
-    """
-    if config.kind == "table":
-        return _table_reference(config, robot)
-    if config.kind == "foot":
-        return _foot_reference(config, robot, params)
-    if config.kind == "follow":
-        if commands is None:
-            raise SurefootError("reference.kind is follow; it needs commands with a range, and the task has none")
-        gains = {name: getattr(config, name) for name in FOLLOWING}
-        ahead = {"acceleration_feedforward": 1.0, "weight_feedforward": 1.0}
-        if config.relative:
-            kp, _, inertia = _mean_actuator(robot, params)
-            ahead = {"acceleration_feedforward": inertia / kp, "weight_feedforward": robot.weight / kp}
-            ahead |= dict.fromkeys(("foothold_radius", "touch_clearance"), robot.leg_geometry.length)
-        gains |= {name: unit * getattr(config, name) for name, unit in ahead.items()}
-        other = None
-        if config.over_holes is not None:
-            over = config.over_holes
-            feet = _foot_reference(replace(config, foot=over.foot), robot, params)
-            own = {"stride_gain": over.stride_gain, "frequency_rise": over.frequency_rise, "touch_clearance": 0.0}
-            other = FollowingReference(robot, feet, commands, **(gains | own))
-        return FollowingReference(robot, _foot_reference(config, robot, params), commands, over_holes=other, **gains)
-    waves = {"abduction": config.abduction, "swing": config.swing, "extension": config.extension}
-    if config.kind == "none":
-        waves = dict.fromkeys(waves, WaveConfig())
-    if "abduction" not in robot.coordinates and waves["abduction"] != WaveConfig():
-        raise SurefootError(f"reference.abduction is not zero; the legs of {robot.name} have no abduction")
-    legs = robot.leg_names
-    return SineReference(
-        legs, {part: Wave(**_values_by_leg(waves[part], f"reference.{part}", legs)) for part in robot.coordinates}
-    )
-
-
-def _values_by_leg(config: WaveConfig | FootConfig, where: str, legs: tuple[str, ...]) -> dict[str, Array]:
-    """Return each quantity of all legs (L,), of one number or of numbers by leg."""
-    values = {}
-    for name, value in vars(config).items():
-        if not isinstance(value, Mapping):
-            value = dict.fromkeys(legs, value)
-        _check_names(value, legs, f"{where}.{name}")
-        values[name] = np.array([value[leg] for leg in legs], float)
-    return values
-
-
-def _check_names(table: Mapping[str, Any], names: tuple[str, ...], where: str) -> None:
-    """Refuse a table whose keys are not exactly `names`."""
-    for key in table:
-        if key not in names:
-            raise SurefootError(f"{where}.{key} is not a key; {suggest(key, names)}")
-    missing = [name for name in names if name not in table]
-    if missing:
-        raise SurefootError(f"{where} lacks {choices(missing)}; it needs {choices(names)}")
-
-
-def _mean_actuator(robot: RobotDescription, params: PhysicalParams | None) -> tuple[float, float, float]:
-    """Return the means over motors of the actuators' k_p, k_d and rotor inertia [kg m2]."""
-    params = PhysicalParams.nominal(robot) if params is None else params
-    kp, kd, inertia = (float(np.mean(one[0])) for one in (params.servo_kp, params.servo_kd, params.rotor_inertia))
-    return kp, kd, inertia
-
-
-def _foot_reference(config: ReferenceConfig, robot: RobotDescription, params: PhysicalParams | None) -> FootReference:
-    values = _values_by_leg(config.foot, "reference.foot", robot.leg_names)
-    frequency, ahead = np.array(values.pop("frequency")[0]), config.velocity_feedforward
-    if config.relative:
-        length = robot.leg_geometry.length
-        frequency = frequency * np.sqrt(GRAVITY / length) / (2 * np.pi)
-        values |= {name: values[name] * length for name in LENGTHS}
-        kp, kd, _ = _mean_actuator(robot, params)
-        ahead *= kd / kp
-    return FootReference(robot.leg_names, robot.leg_geometry, frequency, velocity_feedforward=ahead, **values)
-
-
-def _table_reference(config: ReferenceConfig, robot: RobotDescription) -> TableReference:
-    legs, coordinates = robot.leg_names, robot.coordinates
-    if config.rows is not None:
-        where = "reference.rows"
-        _check_names(config.rows, coordinates, where)
-        for part in coordinates:
-            _check_names(config.rows[part], legs, f"{where}.{part}")
-        columns = {f"{part}_{leg}": np.array(config.rows[part][leg]) for part in coordinates for leg in legs}
-    elif config.file is not None:
-        where = config.file
-        columns = _read_table(Path(config.file), [f"{part}_{leg}" for part in coordinates for leg in legs])
-    else:
-        raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
-    if config.period is None:
-        raise SurefootError("reference.period is missing; a reference of kind table needs the time of its rows [s]")
-    lengths = sorted({len(column) for column in columns.values()})
-    if len(lengths) != 1:
-        raise SurefootError(f"{where}: columns differ in length ({choices(map(str, lengths))}); make them equal")
-    if lengths[0] < 2:
-        raise SurefootError(f"{where}: the table has {lengths[0]} row(s); a periodic reference needs 2 or more")
-    rows = np.stack(list(columns.values()), axis=1)
-    bad = ~np.isfinite(rows).all(axis=1)
-    if bad.any():
-        raise SurefootError(
-            f"{where}: row {int(np.argmax(bad)) + 1} of the table is not finite; every pose must be a number"
-        )
-    return TableReference(legs, config.period, coordinates, rows.reshape(len(rows), len(coordinates), len(legs)))
-
-
-def _read_table(path: Path, names: list[str]) -> dict[str, Array]:
-    """Return the named columns of a CSV or NPZ file."""
-    rule = f"a table has columns {choices(names)}"
-    if path.suffix not in (".csv", ".npz"):
-        raise SurefootError(f"{path}: is not a .csv or .npz file; {rule}")
-    try:
-        if path.suffix == ".npz":
-            table = {name: np.atleast_1d(values).astype(float) for name, values in read_npz(path).items()}
-        else:
-            check_readable(path)
-            read = np.genfromtxt(path, delimiter=",", names=True, dtype=float)
-            table = {name: np.atleast_1d(read[name]) for name in read.dtype.names or ()}
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:  # Of empty and other files.
-        raise SurefootError(f"{path}: can't be read as a table: {' '.join(str(error).split())}; {rule}") from error
-    for name in names:
-        if name not in table:
-            raise SurefootError(f"{path}: has no column {name}; {rule}")
-    return {name: table[name] for name in names}
+        choice, kinematics, ahead = self.choice, self.kinematics, self.feedforward
+        gains = {name: getattr(choice, name) for name in ("stride_gain", "frequency_rise", "turn_gain")}
+        names = ("clearance_rise", "height_rise", "foothold_radius", "touch_clearance")
+        others = {name: getattr(kinematics, name) for name in names}
+        others |= {"acceleration_feedforward": ahead.acceleration, "weight_feedforward": ahead.weight}
+        velocity = {"velocity_feedforward": ahead.velocity} if ahead.velocity else {}
+        given = {name: value for name, value in others.items() if value}
+        return {"kind": "follow", "foot": self.feet.to_dict(), **velocity, **gains, **given}

@@ -1,33 +1,22 @@
-"""Terrain in a task: one ground for all robots, or a field of tiles whose difficulty follows what a robot covers."""
+"""Configuration of a task's terrain: one ground for all robots, or a field of tiles."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from surefoot.arrays import Array
 from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError, suggest
-from surefoot.rotations import in_heading_frame
-from surefoot.seeding import generator, generators
-from surefoot.task.commanded_way import has_kept_up, step_ways
+from surefoot.seeding import generator
 from surefoot.task.height_scan import ScanConfig
 from surefoot.world.ground import Ground
 from surefoot.world.terrain import HALF, TerrainField, check_size, make_field, make_terrain
 
 MAX_TILES = 400
 """Tiles of the largest field."""
-MISSED = 0.5
-"""Share of the commanded way below which a robot goes back by a level."""
-MIN_WAY = 2.5
-"""Distance [m] from the start to which the commands of an episode must lead: `START` of it is level, and commands that
-turn can be followed for any length without leaving that place."""
-
 Sizes = dict[str, tuple[float, float]]
 
 
@@ -111,58 +100,3 @@ class TerrainConfig:
         count = np.ceil(np.broadcast_to(sides, 2) / self.friction_patch).astype(int)
         factors = generator(seed, "friction").uniform(*self.friction, count)
         return replace(ground, friction=factors, patch=self.friction_patch)
-
-
-class TerrainCurriculum:
-    """Which tile each robot starts on, and how far it came.
-
-    Args:
-        config: with sizes.
-        tiles: its field.
-        num_envs: number of robots N.
-        seed: seeds the levels and columns, one stream a robot.
-    """
-
-    arrays = ("level", "column", "commanded", "covered", "led", "begun")
-    """Names of the arrays that change over time."""
-
-    def __init__(self, config: TerrainConfig, tiles: TerrainField, num_envs: int, seed: int) -> None:
-        self.config, self.tiles = config, tiles
-        self.streams = generators(seed, "terrain", num_envs)
-        self.level = np.array([stream.integers(config.start_level + 1) for stream in self.streams])
-        # Kinds are spread evenly over robots, whatever their number.
-        self.column = np.arange(num_envs) % len(tiles.kinds)
-        self.commanded, self.covered = np.zeros((2, num_envs))
-        self.led = np.zeros((num_envs, 2))
-        """Where the commands have led since the start (N, 2) [m], in the world."""
-        self.begun = np.zeros(num_envs, np.bool_)
-
-    def begin(self, rows: NDArray[np.int64], fell: NDArray[np.bool_]) -> Array:
-        """Return the places (n, 2) [m] where robots start next; `fell` (n,) is how their last episodes ended."""
-        if self.config.curriculum:
-            way, covered = self.commanded[rows], self.covered[rows]
-            judged = self.begun[rows] & (np.linalg.norm(self.led[rows], axis=1) >= MIN_WAY)
-            rise = judged & has_kept_up(way, covered, ~fell)
-            back = self.begun[rows] & fell | judged & (covered < MISSED * way)
-            self.level[rows] += rise.astype(np.int64) - back
-            for i in rows[self.level[rows] >= self.config.levels]:
-                self.level[i] = self.streams[i].integers(self.config.levels)
-            self.level[rows] = np.maximum(self.level[rows], 0)
-        self.commanded[rows] = self.covered[rows] = 0.0
-        self.led[rows] = 0.0
-        self.begun[rows] = True
-        starts: Array = self.tiles.starts[self.level[rows], self.column[rows]]
-        return starts
-
-    def record(self, command: Array, velocity: Array, yaw: Array, duration: Array) -> None:
-        """Add a control step of `duration` (N,) [s], which began with `yaw` (N,) [rad]; else as `step_ways`."""
-        commanded, covered = step_ways(command, velocity, duration)
-        self.commanded += commanded
-        self.covered += covered
-        way = np.column_stack([command * duration[:, None], np.zeros(len(command))])
-        self.led += in_heading_frame(way, -yaw)[:, :2]
-
-    def levels(self) -> Mapping[str, float]:
-        """Return the mean level of the robots on each kind of terrain."""
-        kinds = np.array(self.tiles.kinds)[self.column]
-        return {name: float(self.level[kinds == name].mean()) for name in dict.fromkeys(self.tiles.kinds)}

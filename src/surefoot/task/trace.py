@@ -6,22 +6,28 @@ so all worlds are measured alike. numpy only: the robot's computer writes it too
 
 from __future__ import annotations
 
+import functools
 import json
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.configuration import Within, from_mapping, to_mapping
+from surefoot.columns import column, columns_of
+from surefoot.configuration import Within, to_mapping, typed_entries
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
 from surefoot.policy.contract import MEMORY
 from surefoot.robot import ROBOT, RobotDescription, carried_robot
 
 ENERGY_WEIGHT = 0.008  # w of the paper's reward, the same in all its experiments
+LOG = "log"
+"""World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
+time of their row, readings are taken right after, times may repeat, and everything but time may be NaN. Its `params`
+are the gains that came with the commands, and with `read_at_row` readings were taken exactly at the times of rows."""
 
 
 @dataclass(frozen=True)
@@ -29,25 +35,35 @@ class TraceMeta:
     """Entries of every trace's meta."""
 
     robot: str
+    """Name of the robot."""
     world: str
+    """Name of the world: an engine, robot, or log."""
     control_step: Annotated[float, Within(0, 3600, above=True)]
-    """s"""
+    """Time between two rows [s]."""
     leg_names: tuple[str, ...]
+    """Names of the L legs, in the order of their columns."""
     motor_names: tuple[str, ...]
+    """Names of the M motors, in the order of their columns."""
     observation_names: tuple[str, ...]
+    """Names of the O observations."""
     ended: Literal["time", "fall", "fault", "stopped"]
+    """How the episode ended."""
     schema: Literal[1] = 1
+    """Version of the format."""
     policy: str = ""
+    """Name of the policy."""
     seed: int | None = None
+    """The seed of the simulation; none for robots."""
     params: dict[str, Any] = field(default_factory=dict)
     """Physical parameters: each a number, or a list where motors or axes have their own."""
     energy_weight: Annotated[float, Within(0, 1e6)] | None = ENERGY_WEIGHT
-    """Weight w of energy [m/J] of a task of the paper's reward, progress less w times energy; None: another reward."""
+    """Weight w of energy [m/J] of a task of the paper's reward, progress less w times energy; none: another reward."""
     progress_limit: Annotated[float, Within(-1e6, 1e6)] | None = None
-    """Speed up to which progress counts [m/s]; None: any."""
+    """Speed up to which progress counts [m/s]; none: any."""
     max_steps: Annotated[int, Within(1, 1e9)] = 1000
+    """Control steps of a whole episode."""
     gait_period: Annotated[float, Within(1e-3, 1e3)] | None = None
-    """Of the reference [s]; None: it has none."""
+    """Period of the reference gait [s]; none: it has none."""
     terrain: str = "flat"
     """What the robot stood on: flat or KIND:SIZE, such as stairs:0.10, made with `seed`; or a name of what a trace does
     not hold."""
@@ -59,102 +75,144 @@ class TraceMeta:
                 raise SurefootError(f"meta.{name} are {choices(getattr(self, name))}; names must not repeat")
 
 
-LOG = "log"
-"""World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
-time of their row, readings are taken right after, times may repeat, and everything but time may be NaN. Its `params`
-are the gains that came with the commands, and with `read_at_row` readings were taken exactly at the times of rows."""
-_OPTIONAL = ("command", "push_force_world", "reward", "motor_saturation", "motor_heat")
-"""Arrays that are not in the file where all is NaN."""
-_NO_ARRAYS = {"meta", "robot_archive"}
-# Arrays that may be NaN: a robot without motion capture or foot switches does not measure them.
-_MAY_BE_NAN = frozenset(
-    {"base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle", *_OPTIONAL}
-)
+@dataclass(frozen=True)
+class FurtherMeta:
+    """Entries of the meta of some traces; others that JSON can hold are kept as they are."""
+
+    actuator: str = ""
+    """Of a simulation: what drives the motors."""
+    params_source: dict[str, str] = field(default_factory=dict)
+    """Of a simulation: where parameters come from that are not nominal."""
+    episode: int = 0
+    """Number of the episode among those that ran together, or after one another."""
+    lead: float | None = None
+    """Of a robot: time by which states are requested before they are needed [s]."""
+    firmware: str = ""
+    """Of a robot: what runs on it."""
+    config_hash: str = ""
+    """Of a robot: digest of the policy's contract."""
+    dry_run: bool = False
+    """Of a robot: whether motors were off."""
+    robot_time_start: float | None = None
+    """Of a robot: its time at the start of the episode [s]; none: unknown."""
+    reason: str = ""
+    """Of a robot: why the run ended, in a word."""
+    what: str = ""
+    """Of a robot: why the run ended, in a sentence."""
+    missed_steps: tuple[int, ...] = ()
+    """Of a robot: rows of control steps that were missed, from 0; they repeat the step before."""
+    timing: dict[str, Any] = field(default_factory=dict)
+    """Of a robot: lateness and times of inference."""
+    frames_missing: int = 0
+    """Of a robot: frames that were lost on the link."""
+    source: str = ""
+    """Of an imported log: name of its file."""
+    read_at_row: bool = False
+    """Of an imported log: whether readings were taken at the times of their rows."""
+    notes: tuple[str, ...] = ()
+    """Of an imported log: what was left out."""
 
 
-def _absent() -> Array:
-    return np.empty(0)
+def robot_meta(robot: RobotDescription) -> dict[str, Any]:
+    """Return the entries of a trace's meta that name the robot and its parts."""
+    return {"robot": robot.name, "leg_names": list(robot.leg_names), "motor_names": list(robot.motor_names)}
 
 
-@dataclass(frozen=True, eq=False)
+def run_meta(
+    robot: RobotDescription, observation_names: Sequence[str], gait_period: float | None, **entries: Any
+) -> dict[str, Any]:
+    """Return the meta of a run of a task on a robot, simulated or real: what both have in common, and other entries."""
+    return {
+        **robot_meta(robot),
+        "observation_names": list(observation_names),
+        "gait_period": gait_period,
+        **entries,
+    }
+
+
+_column_of_some = functools.partial(column, known=False, always_in_file=False)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class EpisodeTrace:
-    """An episode of T control steps of a robot with M motors, L legs and O observations.
+    """An episode of T control steps of a robot with M motors, L legs, O observations and A numbers of feedback.
 
-    Arrays are float64 and read-only. World and base frames: x forward, y left, z up.
+    Arrays are float64 and read-only. World and base frames: x forward, y left, z up. In columns with T+1 rows, row 0 is
+    the start and row k is after control step k.
     """
 
-    time: Array
-    """(T,) s since the episode's start at which the readings of each control step were taken: at its end."""
-    base_position_world: Array
-    """(T+1, 3) m. Row 0 is the start, row k is after control step k. NaN where unknown."""
-    base_quat_world: Array
-    """(T+1, 4) unit quaternion w, x, y, z, rows as above. NaN where unknown."""
-    roll_pitch_yaw: Array
-    """(T, 3) rad as the IMU measured it, with its delay and noise."""
-    angular_velocity_base: Array
-    """(T, 3) rad/s in the base frame, as the IMU measured it."""
-    motor_angle: Array
-    """(T, M) rad."""
-    motor_velocity: Array
-    """(T, M) rad/s."""
-    motor_torque: Array
-    """(T, M) N m at the end of the control step."""
-    observation: Array
-    """(T, O) inputs of the policy, in the units of its contract."""
-    feedback: Array
-    """(T, A), the policy's part of the action: each coordinate of leg space in turn, of every leg (A = 2L or 3L; rad,
-    extension of serial legs in lengths of the straight leg), or an angle [rad] of every motor; then what the policy
-    keeps, one number for each observation `memory`."""
-    target: Array
-    """(T, M) rad motor angles sent to the servos."""
-    energy: Array
-    """(T,) J, integral over the control step of |tau . qdot| at servo rate."""
-    foot_contact: Array
-    """(T, L) fraction of the control step's servo steps in which the foot touched, 0 to 1. NaN where unknown."""
-    foot_position_world: Array = field(default_factory=_absent)
-    """(T, L, 3) m; NaN where unknown, all NaN when left out."""
-    true_motor_angle: Array = field(default_factory=_absent)
-    """(T, M) rad at the end of the control step, without the readings' delay; NaN as above."""
-    command: Array = field(default_factory=_absent)
-    """(T, 3) speeds forward and to the left [m/s] and yaw rate [rad/s] that were commanded; all NaN without commands,
-    and then not in the file."""
-    push_force_world: Array = field(default_factory=_absent)
-    """(T, 3) N that pushed the base during the control step; all NaN where pushes are unknown or there are none, and
-    then not in the file."""
-    reward: Array = field(default_factory=_absent)
-    """(T,) reward of the control step by the task's own terms; all NaN where it is not known, as on a robot, and then
-    not in the file."""
-    motor_saturation: Array = field(default_factory=_absent)
-    """(T, M) fraction of the control step's servo steps in which the motor was at its limit, 0 to 1: DC motors at full
-    duty, joint actuators at the torque that there is at their speed. NaN as above."""
-    motor_heat: Array = field(default_factory=_absent)
-    """(T, M) J that each motor's windings turned into heat during the control step. NaN as above."""
+    time: Array = column("T", "s", "time since the start at which the step's readings were taken: at its end")
+    base_position_world: Array = column("T+1, 3", "m", "position of the base", "world", known=False)
+    base_quat_world: Array = column("T+1, 4", "1", "orientation, unit quaternion w, x, y, z", "world", known=False)
+    roll_pitch_yaw: Array = column("T, 3", "rad", "orientation that the IMU measured, delayed and noisy", "world")
+    angular_velocity_base: Array = column("T, 3", "rad/s", "angular velocity that the IMU measured", "base")
+    motor_angle: Array = column("T, M", "rad", "angle that the encoder measured, delayed")
+    motor_velocity: Array = column("T, M", "rad/s", "velocity that the encoder measured, delayed")
+    motor_torque: Array = column("T, M", "N m", "torque at the end of the control step")
+    observation: Array = column("T, O", "", "inputs of the policy, in the units of its contract")
+    feedback: Array = column(
+        "T, A",
+        "",
+        "the policy's part of the action: each coordinate of leg space in turn, of every leg (A = 2L or 3L; rad, "
+        "extension of serial legs in lengths of the straight leg), or an angle (rad) of every motor; then what the "
+        "policy keeps, one number for each observation `memory`",
+    )
+    target: Array = column("T, M", "rad", "motor angle sent to the servo")
+    energy: Array = column("T", "J", "integral over the control step of |torque . velocity|, at servo rate")
+    foot_contact: Array = column(
+        "T, L", "1", "fraction of the control step in which the foot touched", known=False, is_fraction=True
+    )
+    foot_position_world: Array = column("T, L, 3", "m", "position of the foot", "world", known=False)
+    true_motor_angle: Array = column("T, M", "rad", "angle at the end of the control step, not delayed", known=False)
+    command: Array = _column_of_some(
+        "T, 3", "m/s, m/s, rad/s", "commanded speeds forward and to the left, and yaw rate", "heading"
+    )
+    push_force_world: Array = _column_of_some("T, 3", "N", "force that pushed the base", "world")
+    reward: Array = _column_of_some("T", "", "reward of the control step by the task's own terms")
+    motor_saturation: Array = _column_of_some(
+        "T, M",
+        "1",
+        "fraction of the control step in which the motor was at its limit: DC motors at full duty, joint actuators at "
+        "the torque that there is at their speed",
+        is_fraction=True,
+    )
+    motor_heat: Array = _column_of_some("T, M", "J", "energy that the motor's windings turned into heat")
     meta: dict[str, Any] = field(default_factory=dict)
-    """The entries of `TraceMeta`, and others that JSON can hold."""
+    """The entries of `TraceMeta`, those of `FurtherMeta` that apply, and others that JSON can hold."""
     robot_archive: bytes = b""
     """The robot's folder as `RobotDescription.archive` has it; empty for a robot that ships."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "meta", _checked_meta(self.meta))
-        for name, shape in _shapes(np.size(self.time), np.shape(self.feedback), self.meta).items():
-            value = getattr(self, name)
-            if name in ("foot_position_world", "true_motor_angle", *_OPTIONAL) and np.size(value) == 0:
-                value = np.full(shape, np.nan)
-            may_be_nan = name in _MAY_BE_NAN or (self.imported and name != "time")
-            object.__setattr__(self, name, _checked_array(name, value, shape, may_be_nan))
+        with prefix_errors("trace"):
+            object.__setattr__(self, "meta", _checked_meta(self.meta))
+            sizes = trace_sizes(np.size(self.time), np.shape(self.feedback), self.meta)
+            if not sizes["T"]:
+                raise SurefootError("an episode needs at least one control step")
+            for name, declared in columns_of(EpisodeTrace).items():
+                may_be_nan = not declared.known or (self.imported and name != "time")
+                array = declared.checked(name, getattr(self, name), sizes, may_be_nan)
+                bad = np.isinf(array) if may_be_nan else ~np.isfinite(array)
+                if np.any(bad):
+                    rule = "finite or NaN" if may_be_nan else "finite"
+                    raise SurefootError(
+                        f"{name} row {np.argwhere(bad)[0][0]} holds {array[bad][0]}, but must be {rule}"
+                    )
+                if declared.is_fraction and np.any((array < 0.0) | (array > 1.0)):
+                    raise SurefootError(f"{name} is a fraction of the control step: 0 to 1")
+                object.__setattr__(self, name, array)
+            self._check_rules()
+
+    def _check_rules(self) -> None:
         if self.imported:
             if np.any(np.diff(self.time) < 0.0):
-                raise SurefootError("trace: time must not go backwards")
+                raise SurefootError("time must not go backwards")
         elif self.time[0] <= 0.0 or np.any(np.diff(self.time) <= 0.0):
-            raise SurefootError("trace: time must be above 0 s at the first step and strictly increasing")
+            raise SurefootError("time must be above 0 s at the first step and strictly increasing")
         if np.any(self.energy < 0.0):
-            raise SurefootError(f"trace: energy {self.energy.min():.3g} J must be 0 or above: it sums |tau . qdot|")
-        for name in ("foot_contact", "motor_saturation"):
-            if np.any((getattr(self, name) < 0.0) | (getattr(self, name) > 1.0)):
-                raise SurefootError(f"trace: {name} is a fraction of the control step: 0 to 1")
+            raise SurefootError(f"energy {self.energy.min():.3g} J must be 0 or above: it sums |tau . qdot|")
         norms = np.linalg.norm(self.base_quat_world, axis=1)
         if np.any(np.abs(norms - 1.0) > 1e-3):
-            raise SurefootError("trace: base_quat_world must hold unit quaternions w, x, y, z (or NaN)")
+            raise SurefootError("base_quat_world must hold unit quaternions w, x, y, z (or NaN)")
 
     @property
     def imported(self) -> bool:
@@ -186,10 +244,11 @@ class EpisodeTrace:
         path = Path(path)
         if path.suffix != ".npz":
             raise SurefootError(f"trace file {path}: the name must end in .npz")
-        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _NO_ARRAYS}
-        for name in _OPTIONAL:
-            if np.isnan(arrays[name]).all():
-                del arrays[name]
+        arrays = {
+            name: getattr(self, name)
+            for name, declared in columns_of(EpisodeTrace).items()
+            if declared.always_in_file or not np.isnan(getattr(self, name)).all()
+        }
         write_npz(path, arrays | pack_bytes(ROBOT, self.robot_archive), self.meta)
         return path
 
@@ -206,7 +265,9 @@ class EpisodeTrace:
             except RecursionError:
                 raise SurefootError("not an episode trace: its meta is nested too deep") from None
             archive = pop_bytes(arrays, ROBOT)
-            if odd := {f.name for f in fields(cls)} - _NO_ARRAYS ^ {*arrays, *_OPTIONAL}:
+            columns = columns_of(EpisodeTrace)
+            left_out = {name for name, declared in columns.items() if not declared.always_in_file}
+            if odd := set(columns) ^ {*arrays, *left_out}:
                 raise SurefootError(f"not an episode trace: missing or unknown {choices(sorted(odd))}")
             return cls(meta=meta, robot_archive=archive, **arrays)
 
@@ -219,57 +280,23 @@ class EpisodeTrace:
         return carried_robot(self.robot_archive, self.meta["robot"])
 
 
-def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each array of a trace of `steps` control steps, whose `feedback` has that shape."""
+def trace_sizes(steps: int, feedback: tuple[int, ...], meta: Mapping[str, Any]) -> dict[str, int]:
+    """Return the sizes of a trace's columns by letter, for T `steps` and a `feedback` of that shape."""
     legs, motors = len(meta["leg_names"]), len(meta["motor_names"])
     memory = sum(str(name).startswith(f"{MEMORY}.") for name in meta["observation_names"])
     actions = feedback[-1] if feedback and feedback[-1] - memory in (3 * legs, motors) else 2 * legs + memory
-    return {
-        "time": (steps,),
-        "base_position_world": (steps + 1, 3),
-        "base_quat_world": (steps + 1, 4),
-        **dict.fromkeys(("roll_pitch_yaw", "angular_velocity_base"), (steps, 3)),
-        **dict.fromkeys(("motor_angle", "motor_velocity", "motor_torque", "target"), (steps, motors)),
-        "observation": (steps, len(meta["observation_names"])),
-        "feedback": (steps, actions),
-        "energy": (steps,),
-        "foot_contact": (steps, legs),
-        "foot_position_world": (steps, legs, 3),
-        "true_motor_angle": (steps, motors),
-        "command": (steps, 3),
-        "push_force_world": (steps, 3),
-        "reward": (steps,),
-        **dict.fromkeys(("motor_saturation", "motor_heat"), (steps, motors)),
-    }
-
-
-def _checked_array(name: str, value: ArrayLike, shape: tuple[int, ...], may_be_nan: bool) -> Array:
-    """Return a read-only float64 copy after checking shape and finiteness."""
-    array = np.asarray(value)
-    if array.dtype.kind not in "biuf":
-        raise SurefootError(f"trace: {name} holds {array.dtype}, but must hold numbers")
-    if array.shape != shape:
-        raise SurefootError(f"trace: {name} has shape {array.shape}, but must have {shape}")
-    if shape[0] == 0:
-        raise SurefootError("trace: an episode needs at least one control step")
-    array = array.astype(np.float64)
-    bad = np.isinf(array) if may_be_nan else ~np.isfinite(array)
-    if np.any(bad):
-        rule = "finite or NaN" if may_be_nan else "finite"
-        raise SurefootError(f"trace: {name} row {np.argwhere(bad)[0][0]} holds {array[bad][0]}, but must be {rule}")
-    array.setflags(write=False)
-    return array
+    observations = len(meta["observation_names"])
+    return {"T": steps, "T+1": steps + 1, "M": motors, "L": legs, "O": observations, "A": actions}
 
 
 def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:
-    """Return meta with defaults filled in, as plain JSON types."""
+    """Return meta with the defaults of `TraceMeta` filled in, as plain JSON types."""
     try:
         plain: dict[str, Any] = json.loads(json.dumps(meta, default=_plain))
     except TypeError as error:
-        raise SurefootError(f"trace: meta must be what JSON can hold: {error}") from error
-    names = {item.name for item in fields(TraceMeta)}
-    with prefix_errors("trace"):
-        typed = from_mapping(TraceMeta, {name: value for name, value in plain.items() if name in names}, "meta")
+        raise SurefootError(f"meta must be what JSON can hold: {error}") from error
+    typed = typed_entries(TraceMeta, plain, "meta")
+    typed_entries(FurtherMeta, plain, "meta")
     return {**to_mapping(typed), **plain}
 
 

@@ -283,7 +283,7 @@ class ProcessWorld:
         for number, share in enumerate(self._shares):
             sensors, starts = state["streams"][:count][share], state["streams"][count:][share]
             own = {
-                **_select_rows({key: state[key] for key in _ROWS if key in state}, share),
+                **_select_rows({key: state[key] for key in _ROWS}, share),
                 **{part: _select_rows(state[part], share) for part in ("actuation", "params")},
                 "streams": [*sensors, *starts],
                 "divergences": state["divergences"] if number == 0 else 0,

@@ -255,10 +255,8 @@ class SimWorld:
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from `get_state`, exactly."""
         self.set_params(np.arange(self.num_envs), PhysicalParams(**state["params"]))
-        # States of version 0.6 lack the ticks at the limit, of which every control step begins with none.
-        arrays = {"limit_ticks": 0.0, **state["actuation"]}
         for name, array in self.actuation._asdict().items():
-            array[...] = arrays[name]
+            array[...] = state["actuation"][name]
         self.engine.set_state(np.arange(self.num_envs), state["engine"])
         self._control_steps[:] = state["control_steps"]
         self._noise[:] = state["noise"]
@@ -266,5 +264,5 @@ class SimWorld:
             stream.bit_generator.state = saved
         self._diverged[:] = state["diverged"]
         self.divergences = state["divergences"]
-        # States of version 0.9 lack the places where robots start, and the headings.
-        self._starts[:], self._headings[:] = state.get("starts", 0.0), state.get("headings", 0.0)
+        self._starts[:] = state["starts"]
+        self._headings[:] = state["headings"]

@@ -24,7 +24,7 @@ from surefoot.deploy.dds import bus, low_level, types
 with_ = bus.Bus("lo", int(sys.argv[1]))
 states = with_.reader(bus.LOW_STATE_TOPIC, types.LowState, 64)
 commands = with_.writer(bus.LOW_COMMAND_TOPIC, types.LowCmd)
-end = time.monotonic() + 10
+end = time.monotonic() + 60
 while time.monotonic() < end:
     for data in states.take():
         command = low_level.new_command()
@@ -41,7 +41,7 @@ def test_two_processes_exchange_states_and_commands() -> None:
     own = here.writer(bus.LOW_COMMAND_TOPIC, types.LowCmd)
     other = subprocess.Popen([sys.executable, "-c", OTHER, str(DOMAIN)])
     try:
-        state, ticks, end = low_level.new_record(LOW_STATE), [], time.monotonic() + 8
+        state, ticks, end = low_level.new_record(LOW_STATE), [], time.monotonic() + 50
         while len(ticks) < 20 and time.monotonic() < end:
             state["tick"] += 1
             assert states.write(low_level.encode(state))

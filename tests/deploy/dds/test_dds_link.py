@@ -197,19 +197,17 @@ def test_a_watcher_that_stands_still(operator: Operator, body: Go2) -> None:
     assert operator.link.last_state().reason == Reason.WATCHER
 
 
-def test_a_first_command_that_jumps_is_refused(again: Operator, body: Go2) -> None:
+@pytest.mark.realtime
+def test_duties_and_a_first_command_that_jumps_are_refused(again: Operator, body: Go2) -> None:
+    again.link.arm(Mode.PWM, STEP)
+    assert again.link.wait_for(lambda: bool(again.link.faults), 1.0)
+    assert again.link.faults[0].reason == Reason.MODE
     again.link.arm(Mode.POSITION, STEP)
     assert again.link.wait_for(lambda: again.link.last_state().mode == Mode.POSITION, 1.0)
     again.link.command(Mode.POSITION, again.link.last_state().motor_angle + 1.1 * FIRST_TORQUE / KP)
     assert again.link.wait_for(lambda: again.link.last_state().mode == Mode.FAULT, 1.0)
     assert "the first command would give 5.5 N m at once; at most 5" in again.link.fault_text(Reason.COMMAND)
     assert max(frame.jump for frame in body.read()) < 0.1
-
-
-def test_duties_are_refused(again: Operator) -> None:
-    again.link.arm(Mode.PWM, STEP)
-    assert again.link.wait_for(lambda: bool(again.link.faults), 1.0)
-    assert again.link.faults[0].reason == Reason.MODE
 
 
 @pytest.mark.realtime
@@ -229,21 +227,13 @@ def test_a_loop_that_falls_silent(again: Operator, body: Go2) -> None:
     ("change", "reason"),
     [
         ({"silent": True}, Reason.STATES_LATE),
-        ({"corrupt": True}, Reason.STATES_DAMAGED),
-        ({"short": True}, Reason.STATES_DAMAGED),
-        ({"frozen": True}, Reason.STATES_FROZEN),
-        ({"restart": True}, Reason.RESTARTED),
-        ({"not_finite": True}, Reason.NOT_FINITE),
         ({"roll": 1.2}, Reason.TILT),
-        ({"mode": 0}, Reason.MOTOR_OFF),
-        ({"lost_rate": 1}, Reason.MOTOR_OFF),
-        ({"temperature": 120}, Reason.TEMPERATURE),
-        ({"buttons": frozenset(("L2", "B"))}, Reason.REMOTE),
         ({"sport": True}, Reason.OWN_CONTROLLER),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
 def test_a_fault_damps(again: Operator, body: Go2, change: dict[str, Any], reason: Reason) -> None:
+    """`test_state_monitor.py` has all other faults."""
     again.arm()
     again.hold(lambda: False, 0.1)
     before = body.set(**change)
@@ -270,21 +260,17 @@ def test_another_program_that_commands_the_motors(again: Operator, body: Go2) ->
     assert again.link.last_state().reason == Reason.OTHER_PROGRAM
 
 
-def test_a_controller_that_the_robot_names(again: Operator, body: Go2) -> None:
-    again.arm()
-    body.set(controller="mcf")
-    assert again.hold(lambda: again.link.last_state().mode == Mode.FAULT)
-    assert again.link.fault_text(Reason.OWN_CONTROLLER) == "the robot's own controller 'mcf' is active"
-
-
-def test_a_stick_of_the_remote_control_asks_to_sit(again: Operator, body: Go2) -> None:
+@pytest.mark.realtime
+def test_a_stick_of_the_remote_control_asks_to_sit_and_a_controller_that_the_robot_names_damps(
+    again: Operator, body: Go2
+) -> None:
     again.arm()
     body.set(stick=0.8)
     assert again.hold(lambda: again.link.last_state().reason == Reason.REMOTE)
     assert again.link.last_state().mode == Mode.POSITION
-
-
-def test_the_priority_of_processes(again: Operator) -> None:
+    body.set(controller="mcf")
+    assert again.hold(lambda: again.link.last_state().mode == Mode.FAULT)
+    assert again.link.fault_text(Reason.OWN_CONTROLLER) == "the robot's own controller 'mcf' is active"
     pids = [again.watcher, again.keeper]
     real_time = all(os.sched_getscheduler(pid) == os.SCHED_FIFO for pid in pids)
     assert check_priority(pids).passed is (True if real_time else None)

@@ -150,23 +150,21 @@ def inspect(listener: Inspection, release: bool = False) -> dict[str, CheckResul
     return {result.name: result for result in results}
 
 
-def test_a_robot_that_is_ready(listener: Inspection, body: Go2) -> None:
+@pytest.mark.realtime
+def test_a_robot_that_is_ready_also_for_a_computer_that_is_late(
+    listener: Inspection, body: Go2, monkeypatch: pytest.MonkeyPatch
+) -> None:
     body.reset()
     results = inspect(listener)
     assert not [result for result in results.values() if not result.passed]
     assert results["interface"].message == "lo, 127.0.0.1"
-
-
-def test_a_computer_that_is_late_does_not_fault_the_robot(
-    listener: Inspection, body: Go2, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    body.reset()
     monkeypatch.setattr(inspection, "_POLL", 0.08)
     seen = listener.observe(0.5)
     assert seen.time >= 0.56
     assert inspection.check_states(seen).passed, inspection.check_states(seen).message
 
 
+@pytest.mark.realtime
 def test_the_own_controller_is_released_and_gets_the_robot_back(listener: Inspection, body: Go2) -> None:
     body.reset()
     body.set(controller="mcf", sport=True)
@@ -178,6 +176,7 @@ def test_the_own_controller_is_released_and_gets_the_robot_back(listener: Inspec
     assert body.settings.controller == "mcf"
 
 
+@pytest.mark.realtime
 def test_a_robot_that_stands_is_not_released(listener: Inspection, body: Go2, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(motion_service, "LIE_DOWN", 0.1)
     body.reset()
@@ -187,6 +186,7 @@ def test_a_robot_that_stands_is_not_released(listener: Inspection, body: Go2, mo
     assert body.settings.controller == "mcf"
 
 
+@pytest.mark.realtime
 def test_another_program_and_another_layout(listener: Inspection, body: Go2, monkeypatch: pytest.MonkeyPatch) -> None:
     body.reset()
     observe = Inspection.observe
@@ -204,6 +204,7 @@ def test_another_program_and_another_layout(listener: Inspection, body: Go2, mon
         inspect(listener)
 
 
+@pytest.mark.realtime
 def test_commands_of_another_program_are_counted(listener: Inspection, body: Go2) -> None:
     script = """
 import sys, time

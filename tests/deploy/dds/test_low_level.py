@@ -99,6 +99,7 @@ def test_other_layouts_are_refused(data: bytes) -> None:
         low_level.decode(LOW_STATE, data)
 
 
+@pytest.mark.sdk
 @pytest.mark.parametrize(("kind", "name"), [(LOW_STATE, "LowState_"), (LOW_COMMAND, "LowCmd_")])
 def test_bytes_and_checksums_are_those_of_the_vendors_classes(kind: np.dtype, name: str) -> None:
     pytest.importorskip("unitree_sdk2py.idl.unitree_go.msg.dds_", exc_type=ImportError)

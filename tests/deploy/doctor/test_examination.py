@@ -19,8 +19,9 @@ from surefoot.deploy.doctor import rack_check
 from surefoot.deploy.doctor.doctor_motion import DoctorMotion, MotionStoppedError
 from surefoot.deploy.doctor.examination import check_computer, examine, time_inference
 from surefoot.deploy.doctor.link_check import LinkFigures, check_link, clock_rate, measure_bursts, measure_link
-from surefoot.deploy.doctor.rack_check import MotorStep, check_motors, check_response, fit_response
+from surefoot.deploy.doctor.rack_check import MotorStep, check_motors, check_response
 from surefoot.deploy.doctor.rest_check import TimedState, check_rest
+from surefoot.deploy.doctor.step_response import fit_response
 from surefoot.deploy.doctor.tilt_check import TiltReading, check_tilts, read_tilt
 from surefoot.deploy.messages import Mode, State
 from surefoot.deploy.poses import sitting_pose

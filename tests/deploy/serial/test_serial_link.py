@@ -40,9 +40,9 @@ def frame(sequence: int, token: int = 0) -> bytes:
 
 
 def receive(link: SerialLink, count: int) -> list[int]:
-    """Return the numbers of the frames that arrive, `count` at least or all within 5 s."""
+    """Return the numbers of the frames that arrive, `count` at least or all within 30 s."""
     sequences: list[int] = []
-    end = time.monotonic() + 5.0
+    end = time.monotonic() + 30.0
     while len(sequences) < count and time.monotonic() < end:
         link.port.wait(0.05)
         sequences += [arrival.packet.sequence for arrival in link.receive()]

@@ -11,7 +11,7 @@ pytest.importorskip("cyclonedds")
 from emulated_go2 import GO2, STANDING, Robot
 
 from surefoot.deploy.dds.low_level import Remote
-from surefoot.emulator.faults import FAULTS
+from surefoot.emulator.fault_table import FAULTS
 
 TESTED = {
     *("corrupt", "drop", "duplicate", "reorder", "unplug", "swap-motors", "flip-sign", "flip-encoder", "imu-flip"),

@@ -21,6 +21,7 @@ pytest.importorskip("cyclonedds")
 
 from processes import Emulator
 
+pytestmark = pytest.mark.sdk
 DOMAIN = 60 + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 CLIENTS = Path(__file__).parents[2] / "vendor_clients.py"
 

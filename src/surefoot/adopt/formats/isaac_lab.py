@@ -27,17 +27,14 @@ UNMEASURED = {
 }
 
 
-def make_term(
-    name: str, scale: PerJoint, clip: Range | None, length: int, newest_first: bool = False, period: float | None = None
-) -> Term:
+def make_term(name: str, scale: PerJoint, clip: Range | None, length: int, period: float | None = None) -> Term:
     """Return a term of Isaac Lab.
 
     Args:
         name: its name.
         scale: its scale.
         clip: bounds before the scale.
-        length: steps of its history; 0 and 1 mean none.
-        newest_first: the newest step comes first.
+        length: steps of its history, the oldest first; 0 and 1 mean none.
         period: of a gait's phase [s].
 
     Raises:
@@ -45,6 +42,5 @@ def make_term(
     """
     if name not in TERMS:
         raise unknown_term(name, TERMS, UNMEASURED)
-    ages = range(max(length, 1))
-    steps = tuple(ages if newest_first else reversed(ages))
+    steps = tuple(reversed(range(max(length, 1))))
     return Term(TERMS[name], scale=scale, clip=clip, steps=steps, period=period or 1.0)

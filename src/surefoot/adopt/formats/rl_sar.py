@@ -43,20 +43,17 @@ class _Config:
     dt: float
     decimation: int
     joint_mapping: tuple[int, ...]
-    num_observations: int | None = None
     observations_history: tuple[int, ...] = ()
     observations_history_priority: Literal["time", "term"] = "time"
     clip_obs: float | None = None
     clip_actions_lower: tuple[float, ...] = ()
     clip_actions_upper: tuple[float, ...] = ()
-    lin_vel_scale: float = 1.0
     ang_vel_scale: float = 1.0
     dof_pos_scale: float = 1.0
     dof_vel_scale: float = 1.0
     gravity_vec_scale: float = 1.0
     commands_scale: tuple[float, ...] = (1.0, 1.0, 1.0)
     wheel_indices: tuple[int, ...] = ()
-    joint_names: tuple[str, ...] = ()
 
 
 def read(config: Path, robot: RobotDescription) -> PolicySpecification:

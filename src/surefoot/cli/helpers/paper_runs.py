@@ -142,7 +142,7 @@ def pushes_figure(runs: PaperRuns) -> None:
     policies = [f"policies/{task}.onnx" for task in POLICIES]
     words = ("--ranges", "none", "--push-force", 0, 220, "--values", 12, "--episodes", 20)
     small = runs.quick_options("--values", 4, "--episodes", 4)
-    command(runs, "sensitivity", *policies, *words, *small, "--out", "results/push-force")
+    command(runs, "evaluate", "sensitivity", *policies, *words, *small, "--out", "results/push-force")
     shutil.copy(runs.folder / "results/push-force/push_force.png", runs.make_folder("docs") / "pushes.png")
 
 

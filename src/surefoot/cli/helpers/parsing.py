@@ -18,21 +18,13 @@ from surefoot.errors import SurefootError, nearest, suggest
 T = TypeVar("T")
 
 _QUOTED = "'([^']*)'"
-_FORMER = {
-    **dict.fromkeys(("html", "folder", "hidden-out", "motion-capture", "record"), ("out",)),
-    "runs": ("out", "episodes"),
-    "seconds": ("duration",),
-    "port": ("page-port",),
-    "drive": ("browser",),
-    "start": ("start-from",),
-    "from-trace": ("trace",),
-    "search": ("generations",),
-    "task.robot": ("robot",),
-    "task.params": ("set",),
-    "task.actuator": ("actuator",),
-    "task.pushes.enabled": ("pushes",),
+_OWN_OPTIONS = {
+    "task.robot": "robot",
+    "task.params": "set",
+    "task.actuator": "actuator",
+    "task.pushes.enabled": "pushes",
 }
-"""Former names of options, and the present ones; of several the last that the command has."""
+"""Keys of a task that options of other names set."""
 
 
 def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = None) -> T:
@@ -80,9 +72,7 @@ def _check_words(types: Mapping[str, Any], words: Sequence[str], prog: str) -> N
     """Refuse an unknown option, and an option of several values that has none: tyro would read an empty list."""
     names = {name.removeprefix("--"): name for name in types}
     off = {f"--{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in names)}
-    for former, news in _FORMER.items():
-        if former not in names and (present := [f"--{new}" for new in news if f"--{new}" in types]):
-            names[former] = present[-1]
+    names |= {key: f"--{name}" for key, name in _OWN_OPTIONS.items() if f"--{name}" in types}
     for word, after in zip(words, [*words[1:], "--"], strict=False):
         name = word.partition("=")[0].replace("_", "-")
         if name.startswith("--") and not (name in types or name in off or name in ("--", "--help")):

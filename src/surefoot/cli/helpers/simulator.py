@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
-from surefoot.api.simulator import change_simulator, evaluation_task
-from surefoot.cli.helpers.options import PluginNames, Pushes, PushForce, RobotName, Seed, Settings, Terrain, World
+from surefoot.cli.helpers.options import (
+    PluginNames,
+    Pushes,
+    PushForce,
+    RobotName,
+    Seed,
+    Settings,
+    Terrain,
+    World,
+)
 from surefoot.errors import SurefootError
+from surefoot.evaluation.conditions import Actuator, Condition
 from surefoot.robot import RobotDescription, parse_settings
-from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges
 from surefoot.task.config import TaskConfig
 
@@ -22,7 +30,7 @@ from surefoot.task.config import TaskConfig
 class Simulator:
     """Differences from the task's simulator."""
 
-    actuator: Literal["dc", "constraint"] | None = None
+    actuator: Actuator | None = None
     """dc: servo and DC motor; constraint: the position motor of physics engines. The task's, if not given."""
     control_latency: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Age of what the policy sees [s]; the task's, if not given."""
@@ -38,18 +46,18 @@ class Simulator:
         names = ("control_latency", "servo_latency")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
-    def apply(self, task: TaskConfig, settings: Mapping[str, ParamValue] | None = None) -> TaskConfig:
-        """Return the task in this simulator, with further physical parameters by name.
+    def condition(self, settings: Iterable[Iterable[str]] = (), **changes: Any) -> Condition:
+        """Return the condition of this simulator, of physical parameters as `--set` takes them, and of other changes.
 
         Raises:
-            SurefootError: a parameter given twice, an actuator that the task does not go with, or a file of parameters
-                that does not fit the task's robot and control step.
+            SurefootError: no such parameter, or one that is given twice.
         """
-        settings = settings or {}
-        if twice := sorted(set(settings) & set(self.latencies)):
+        params = parse_settings([word for group in settings for word in group])
+        if twice := sorted(set(params) & set(self.latencies)):
             option = twice[0].replace("_", "-")
             raise SurefootError(f"{twice[0]} is given twice, by --{option} and as a parameter; give it once")
-        return change_simulator(task, self.actuator, self.params, {**self.latencies, **settings})
+        params = {**self.latencies, **params}
+        return Condition(actuator=self.actuator, params_file=self.params, params=params, **changes)
 
 
 SimulatorOptions = Annotated[Simulator, tyro.conf.OmitArgPrefixes]
@@ -75,7 +83,7 @@ class SimulationOptions:
         Raises:
             SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.
         """
-        return self.simulator.apply(task, parse_settings([word for group in self.settings for word in group]))
+        return self.simulator.condition(self.settings).simulate(task)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,23 +98,15 @@ class RunOptions(SimulationOptions):
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
     drawn as in its training, if not given. The run lasts until two seconds after its last row, or longer."""
 
-    def apply(
-        self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None, thermal_protection: bool = False
-    ) -> TaskConfig:
-        """Return a policy's task for this simulator: randomized and pushed only if options request it.
+    def condition(self, ranges: Ranges | None = None, **changes: Any) -> Condition:
+        """Return what the options change; parameters are drawn from `ranges`."""
+        names = ("world", "pushes", "push_force", "commands", "terrain")
+        given = {name: getattr(self, name) for name in names} | {"randomize": ranges or {}}
+        return self.simulator.condition(self.settings, **given, **changes)
 
-        Args:
-            task: as the policy was trained.
-            robot: the task's robot.
-            ranges: ranges of the parameters that every episode draws.
-            thermal_protection: switch off motors that overheat, also if the task does not.
-
-        Raises:
-            SurefootError: as `in_simulator`.
-        """
-        task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
-        task = self.in_simulator(task)
-        return evaluation_task(task, robot, ranges or {}, self.pushes, self.push_force, self.commands, self.terrain)
+    def apply(self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None) -> TaskConfig:
+        """Return a policy's task on its robot for this simulator, see `Condition.apply`."""
+        return self.condition(ranges).apply(task, robot)
 
 
 def describe_simulator(task: TaskConfig) -> dict[str, Any]:

@@ -22,8 +22,8 @@ from surefoot.rotations import quat_matrix
 
 PATIENCE = 3.0
 """Time [s] within which the first state must come."""
-OBSERVED, LISTEN = 0.5, 0.2
-"""Time [s] for which states are observed, and for which nobody else may speak on rt/lowcmd."""
+OBSERVED = 0.5
+"""Time [s] for which states are observed."""
 RATE_TOLERANCE = 0.1
 """Greatest relative difference of the states' rate, and of their clock's, from what they should be."""
 MAX_DAMAGED = 0.01

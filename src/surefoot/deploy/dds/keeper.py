@@ -76,8 +76,6 @@ class Keeper:
     def __init__(self, config: LinkConfig, bus: Bus, host: SocketPort, watcher: SocketPort) -> None:
         self.firmware = Firmware(config.handshake, config.limits)
         self.states = StateMonitor()
-        self.writes = 0
-        """Commands written to the robot."""
         self._gains = config.handshake.servo_kp, config.handshake.servo_kd
         self._host, self._frames = host, HostFrames(MOTORS)
         self._watcher, self._unanswered = watcher, 0
@@ -192,7 +190,6 @@ class Keeper:
         if self._active or self.firmware.armed:
             self._active = True
             self.writer.write(self._damping if self._ends < math.inf else self._encode(order))
-            self.writes += 1
 
     def _encode(self, order: MotorOrder) -> bytes:
         if order is not self._order:

@@ -80,10 +80,11 @@ LOW_STATE = _record(
 MOTOR_COMMAND = _record(
     ("mode", "u1"), *((name, "<f4") for name in ("q", "dq", "tau", "kp", "kd")), ("reserve", "<u4", 3)
 )
+BMS_COMMAND = _record(("off", "u1"), ("reserve", "u1", 3))
 LOW_COMMAND = _record(
     *_FRAME,
     ("motor_cmd", MOTOR_COMMAND, SLOTS),
-    ("bms_cmd", _record(("off", "u1"), ("reserve", "u1", 3))),
+    ("bms_cmd", BMS_COMMAND),
     ("wireless_remote", "u1", 40),
     ("led", "u1", 12),
     ("fan", "u1", 2),

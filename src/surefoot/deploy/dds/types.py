@@ -1,158 +1,58 @@
 """Types of a Go2's topics, as DDS must have them to match writers and readers of others.
 
-Only their names and layouts matter: messages of 500 Hz are packed by `low_level`. Names of fields are the vendor's
-(IDL files of unitree_sdk2). cyclonedds reads the annotations, so they must not be strings.
+Only their names and layouts matter: messages of 500 Hz are packed by `low_level`, whose records give the types of
+these. Names of fields are the vendor's (IDL files of unitree_sdk2). cyclonedds reads the annotations, so they must not
+be strings.
 """
 
 from dataclasses import dataclass, field
+from types import new_class
 
+import numpy as np
 from cyclonedds import idl
 from cyclonedds.idl import annotations, types
 
-u8, u16, u32, i16, i32, i64, f32 = (
-    types.uint8,
-    types.uint16,
-    types.uint32,
-    types.int16,
-    types.int32,
-    types.int64,
-    types.float32,
-)
+from surefoot.deploy.dds import low_level
+
+u8, u32, i16, i32, i64, f32 = types.uint8, types.uint32, types.int16, types.int32, types.int64, types.float32
 GO = "unitree_go.msg.dds_."
 API = "unitree_api.msg.dds_."
 GO_LOW_STATE = "unitree_go::msg::dds_::LowState_"
 """Name of the type of rt/lowstate as DDS shows it."""
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
-class IMUState(idl.IdlStruct, typename=GO + "IMUState_"):
-    """Inertial measurement unit."""
-
-    quaternion: types.array[f32, 4]
-    gyroscope: types.array[f32, 3]
-    accelerometer: types.array[f32, 3]
-    rpy: types.array[f32, 3]
-    temperature: u8
+def _message(kind: type) -> type:
+    """Return a class as a type of DDS, final and with numbers in order, as the vendor's compiler makes them."""
+    return dataclass(annotations.final(annotations.autoid("sequential")(kind)))
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
-class MotorState(idl.IdlStruct, typename=GO + "MotorState_"):
-    """State of a motor."""
+def _from_record(name: str, record: np.dtype) -> type:
+    """Return the type whose fields are those of a record; records in it have had theirs made before."""
 
-    mode: u8
-    q: f32
-    dq: f32
-    ddq: f32
-    tau_est: f32
-    q_raw: f32
-    dq_raw: f32
-    ddq_raw: f32
-    temperature: u8
-    lost: u32
-    reserve: types.array[u32, 2]
+    def annotation(part: np.dtype):
+        kind = _PARTS.get(part.base) or getattr(types, part.base.name)
+        return types.array[kind, part.shape[0]] if part.shape else kind
+
+    parts = {field: annotation(record.fields[field][0]) for field in record.names}
+    body = {"__annotations__": parts, "__module__": __name__}
+    _PARTS[record] = _message(
+        new_class(name, (idl.IdlStruct,), {"typename": f"{GO}{name}_"}, lambda own: own.update(body))
+    )
+    return _PARTS[record]
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
-class BmsState(idl.IdlStruct, typename=GO + "BmsState_"):
-    """State of the battery."""
-
-    version_high: u8
-    version_low: u8
-    status: u8
-    soc: u8
-    current: i32
-    cycle: u16
-    bq_ntc: types.array[u8, 2]
-    mcu_ntc: types.array[u8, 2]
-    cell_vol: types.array[u16, 15]
+_PARTS = {}
+"""Types by their records."""
+IMUState = _from_record("IMUState", low_level.IMU)
+MotorState = _from_record("MotorState", low_level.MOTOR_STATE)
+BmsState = _from_record("BmsState", low_level.BMS_STATE)
+LowState = _from_record("LowState", low_level.LOW_STATE)
+MotorCmd = _from_record("MotorCmd", low_level.MOTOR_COMMAND)
+BmsCmd = _from_record("BmsCmd", low_level.BMS_COMMAND)
+LowCmd = _from_record("LowCmd", low_level.LOW_COMMAND)
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
-class LowState(idl.IdlStruct, typename=GO + "LowState_"):
-    """State of the robot, on rt/lowstate."""
-
-    head: types.array[u8, 2]
-    level_flag: u8
-    frame_reserve: u8
-    sn: types.array[u32, 2]
-    version: types.array[u32, 2]
-    bandwidth: u16
-    imu_state: IMUState
-    motor_state: types.array[MotorState, 20]
-    bms_state: BmsState
-    foot_force: types.array[i16, 4]
-    foot_force_est: types.array[i16, 4]
-    tick: u32
-    wireless_remote: types.array[u8, 40]
-    bit_flag: u8
-    adc_reel: f32
-    temperature_ntc1: u8
-    temperature_ntc2: u8
-    power_v: f32
-    power_a: f32
-    fan_frequency: types.array[u16, 4]
-    reserve: u32
-    crc: u32
-
-
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
-class MotorCmd(idl.IdlStruct, typename=GO + "MotorCmd_"):
-    """Command for a motor."""
-
-    mode: u8
-    q: f32
-    dq: f32
-    tau: f32
-    kp: f32
-    kd: f32
-    reserve: types.array[u32, 3]
-
-
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
-class BmsCmd(idl.IdlStruct, typename=GO + "BmsCmd_"):
-    """Command for the battery."""
-
-    off: u8
-    reserve: types.array[u8, 3]
-
-
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
-class LowCmd(idl.IdlStruct, typename=GO + "LowCmd_"):
-    """Command for the robot, on rt/lowcmd."""
-
-    head: types.array[u8, 2]
-    level_flag: u8
-    frame_reserve: u8
-    sn: types.array[u32, 2]
-    version: types.array[u32, 2]
-    bandwidth: u16
-    motor_cmd: types.array[MotorCmd, 20]
-    bms_cmd: BmsCmd
-    wireless_remote: types.array[u8, 40]
-    led: types.array[u8, 12]
-    fan: types.array[u8, 2]
-    gpio: u8
-    reserve: u32
-    crc: u32
-
-
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
+@_message
 class TimeSpec(idl.IdlStruct, typename=GO + "TimeSpec_"):
     """A time."""
 
@@ -160,9 +60,7 @@ class TimeSpec(idl.IdlStruct, typename=GO + "TimeSpec_"):
     nanosec: u32 = 0
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
+@_message
 class PathPoint(idl.IdlStruct, typename=GO + "PathPoint_"):
     """A point of a path."""
 
@@ -175,9 +73,7 @@ class PathPoint(idl.IdlStruct, typename=GO + "PathPoint_"):
     vyaw: f32 = 0.0
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
+@_message
 class SportModeState(idl.IdlStruct, typename=GO + "SportModeState_"):
     """State of the robot's own motion controller, on rt/sportmodestate."""
 
@@ -199,9 +95,7 @@ class SportModeState(idl.IdlStruct, typename=GO + "SportModeState_"):
     path_point: types.array[PathPoint, 10]
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
+@_message
 class RequestIdentity(idl.IdlStruct, typename=API + "RequestIdentity_"):
     """Number of a request, and of what it asks for."""
 
@@ -209,18 +103,14 @@ class RequestIdentity(idl.IdlStruct, typename=API + "RequestIdentity_"):
     api_id: i64 = 0
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
+@_message
 class RequestLease(idl.IdlStruct, typename=API + "RequestLease_"):
     """Lease of a client."""
 
     id: i64 = 0
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
+@_message
 class RequestPolicy(idl.IdlStruct, typename=API + "RequestPolicy_"):
     """How a request is treated."""
 
@@ -228,9 +118,7 @@ class RequestPolicy(idl.IdlStruct, typename=API + "RequestPolicy_"):
     noreply: bool = False
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
+@_message
 class RequestHeader(idl.IdlStruct, typename=API + "RequestHeader_"):
     """Header of a request."""
 
@@ -239,9 +127,7 @@ class RequestHeader(idl.IdlStruct, typename=API + "RequestHeader_"):
     policy: RequestPolicy = field(default_factory=RequestPolicy)
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
+@_message
 class Request(idl.IdlStruct, typename=API + "Request_"):
     """Request to a service, on rt/api/NAME/request."""
 
@@ -250,18 +136,14 @@ class Request(idl.IdlStruct, typename=API + "Request_"):
     binary: types.sequence[u8] = field(default_factory=list)
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
+@_message
 class ResponseStatus(idl.IdlStruct, typename=API + "ResponseStatus_"):
     """Error code of a response; 0: none."""
 
     code: i32 = 0
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
+@_message
 class ResponseHeader(idl.IdlStruct, typename=API + "ResponseHeader_"):
     """Header of a response."""
 
@@ -269,9 +151,7 @@ class ResponseHeader(idl.IdlStruct, typename=API + "ResponseHeader_"):
     status: ResponseStatus = field(default_factory=ResponseStatus)
 
 
-@dataclass
-@annotations.final
-@annotations.autoid("sequential")
+@_message
 class Response(idl.IdlStruct, typename=API + "Response_"):
     """Response of a service, on rt/api/NAME/response."""
 

@@ -14,7 +14,8 @@ from surefoot.emulator.dds.faults import MessageFaults
 from surefoot.emulator.dds.low_state import StateMessage
 from surefoot.emulator.dds.motion_service import MotionService
 from surefoot.emulator.dds.own_controller import OwnController
-from surefoot.emulator.faults import FaultInjector, InjectedFault
+from surefoot.emulator.fault_table import InjectedFault
+from surefoot.emulator.faults import FaultInjector
 from surefoot.emulator.host_link import Transport
 from surefoot.emulator.plant import JointOrder, Plant
 from surefoot.seeding import generator

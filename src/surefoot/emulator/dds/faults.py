@@ -9,12 +9,14 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.deploy.dds.low_level import STATE_PERIOD, Record, Remote, new_command
 from surefoot.emulator.dds.low_state import StateMessage
-from surefoot.emulator.faults import FaultInjector
+from surefoot.emulator.faults import FaultInjector, flip_bits
 from surefoot.emulator.plant import JointOrder
 from surefoot.seeding import generator
 
 _LAYOUT_CUT = 12
 """Bytes that the other layout lacks at its end: `fan_frequency` and `reserve`."""
+_HEADER_BITS = 32
+"""Bits of a message's encapsulation, which are never damaged."""
 _STOP = Remote(frozenset({"L2", "B"}), 0.0, 0.0, 0.0, 0.0)
 _STICK = Remote(frozenset(), 0.0, 0.8, 0.0, 0.0)
 _OTHER_GAINS = 5.0, 1.0
@@ -65,16 +67,12 @@ class MessageFaults:
 
     def order(self, order: JointOrder) -> JointOrder:
         """Return what the motors get instead of an order."""
-        columns = {name: values.copy() for name, values in vars(order).items()}
-        if (motor := self._motor("swap-motors")) is not None:
-            for values in columns.values():
-                values[[motor, motor + 1]] = values[[motor + 1, motor]]
-        if (motor := self._motor("flip-sign")) is not None:
-            columns["angle"][motor] = 2 * self._injector.rest[motor] - columns["angle"][motor]
-            columns["speed"][motor], columns["feedforward"][motor] = (
-                -columns["speed"][motor],
-                -columns["feedforward"][motor],
-            )
+        servo, sign = self._injector.wiring()
+        columns = {name: values[servo] for name, values in vars(order).items()}
+        angle = columns["angle"]
+        columns["angle"] = np.where(sign < 0, 2 * self._injector.rest - angle, angle)
+        for name in ("speed", "feedforward"):
+            columns[name] *= sign
         if (motor := self._motor("motor-lost")) is not None:
             self._kept = self._kept or replace(order)
             for name, values in columns.items():
@@ -129,10 +127,7 @@ class MessageFaults:
         if self._strikes("drop"):
             return []
         if self._strikes("corrupt"):
-            bits = np.unpackbits(np.frombuffer(data, np.uint8))
-            where = self._random.choice(np.arange(32, len(bits)), int(self._random.integers(1, 4)), replace=False)
-            bits[where] ^= 1
-            data = np.packbits(bits).tobytes()
+            data = flip_bits(data, self._random, first=_HEADER_BITS)
         late, self._late = self._late, None
         if late is None and self._strikes("reorder"):
             self._late = data

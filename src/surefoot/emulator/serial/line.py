@@ -8,7 +8,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from surefoot.emulator.faults import HARMS
+from surefoot.emulator.fault_table import HARMS
+from surefoot.emulator.faults import flip_bits
 
 BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
@@ -93,9 +94,7 @@ class Line:
             at = int(random.integers(1, len(frame) - 1))
             frame = frame[:at] if random.random() < 0.5 else frame[at:]
         if strikes("corrupt"):
-            bits = np.unpackbits(np.frombuffer(frame, np.uint8))
-            bits[random.choice(len(bits), int(random.integers(1, 4)), replace=False)] ^= 1
-            frame = np.packbits(bits).tobytes()
+            frame = flip_bits(frame, random)
         if strikes("reorder"):
             self._late = frame
             return pieces

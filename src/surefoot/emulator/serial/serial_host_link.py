@@ -8,7 +8,7 @@ from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.host_frames import HostFrames
 from surefoot.deploy.messages import Packet
 from surefoot.deploy.robot_link import LinkStatistics
-from surefoot.emulator.faults import InjectedFault
+from surefoot.emulator.fault_table import InjectedFault
 from surefoot.emulator.serial.line import Line
 from surefoot.emulator.serial.pty_port import PtyPort
 from surefoot.emulator.serial.socket_server_port import SocketServerPort

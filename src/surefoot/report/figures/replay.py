@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.identify.logs.errors import LogErrors
+from surefoot.identify.motion.replay_errors import ReplayErrors
 from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, heading, new_figure
 from surefoot.robot import RobotDescription
 
@@ -17,7 +17,11 @@ _WIDTH, _HEIGHT = 11.0, 1.7
 
 
 def draw_replay(
-    path: Path, robot: RobotDescription, errors: LogErrors, beside: LogErrors | None = None, label: str = "other record"
+    path: Path,
+    robot: RobotDescription,
+    errors: ReplayErrors,
+    beside: ReplayErrors | None = None,
+    label: str = "other record",
 ) -> Path:
     """Draw angles and errors of the joints that move over the first seconds.
 
@@ -28,7 +32,7 @@ def draw_replay(
         beside: of another record of the same commands.
         label: name of the other record.
     """
-    log = errors.log
+    log = errors.motion
     joints = np.flatnonzero(log.moving)[:_MAX_JOINTS].tolist()
     with new_figure(path, (_WIDTH, 0.8 + _HEIGHT * len(joints)), len(joints), 2, sharex=True) as (figure, axes):
         legend = f"surefoot {1e3 * errors.rms:.1f} mrad"
@@ -41,9 +45,9 @@ def draw_replay(
             for color, name, one in ((ORANGE, label, beside), (BLUE, "surefoot", errors)):
                 if one is None:
                     continue
-                rows = one.log.time <= log.time[0] + SHOWN
-                error, when = one.motor_angle[rows, joint], one.log.read_time[rows]
-                left.plot(when, one.log.motor_angle[rows, joint] + error, color=color, lw=1.0, label=name)
+                rows = one.motion.time <= log.time[0] + SHOWN
+                error, when = one.motor_angle[rows, joint], one.motion.read_time[rows]
+                left.plot(when, one.motion.motor_angle[rows, joint] + error, color=color, lw=1.0, label=name)
                 right.plot(when, 1e3 * error, color=color, lw=1.0, label=name)
             left.set_title(robot.motor_names[joint])
             left.set_ylabel("angle [rad]")

@@ -9,7 +9,8 @@ from pathlib import Path
 import pandas as pd
 
 from surefoot import __version__
-from surefoot.evaluation.policy_table import Condition, texts
+from surefoot.evaluation.conditions import Condition
+from surefoot.evaluation.policy_table import texts
 from surefoot.files import atomic_write
 from surefoot.report.pages import html
 from surefoot.robot.commands import COMMANDS

@@ -1,1 +1,0 @@
-"""Logs of robots that others recorded: import, replay, fits."""

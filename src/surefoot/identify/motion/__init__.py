@@ -1,0 +1,1 @@
+"""Recorded motion, from traces of deployments and from anybody's logs, and the fits to it."""

@@ -1,0 +1,69 @@
+"""Evaluation of the deterministic policy during a training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from surefoot.evaluation.rollout import run_to_end
+from surefoot.evaluation.tracking import MotionRecorder
+from surefoot.learn.config import TrainConfig
+from surefoot.learn.ppo_learner import PpoLearner
+from surefoot.task.config import TaskConfig
+from surefoot.task.env import LocomotionEnv, SimulationFactory
+
+EVALUATION_SEED = 1_000_003
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The deterministic policy over some episodes, without pushes."""
+
+    steps: int
+    """Control steps of training behind it."""
+    speed_mean: float
+    """Distance over time of each episode, averaged [m/s]."""
+    return_mean: float
+    """Mean return."""
+    falls: int
+    """Episodes that ended before their time."""
+    pushed_falls: int
+    """The same with pushes, where the task has them; else 0."""
+    power_mean: float
+    """Mean mechanical power [W]."""
+    rmse: dict[str, Any] | None = None
+    """Root mean square error of each command's speed [m/s] or rate [rad/s], as `evaluate` has it; None without."""
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Key of the order of policies, greater is better: fewest falls, then the return less falls under pushes."""
+        return -self.falls, self.return_mean - 0.25 * self.pushed_falls
+
+
+def _evaluation_task(config: TrainConfig) -> TaskConfig:
+    """Return the task of evaluations: no curriculum, the most difficult terrain, and the returns' own weights."""
+    task = config.task
+    return replace(
+        task,
+        reward=config.evaluation_reward or task.reward,
+        terrain=replace(task.terrain, start_level=task.terrain.levels - 1, curriculum=False),
+        randomize_ramp=0,
+        commands=replace(task.commands, ramp=0),
+    )
+
+
+def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> Evaluation:
+    """Run the deterministic policy for whole episodes, always from the same seed."""
+    config, results, rmse = learner.config, [], None
+    base = _evaluation_task(config)
+    for pushed in (False, True) if base.pushes.enabled else (False,):
+        task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
+        env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
+        observation, _ = env.reset()
+        recorder = MotionRecorder(env) if task.commands.enabled and not pushed else None
+        results.append(run_to_end(learner.act, env, observation, record=recorder.record if recorder else None))
+        if recorder is not None:
+            rmse = recorder.tracking(results[0].steps).to_mapping()["rmse"]
+    runs, falls = results[0], [int((~result.balanced).sum()) for result in results]
+    speed, mean_return, power = (float(column.mean()) for column in (runs.speed, runs["return"], runs.power))
+    return Evaluation(learner.steps, speed, mean_return, falls[0], sum(falls[1:]), power, rmse)

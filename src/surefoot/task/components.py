@@ -1,0 +1,86 @@
+"""The components of an environment, made from its task, in the order in which their hooks are called.
+
+A new capability is a file with its `Component`, and an entry here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.randomization import Randomizer
+from surefoot.task.commands import CommandGenerator
+from surefoot.task.component import Component
+from surefoot.task.config import TaskConfig
+from surefoot.task.episode_metrics import EpisodeMetrics, StepInfo
+from surefoot.task.foothold_error import FootholdError
+from surefoot.task.footholds import Footholds
+from surefoot.task.gait import HybridGait
+from surefoot.task.gait_components import gait_components
+from surefoot.task.height_scan import HeightScan, HeightScanner
+from surefoot.task.privileged import ReferencePhase, TrueHeights, TrueState
+from surefoot.task.pushes import Pusher
+from surefoot.task.randomized_params import RandomizedParams
+from surefoot.task.terrain_curriculum import EpisodeStarts, TerrainCurriculum
+from surefoot.task.velocity_tracking import VelocityTracking
+from surefoot.world.terrain import TerrainField
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What the components of an environment are made from."""
+
+    task: TaskConfig
+    robot: RobotDescription
+    gait: HybridGait
+    nominal: PhysicalParams
+    """Physical parameters without randomization, one row per robot."""
+    tiles: TerrainField
+    """What robots stand on."""
+    num_envs: int
+    seed: int
+    source: CommandGenerator | None
+    """Gives the commands; defaults to the generator that the task configures."""
+    step_info: bool
+    """Whether `info` describes every step."""
+
+
+def make_components(setup: Setup) -> list[Component]:
+    """Return the components of an environment; a capability that its task does not have is not among them."""
+    task, robot, num_envs, seed = setup.task, setup.robot, setup.num_envs, setup.seed
+    limits, terrain = task.commands.limits(robot), task.terrain
+    components: list[Component] = [TrueState(robot, in_heading_frame=limits is not None)]
+    if setup.tiles.kinds:
+        components.append(TerrainCurriculum(terrain, setup.tiles, num_envs, seed))
+    if setup.tiles.kinds or terrain.heading:
+        components.append(EpisodeStarts(terrain.heading, num_envs, seed))
+    if not terrain.is_flat:
+        components.append(TrueHeights(robot))
+    if task.sees:
+        components.append(HeightScan(HeightScanner(terrain.scan, robot, num_envs, seed)))
+    if limits is not None:
+        source = setup.source or task.commands.make_generator(limits, num_envs, seed)
+        components += gait_components(setup.gait, limits, source, num_envs)
+    if "foothold_error" in task.reward:
+        components.append(FootholdError(_footholds(components)))
+    if limits is not None or any(term.startswith("stride_") for term in task.reward):
+        components.append(VelocityTracking(setup.gait.reference.period))
+    if setup.gait.reference.period is not None:
+        components.append(ReferencePhase())
+    if task.pushes.enabled:
+        components.append(Pusher(task.pushes, num_envs, seed, robot.weight))
+    if task.randomize:
+        ramp = task.randomize_ramp
+        components.append(RandomizedParams(Randomizer(task.randomize, robot, setup.nominal, seed, ramp)))
+    components.append(EpisodeMetrics())
+    if setup.step_info:
+        components.append(StepInfo())
+    return components
+
+
+def _footholds(components: list[Component]) -> Footholds:
+    for component in components:
+        if isinstance(component, Footholds):
+            return component
+    raise SurefootError("reward.foothold_error needs footholds, and reference.foothold_radius is 0")

@@ -1,0 +1,41 @@
+"""Physical parameters that every episode draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.robot.randomization import Randomizer
+from surefoot.task.component import Component, Privileged
+from surefoot.task.state import EnvState
+
+
+class RandomizedParams(Component):
+    """Domain randomization in a task.
+
+    Args:
+        randomizer: draws the parameters.
+    """
+
+    def __init__(self, randomizer: Randomizer) -> None:
+        self.randomizer = randomizer
+
+    def arrays(self) -> Mapping[str, NDArray[Any]]:
+        """Return the arrays of the randomizer that an exact resume needs, by name."""
+        return {f"randomizer_{name}": getattr(self.randomizer, name) for name in self.randomizer.arrays}
+
+    @property
+    def streams(self) -> Mapping[str, list[np.random.Generator]]:
+        """Streams of random numbers, one per robot."""
+        return {"randomize_streams": self.randomizer.streams}
+
+    def before_reset(self, rows: NDArray[np.int64], state: EnvState) -> None:
+        """Draw the parameters of new episodes."""
+        state.world.set_params(rows, self.randomizer.draw(rows))
+
+    def privileged(self, state: EnvState) -> Privileged:
+        """Return the drawn parameters, from -1 to 1 over their ranges."""
+        return [(self.randomizer.columns, self.randomizer.scaled(state.world.params))]

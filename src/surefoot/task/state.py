@@ -1,0 +1,271 @@
+"""State of a batch of robots: what observations, reward terms, terminations and components take.
+
+A `RobotState` is what a robot's own computer knows too. An `EnvState` adds what only a simulation knows. The heading
+frame is upright and has the base's yaw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.rotations import in_heading_frame
+from surefoot.task.commands import CommandState
+from surefoot.task.gait import HybridGait
+from surefoot.world.ground import Ground
+from surefoot.world.interface import Readings, Simulation, Truth
+
+_CACHED = ("_rates", "action")
+"""Quantities of a control step that `EnvState` computes when they are first asked for."""
+
+
+@dataclass(frozen=True)
+class RobotScales:
+    """Units that make a robot's motion dimensionless."""
+
+    length: float
+    """Straight leg l [m]."""
+    speed: float
+    """sqrt(g l) [m/s]."""
+    rate: float
+    """sqrt(g / l) [1/s]."""
+    weight: float
+    """m g [N]."""
+
+    @classmethod
+    def from_robot(cls, robot: RobotDescription) -> RobotScales:
+        """Return a robot's scales."""
+        length = robot.leg_geometry.length
+        return cls(length, float(np.sqrt(GRAVITY * length)), float(np.sqrt(GRAVITY / length)), robot.weight)
+
+
+def base_height(position: Array, ground: Ground) -> Array:
+    """Return heights (N,) [m] of points (N, 3) in the world above the level of the ground."""
+    return np.asarray(position[:, 2] - ground.level(position[:, :2]))
+
+
+def base_tilt(truth: Truth, ground: Ground) -> Array:
+    """Return roll and pitch (N, 2) [rad] of the base relative to a base that lies along the slope of the ground."""
+    angles = truth.roll_pitch_yaw
+    if not ground.course.size:
+        return angles[:, :2]
+    tilt: Array = angles[:, :2] - ground.tilt(truth.base_position_world[:, :2], angles[:, 2])
+    return tilt
+
+
+def base_rates(before: Truth, after: Truth, duration: Array | float) -> tuple[Array, Array]:
+    """Return mean rates of the base over a control step, for N robots.
+
+    Args:
+        before: truth at the beginning.
+        after: truth at the end.
+        duration: of the step [s], a number or (N, 1).
+
+    Returns:
+        Velocity in the heading frame of the beginning [m/s] and rates of roll, pitch and yaw [rad/s], (N, 3) each.
+    """
+    velocity = (after.base_position_world - before.base_position_world) / duration
+    turned = (after.roll_pitch_yaw - before.roll_pitch_yaw + np.pi) % (2 * np.pi) - np.pi
+    return in_heading_frame(velocity, before.roll_pitch_yaw[:, 2]), turned / duration
+
+
+@dataclass
+class RobotState:
+    """What the computer of a robot knows at the end of a control step, of N robots with M motors."""
+
+    gait: HybridGait
+    readings: Readings
+    duration: Array
+    """Duration of the control step (N,) [s]."""
+    feedback: Array
+    """Feedback of the control step (N, A), see `HybridGait`; zero before the first."""
+    target: Array
+    """Motor angles (N, M) [rad] that were commanded."""
+    command: Array
+    """Commanded speeds forward and to the left [m/s] and yaw rate [rad/s] (N, 3); zero in a task without commands."""
+    filtered_command: Array
+    """Command that the gait follows, with its change limited, without the correction of the heading (N, 3)."""
+    heading_error: Array
+    """Commanded heading minus the robot's heading (N,) [rad]."""
+    gait_state: CommandState | None = None
+    """Command, phase, footholds and lift that the gait follows; None in a task without commands."""
+    heights: Array | None = None
+    """Heights of the ground around the robots (N, K) [m], see `height_scan`; None without a map."""
+
+    @classmethod
+    def initial(cls, gait: HybridGait, readings: Readings, duration: Array, **more: Any) -> Any:
+        """Return the state of robots before their first control step.
+
+        Args:
+            gait: the gait.
+            readings: the first readings.
+            duration: duration of the control step (N,) [s].
+            more: fields of a subclass.
+        """
+        num_envs = len(duration)
+        return cls(
+            gait=gait,
+            readings=readings,
+            duration=duration,
+            feedback=np.zeros((num_envs, len(gait.action_names))),
+            target=np.zeros((num_envs, gait.robot.num_motors)),
+            command=np.zeros((num_envs, 3)),
+            filtered_command=np.zeros((num_envs, 3)),
+            heading_error=np.zeros(num_envs),
+            **more,
+        )
+
+    def without_truth(self) -> RobotState:
+        """Return the state without what only a simulation knows."""
+        return RobotState(**{field.name: getattr(self, field.name) for field in fields(RobotState)})
+
+
+@dataclass(kw_only=True)
+class EnvState(RobotState):
+    """State of N simulated robots after a reset or a control step."""
+
+    world: Simulation
+    ground: Ground
+    scales: RobotScales
+    truth: Truth
+    """Truth at the end of the control step."""
+    before: Truth
+    """Truth at its beginning."""
+    last_feedback: Array
+    """Feedback of the control step before (N, A)."""
+    start_place: Array
+    """Place on the ground at which the next episode starts (N, 2) [m]."""
+    start_position: Array
+    """Place where the base settled (N, 3) [m]."""
+    command_error: Array
+    """Mean speeds forward and to the left and yaw rate minus the command (N, 3) [m/s, m/s, rad/s]."""
+    stride_error: Array
+    """Command error, averaged exponentially over a stride (N, 3) [m/s, m/s, rad/s]."""
+    foothold_error: Array
+    """Error of feet that touched down in this control step (N,), see `FootholdError`."""
+    push_force: Array
+    """Force on the base in the world (N, 3) [N]."""
+    reward: Array
+    """Reward of the control step (N,)."""
+    reward_terms: dict[str, Array]
+    """Contribution of each reward term to it (N,), by name."""
+    steps: NDArray[np.int64]
+    """Control steps of the episode (N,)."""
+    returns: Array
+    """Return of the episode (N,)."""
+    terminated: NDArray[np.bool_]
+    """Robots whose episode was ended by the control step, for another reason than its length (N,)."""
+    truncated: NDArray[np.bool_]
+    """Robots whose episode reached its length in the control step (N,)."""
+    over: NDArray[np.bool_]
+    """Robots that wait for a reset (N,)."""
+
+    @classmethod
+    def of_world(cls, world: Simulation, gait: HybridGait, ground: Ground) -> EnvState:
+        """Return the state of the robots of a world, before their first reset."""
+        num_envs, truth = world.num_envs, world.truth()
+        state: EnvState = cls.initial(
+            gait,
+            world.readings(),
+            world.params.control_step,
+            world=world,
+            ground=ground,
+            scales=RobotScales.from_robot(world.robot),
+            truth=truth,
+            before=truth,
+            last_feedback=np.zeros((num_envs, len(gait.action_names))),
+            start_place=np.zeros((num_envs, 2)),
+            start_position=np.zeros((num_envs, 3)),
+            command_error=np.zeros((num_envs, 3)),
+            stride_error=np.zeros((num_envs, 3)),
+            foothold_error=np.zeros(num_envs),
+            push_force=np.zeros((num_envs, 3)),
+            reward=np.zeros(num_envs),
+            reward_terms={},
+            steps=np.zeros(num_envs, np.int64),
+            returns=np.zeros(num_envs),
+            terminated=np.zeros(num_envs, np.bool_),
+            truncated=np.zeros(num_envs, np.bool_),
+            over=np.zeros(num_envs, np.bool_),
+        )
+        return state
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that an exact resume needs, by name."""
+        names = ("steps", "returns", "start_position", "feedback", "stride_error", "over")
+        return {name: getattr(self, name) for name in names}
+
+    def begin_episodes(self, rows: NDArray[np.int64], readings: Readings) -> None:
+        """Take the state of robots that were reset, with the readings of all."""
+        self.observe_world(readings)
+        self.over[rows], self.feedback[rows] = False, 0.0
+        self.start_position[rows] = self.truth.base_position_world[rows]
+
+    def finish_step(self, target: Array, feedback: Array, readings: Readings) -> None:
+        """Take the state at the end of a control step, with the commanded motor angles and the feedback in them."""
+        before = self.truth
+        self.target, self.last_feedback, self.feedback = target, self.feedback, feedback
+        self.observe_world(readings)
+        self.before = before
+
+    def observe_world(self, readings: Readings) -> None:
+        """Take readings and truth of the world as they are now."""
+        self.readings, self.truth, self.duration = readings, self.world.truth(), self.world.params.control_step
+        for name in _CACHED:
+            self.__dict__.pop(name, None)
+
+    @property
+    def idle(self) -> NDArray[np.bool_]:
+        """Robots whose control step does not count: they diverged in it, or waited for a reset (N,)."""
+        return self.truth.diverged | self.over
+
+    @property
+    def done(self) -> NDArray[np.bool_]:
+        """Robots whose episode ended in the control step (N,)."""
+        return self.terminated | self.truncated
+
+    @cached_property
+    def _rates(self) -> tuple[Array, Array]:
+        return base_rates(self.before, self.truth, self.duration[:, None])
+
+    @property
+    def planar_velocity(self) -> Array:
+        """Mean speeds forward and to the left [m/s] and yaw rate [rad/s] of the base (N, 3)."""
+        velocity, turn = self._rates
+        return np.column_stack([velocity[:, :2], turn[:, 2]])
+
+    @property
+    def height(self) -> Array:
+        """Height of the base above where it settled (N,) [m]."""
+        return base_height(self.truth.base_position_world, self.ground) - base_height(self.start_position, self.ground)
+
+    @property
+    def velocity(self) -> Array:
+        """Mean velocity of the base in the heading frame (N, 3) [sqrt(g l)]: forward, left, up."""
+        return self._rates[0] / self.scales.speed
+
+    @property
+    def turn(self) -> Array:
+        """Mean rates of roll, pitch and yaw (N, 3) [sqrt(g / l)]."""
+        return self._rates[1] / self.scales.rate
+
+    @property
+    def velocity_error(self) -> Array:
+        """Mean velocity minus the command (N, 2) [sqrt(g l)]."""
+        return (self._rates[0][:, :2] - self.filtered_command[:, :2]) / self.scales.speed
+
+    @property
+    def yaw_rate_error(self) -> Array:
+        """Mean yaw rate minus the command (N,) [sqrt(g / l)]."""
+        return (self._rates[1][:, 2] - self.filtered_command[:, 2]) / self.scales.rate
+
+    @cached_property
+    def action(self) -> Array:
+        """Normalized feedback (N, A), from -1 to 1 between its bounds."""
+        return self.gait.action(self.feedback)

@@ -1,0 +1,122 @@
+"""Terrain curriculum: robots that cover the commanded distance start on more difficult tiles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.rotations import in_heading_frame
+from surefoot.seeding import generators
+from surefoot.task.commanded_way import has_kept_up, step_ways
+from surefoot.task.component import Component
+from surefoot.task.state import EnvState
+from surefoot.task.terrain import TerrainConfig
+from surefoot.world.terrain import TerrainField
+
+MISSED = 0.5
+"""Share of the commanded way below which a robot goes back by a level."""
+MIN_WAY = 2.5
+"""Distance [m] from the start to which the commands of an episode must lead: `START` of it is level, and commands that
+turn can be followed for any length without leaving that place."""
+
+
+class TerrainCurriculum(Component):
+    """Tiles on which robots start, by how much of the commanded distance they covered.
+
+    Args:
+        config: with sizes.
+        tiles: its field.
+        num_envs: number of robots N.
+        seed: seeds the levels and columns, one stream a robot.
+    """
+
+    prefix = "terrain"
+    changing = ("level", "column", "commanded", "covered", "led", "begun")
+
+    def __init__(self, config: TerrainConfig, tiles: TerrainField, num_envs: int, seed: int) -> None:
+        self.config, self.tiles = config, tiles
+        self._streams = generators(seed, "terrain", num_envs)
+        self.level = np.array([stream.integers(config.start_level + 1) for stream in self._streams])
+        # Kinds are spread evenly over robots, whatever their number.
+        self.column = np.arange(num_envs) % len(tiles.kinds)
+        self.commanded, self.covered = np.zeros((2, num_envs))
+        self.led = np.zeros((num_envs, 2))
+        """Where the commands have led since the start (N, 2) [m], in the world."""
+        self.begun = np.zeros(num_envs, np.bool_)
+
+    @property
+    def streams(self) -> Mapping[str, list[np.random.Generator]]:
+        """Streams of random numbers, one per robot."""
+        return {"terrain_streams": self._streams}
+
+    def before_reset(self, rows: NDArray[np.int64], state: EnvState) -> None:
+        """Raise or lower the level of robots whose episodes ended, and choose their tiles."""
+        state.start_place[rows] = self.begin(rows, state.terminated[rows])
+
+    def after_step(self, state: EnvState) -> None:
+        """Add the control step to the distances, where it counts."""
+        velocity = state.command_error[:, :2] + state.filtered_command[:, :2]
+        self.record(state.command[:, :2], velocity, state.before.roll_pitch_yaw[:, 2], state.duration * ~state.idle)
+
+    def metrics(self) -> Mapping[str, Any]:
+        """Return the mean level by kind of terrain."""
+        return {"levels": self.levels()}
+
+    def begin(self, rows: NDArray[np.int64], fell: NDArray[np.bool_]) -> Array:
+        """Return the places (n, 2) [m] where robots start next; `fell` (n,) is how their last episodes ended."""
+        if self.config.curriculum:
+            way, covered = self.commanded[rows], self.covered[rows]
+            judged = self.begun[rows] & (np.linalg.norm(self.led[rows], axis=1) >= MIN_WAY)
+            rise = judged & has_kept_up(way, covered, ~fell)
+            back = self.begun[rows] & fell | judged & (covered < MISSED * way)
+            self.level[rows] += rise.astype(np.int64) - back
+            for i in rows[self.level[rows] >= self.config.levels]:
+                self.level[i] = self._streams[i].integers(self.config.levels)
+            self.level[rows] = np.maximum(self.level[rows], 0)
+        self.commanded[rows] = self.covered[rows] = 0.0
+        self.led[rows] = 0.0
+        self.begun[rows] = True
+        starts: Array = self.tiles.starts[self.level[rows], self.column[rows]]
+        return starts
+
+    def record(self, command: Array, velocity: Array, yaw: Array, duration: Array) -> None:
+        """Add a control step of `duration` (N,) [s], which began with `yaw` (N,) [rad]; else as `step_ways`."""
+        commanded, covered = step_ways(command, velocity, duration)
+        self.commanded += commanded
+        self.covered += covered
+        way = np.column_stack([command * duration[:, None], np.zeros(len(command))])
+        self.led += in_heading_frame(way, -yaw)[:, :2]
+
+    def levels(self) -> Mapping[str, float]:
+        """Return the mean level of the robots on each kind of terrain."""
+        kinds = np.array(self.tiles.kinds)[self.column]
+        return {name: float(self.level[kinds == name].mean()) for name in dict.fromkeys(self.tiles.kinds)}
+
+
+class EpisodeStarts(Component):
+    """Places and headings of robots whose episodes start.
+
+    Args:
+        heading: greatest heading to either side [deg].
+        num_envs: robots.
+        seed: seeds the headings, one stream per robot.
+    """
+
+    def __init__(self, heading: float, num_envs: int, seed: int) -> None:
+        self._limit = np.radians(heading)
+        self._streams = generators(seed, "heading", num_envs if heading else 0)
+
+    @property
+    def streams(self) -> Mapping[str, list[np.random.Generator]]:
+        """Streams of random numbers, one per robot, if headings are random."""
+        return {"heading_streams": self._streams}
+
+    def before_reset(self, rows: NDArray[np.int64], state: EnvState) -> None:
+        """Place the robots on their tiles, with random headings."""
+        limit, streams = self._limit, self._streams
+        headings = np.array([streams[i].uniform(-limit, limit) if streams else 0.0 for i in rows])
+        state.world.place(rows, state.start_place[rows], headings)

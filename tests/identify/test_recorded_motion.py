@@ -1,0 +1,93 @@
+"""Logs: when readings were taken, and what is refused."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.identify.motion.recorded import motion_from_rows
+from surefoot.identify.motion.traces import read_motion
+from surefoot.robot import RobotDescription
+
+DATA = Path(__file__).parents[2] / "data" / "pupper_v2"
+
+
+def arrays(rows: int = 50, motors: int = 12) -> dict[str, np.ndarray]:
+    time = 0.01 * np.arange(1, rows + 1)
+    command = np.zeros((rows, motors))
+    command[:, 1] = np.sin(time)
+    return {"time": time, "command": command, "motor_angle": command + 0.1, "imu": np.zeros((rows, 4))}
+
+
+def write(path: Path, **changes: np.ndarray) -> Path:
+    np.savez(path, **{**arrays(), **changes})
+    return path
+
+
+def test_repeated_readings_have_the_time_of_the_first():
+    time = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 6.0])
+    angle = np.array([[0.0], [5.0], [5.0], [5.0], [7.0], [9.0]])
+    log = motion_from_rows("log", time, np.arange(6.0)[:, None], angle, np.full((6, 4), np.nan))
+    # New in rows 0, 1, 4 and 5, and so 1, 3 and 2 s apart: half of the row's step before it, of 2 s at most.
+    np.testing.assert_allclose(log.read_time, [0.0, 0.5, 0.5, 0.5, 3.5, 5.0])
+    assert log.fresh.tolist() == [True, True, False, False, True, True]
+    timing = log.timing()
+    assert timing["repeated_readings"] == pytest.approx(2 / 6)
+    assert (timing["least_step"], timing["greatest_step"]) == (1.0, 2.0)
+
+
+def test_times_may_repeat_and_are_counted():
+    log = motion_from_rows(
+        "log", np.array([0.0, 0.0, 1.0]), np.arange(3.0)[:, None], np.zeros((3, 1)), np.zeros((3, 4))
+    )
+    assert log.timing()["repeated_times"] == 0.5
+
+
+def test_the_published_logs_are_read(pupper: RobotDescription):
+    log = read_motion(DATA / "right_side_1khz.npz", pupper)
+    assert np.flatnonzero(log.moving).tolist() == [1, 2, 7, 8]
+    assert log.timing()["repeated_readings"] == pytest.approx(0.547, abs=0.001)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"command": np.zeros((50, 8))}, r"command has shape \(50, 8\).*pupper_v2 has 12 motors"),
+        ({"time": 0.01 * np.arange(50)[::-1]}, "time goes backwards in row 1, from 0.49 to 0.48 s"),
+        ({"command": np.full((50, 12), 0.3)}, "commands never move: no joint by 0.02 rad"),
+        ({"time": np.full(50, np.nan)}, "time has values that are not finite"),
+        ({"imu": np.zeros((49, 4))}, r"imu has shape \(49, 4\).*a row for each time"),
+        ({"command": np.full((50, 12), "a")}, "command holds <U1; it must hold numbers"),
+        ({"motor_angle": np.array([{}] * 50, object)}, "no file of arrays"),
+    ],
+)
+def test_read_log_refuses_arrays_of_another_shape(
+    tmp_path: Path, pupper: RobotDescription, changes: dict, message: str
+):
+    with pytest.raises(SurefootError, match=message):
+        read_motion(write(tmp_path / "log.npz", **changes), pupper)
+
+
+def test_read_log_lists_arrays_if_commands_are_missing(tmp_path: Path, pupper: RobotDescription):
+    np.savez(tmp_path / "log.npz", time=np.arange(3.0), position=np.zeros((3, 12)))
+    with pytest.raises(SurefootError, match=r"has no command.*It has position, time; with other names: surefoot trace"):
+        read_motion(tmp_path / "log.npz", pupper)
+
+
+def test_read_log_refuses_an_array_longer_than_its_file(tmp_path: Path, pupper: RobotDescription):
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
+    with zipfile.ZipFile(tmp_path / "log.npz", "w") as archive:
+        archive.writestr("time.npy", header.getvalue())
+    with pytest.raises(SurefootError, match=r"an array of shape .* is longer than its file"):
+        read_motion(tmp_path / "log.npz", pupper)
+
+
+def test_read_log_refuses_a_missing_file(tmp_path: Path, pupper: RobotDescription):
+    with pytest.raises(SurefootError, match="can't be read: No such file"):
+        read_motion(tmp_path / "none.npz", pupper)

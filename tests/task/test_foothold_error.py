@@ -1,0 +1,113 @@
+"""Error of touchdowns relative to their footholds, worked by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.configuration import from_mapping
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.task.commands import CommandState
+from surefoot.task.config import TaskConfig, load_task
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.foothold_error import FootholdError
+from surefoot.task.footholds import Footholds
+from surefoot.world.interface import Truth
+from surefoot.world.sim_world import SimWorld
+
+GO2 = RobotDescription.load("go2")
+LENGTH = 0.426
+FRONT_LEFT = GO2.leg_names.index("front_left")
+
+
+def seeing_task() -> TaskConfig:
+    task = load_task("terrain", "go2")[0]
+    reward = {**task.reward, "foothold_error": -1.0}
+    return from_mapping(TaskConfig, {"reference": {"foothold_radius": 0.5}, "reward": reward}, base=task)
+
+
+class Walk:
+    """A robot that stands in the world with a yaw, whose feet are where its reference has them at a phase."""
+
+    def __init__(self, yaw: float = 0.0) -> None:
+        task = seeing_task()
+        self.reference = task.gait(GO2).reference
+        self.footholds = Footholds(self.reference, 1)
+        self.landings = FootholdError(self.footholds)
+        env = LocomotionEnv(replace(task, terrain=replace(task.terrain, sizes={}, shares={})), 1, SimWorld, threads=1)
+        half = 0.5 * yaw
+        self.truth = replace(
+            env.state.truth,
+            base_position_world=np.array([[2.0, -1.0, 0.3]]),
+            roll_pitch_yaw=np.array([[0.0, 0.0, yaw]]),
+            base_quat_world=np.array([[np.cos(half), 0.0, 0.0, np.sin(half)]]),
+        )
+
+    def state(self, part: float) -> CommandState:
+        """Return a robot on the spot whose front left foot has done a part of its swing; less than 0: it stands."""
+        duty = float(self.reference.feet.duty_factor[FRONT_LEFT])
+        phase = float(self.reference.feet.phase[FRONT_LEFT]) + duty + part * (1.0 - duty)
+        return CommandState(np.zeros((1, 3)), np.ones(1), np.array([phase % 1.0]))
+
+    def standing(self, beside: tuple[float, float]) -> Truth:
+        """Return the truth with all feet on the ground, in the heading frame beside their places [m]."""
+        foot = self.reference.places + np.array([*beside, 0.0])
+        angle = GO2.to_motors(GO2.leg_geometry.foot_pose(foot)[None])
+        return replace(self.truth, motor_angle=angle, foot_contact=np.ones((1, 4)))
+
+    def go(self, *parts: float) -> None:
+        """Let the front left foot's swing go on to parts of it."""
+        for part in parts:
+            self.landings.plan(self.truth, self.state(part))
+
+    def judge(self, truth: Truth, part: float) -> float:
+        """Return what landings count at a part of the front left foot's swing."""
+        self.go(part)
+        return float(self.landings.compute(truth)[0])
+
+    def land(self, beside: tuple[float, float], landing: tuple[float, float]) -> float:
+        """Return what a foot counts that was to land at `landing` beside its place [m], and does at `beside`."""
+        self.footholds.landing[:] = landing
+        air = replace(self.truth, foot_contact=np.zeros((1, 4)))
+        for _ in range(5):
+            self.judge(air, 0.2)
+        self.go(0.2, 0.35)
+        # Both feet of the diagonal land.
+        return 0.5 * self.judge(self.standing(beside), 0.95)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.2])
+def test_a_landing_counts_the_square_of_its_distance(yaw: float):
+    unit = LENGTH / 12
+    assert Walk(yaw).land((0.05, -0.02), (0.05, -0.02)) == pytest.approx(0.0, abs=1e-9)
+    # 3 cm too far ahead and 4 cm to the left: 5 cm.
+    assert Walk(yaw).land((0.08, 0.02), (0.05, -0.02)) == pytest.approx((0.05 / unit) ** 2, rel=1e-6)
+    assert Walk(yaw).land((0.15, 0.0), (-0.05, 0.0)) == pytest.approx(4.0)
+
+
+def test_a_foot_that_finds_no_ground_counts_most_and_once():
+    walk = Walk()
+    walk.go(0.2, 0.35)
+    air = replace(walk.truth, foot_contact=np.zeros((1, 4)))
+    duty = float(walk.reference.feet.duty_factor[FRONT_LEFT])
+    late = (0.35 - duty) / (1.0 - duty)  # .35 of a cycle after it should have landed
+    counts = [walk.judge(air, part) for part in (0.9, late, late)]
+    # Both feet of the diagonal swing.
+    assert counts == [0.0, 8.0, 0.0]
+
+
+def test_feet_that_never_left_the_ground_do_not_land():
+    walk = Walk()
+    walk.go(0.2, 0.35)
+    assert walk.judge(walk.standing((0.1, 0.0)), 0.95) == 0.0
+
+
+def test_the_reward_needs_footholds():
+    task = seeing_task()
+    with pytest.raises(
+        SurefootError, match=r"reward.foothold_error needs footholds, and reference.foothold_radius is 0"
+    ):
+        LocomotionEnv(replace(task, reference=replace(task.reference, foothold_radius=0.0)), 1, SimWorld, threads=1)
