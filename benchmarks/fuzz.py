@@ -97,7 +97,7 @@ OPTIONS = {
     "train options": ("learn.config:TrainConfig", 2),
     "evaluate options": ("cli.evaluate:EvaluateCommand", 1),
     "gap options": ("cli.gap:GapCommand", 1),
-    "sensitivity options": ("cli.sensitivity:SensitivityCommand", 2),
+    "sensitivity options": ("cli.evaluate_sensitivity:SensitivityCommand", 2),
     "show options": ("cli.show:ShowPolicyCommand", 1),
     "study options": ("cli.study:StudyCommand", 1),
     "search options": ("cli.study_search:SearchCommand", 2),

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.evaluation.rollout import run_episodes
-from surefoot.evaluation.tracking import STRIDE, Tracking
+from surefoot.evaluation.tracking import Tracking
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.robot.commands import COMMANDS
@@ -88,7 +88,7 @@ def measure(learner: PpoLearner, episodes: int, within: Sequence[float] = ()) ->
     config, env = learner.config, learner.env
     task = fresh_commands(config.task, float(env.nominal.control_step[0]), within)
     traces = run_episodes(TrainedPolicy(learner), task, episodes, SimWorld, config.seed + FRESH, config.threads)
-    errors = Tracking.from_traces(traces, env.gait.reference.period or STRIDE)
+    errors = Tracking.from_traces(traces)
     named: dict[str, float] = {}
     for ending, values in (("", errors.rmse), ("_stride", errors.rmse_stride)):
         named |= {f"{name}{ending}": x for name, x in zip(COMMANDS, values.round(4).tolist(), strict=True)}

@@ -16,10 +16,10 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("mujoco")
 
 from surefoot.cli.evaluate import EvaluateCommand
+from surefoot.cli.evaluate_sensitivity import SensitivityCommand
 from surefoot.cli.helpers import paper_runs
 from surefoot.cli.helpers.paper_runs import PaperRuns, Stage, command, evaluations
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.sensitivity import SensitivityCommand
 from surefoot.cli.study import StudyCommand
 from surefoot.cli.study_search import SearchCommand
 from surefoot.cli.study_tune import TuneCommand

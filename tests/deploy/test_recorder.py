@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -206,6 +207,7 @@ def test_a_blocked_disk_does_not_block_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(background_file, "PATIENCE", 0.1)
     file = BackgroundFile(tmp_path / "run.partial", 0.1)
     file._writer.send_signal(signal.SIGSTOP)
+    os.waitpid(file._writer.pid, os.WUNTRACED)  # on a busy computer it reads on for a while
     start = time.monotonic()
     for _ in range(40):
         file.add(bytes(100_000))

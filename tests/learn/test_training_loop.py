@@ -6,7 +6,6 @@ import errno
 import json
 import os
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -294,10 +293,3 @@ def test_a_steered_run_logs_errors_and_terms_to_either_logger(tmp_path: Path, mo
         events.Reload()
         names.append(set(events.Tags()["scalars"]))
     assert {f"train/reward/{term}" for term in config.task.reward} | {"evaluation/rmse/forward"} <= names[0] == names[1]
-
-
-def test_rank_prefers_no_falls_over_return(whole: TrainingLoop) -> None:
-    assert whole.best is not None
-    steady = replace(whole.best, falls=0, pushed_falls=0, return_mean=1.0)
-    assert steady.rank > replace(steady, falls=1, return_mean=5.0).rank
-    assert steady.rank > replace(steady, pushed_falls=2, return_mean=1.2).rank

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from surefoot.api.episodes import draw_episode, print_summaries
-from surefoot.cli import compare, sensitivity
+from surefoot.cli import evaluate_policies, evaluate_sensitivity
 from surefoot.cli.helpers.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
@@ -60,10 +60,10 @@ class EvaluateCommand(RunOptions):
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     if argv[:1] == ["sensitivity"]:
-        return sensitivity.main(argv[1:])
+        return evaluate_sensitivity.main(argv[1:])
     policies = list(takewhile(lambda word: not word.startswith("-"), argv))
     if len(policies) > 1 or any(word.partition("=")[0] == "--conditions" for word in argv):
-        return compare.main(argv)
+        return evaluate_policies.main(argv)
     words, ranges = take_ranges(argv)
     command = parse(EvaluateCommand, words, "surefoot evaluate")
     if command.trace:

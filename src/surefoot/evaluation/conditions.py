@@ -60,7 +60,8 @@ class Condition:
     same_duration: bool = False
     """Episodes last as long as in training [s], also with another control step: returns can be compared."""
     curricula: bool = False
-    """Keep the curricula of the task's ranges and commands, which make a robot's first episodes of training easier."""
+    """Keep the curricula of the task's ranges and commands, which make a robot's first episodes easier.
+    Comparisons, test worlds and the table of a training keep them, so that their numbers stay those published."""
 
     def simulate(self, task: TaskConfig) -> TaskConfig:
         """Return a task in this condition's simulator: robot, motors and physical parameters.

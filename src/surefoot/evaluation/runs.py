@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls, circular_phase
 from surefoot.evaluation.statistics import MeanEstimate
-from surefoot.evaluation.tracking import STRIDE, Tracking, distance_along, kept_up
+from surefoot.evaluation.tracking import Tracking, distance_along, kept_up
 from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
@@ -157,8 +157,7 @@ def following(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
     commanded = [trace for trace in traces if is_commanded(trace)]
     if not commanded:
         return {}
-    tracking = Tracking.from_traces(commanded, float(commanded[0].meta["gait_period"] or STRIDE))
-    return {**tracking.to_mapping(), "success": _mean([kept_up(trace) for trace in commanded])}
+    return {**Tracking.from_traces(commanded).to_mapping(), "success": _mean([kept_up(trace) for trace in commanded])}
 
 
 def summarize_load(traces: Sequence[EpisodeTrace], weight: float) -> dict[str, Any]:

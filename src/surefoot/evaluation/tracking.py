@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
@@ -17,57 +15,12 @@ from surefoot.tables import plain_value
 from surefoot.task.commanded_way import has_kept_up, step_ways
 from surefoot.task.trace import EpisodeTrace
 
-if TYPE_CHECKING:
-    from surefoot.task.env import LocomotionEnv
-
 STRIDE = 0.5
 """Time [s] to average over where the gait has no period of its own."""
 GRID = 7
 """Commands along each side of a grid."""
 SETTLING = 1.0
 """Time [s] after a change of the command that is left out: no robot follows a jump."""
-
-
-class CommandedRun(NamedTuple):
-    """What the errors of a run are computed from; columns as in `EpisodeTrace`."""
-
-    time: Array
-    base_position_world: Array
-    base_quat_world: Array
-    command: Array
-    control_step: float
-    """Duration of a control step [s]."""
-
-
-class MotionRecorder:
-    """Records the commanded runs of an environment, control step by control step.
-
-    Args:
-        env: just reset, with commands.
-    """
-
-    def __init__(self, env: LocomotionEnv) -> None:
-        self._env = env
-        self._rows = [self._row()]
-
-    def _row(self) -> tuple[Array, Array, Array, Array]:
-        env = self._env
-        truth = env.state.truth
-        return env.state.readings.time, truth.base_position_world, truth.base_quat_world, env.state.command.copy()
-
-    def record(self, *_: object) -> None:
-        """Record the control step that just ended."""
-        self._rows.append(self._row())
-
-    def tracking(self, steps: ArrayLike) -> Tracking:
-        """Return the errors of all robots over their first `steps` (N,) control steps."""
-        env = self._env
-        time, position, quat, command = (np.array(column) for column in zip(*self._rows, strict=True))
-        runs = [
-            CommandedRun(time[1 : n + 1, i], position[: n + 1, i], quat[: n + 1, i], command[:n, i], step)
-            for i, (n, step) in enumerate(zip(np.asarray(steps), env.world.params.control_step, strict=True))
-        ]
-        return Tracking.from_runs(runs, float(env.gait.reference.period or STRIDE))
 
 
 @dataclass(frozen=True)
@@ -80,21 +33,17 @@ class Tracking:
     """Of speeds averaged over a stride, (3,)."""
 
     @classmethod
-    def from_traces(cls, traces: Iterable[EpisodeTrace], stride: float) -> Tracking:
-        """Measure recorded runs; see `from_runs`."""
-        return cls.from_runs((_commanded_run(trace) for trace in traces), stride)
-
-    @classmethod
-    def from_runs(cls, runs: Iterable[CommandedRun], stride: float) -> Tracking:
-        """Measure runs; a stride takes `stride` [s].
+    def from_traces(cls, traces: Iterable[EpisodeTrace], stride: float | None = None) -> Tracking:
+        """Measure recorded runs with commands; a stride takes `stride` [s], by default the gait's period.
 
         Steps within `SETTLING` after the command changed are left out, and for averages all strides that hold one.
         """
         steps, strides = [np.empty((0, 3))], [np.empty((0, 3))]
-        for run in runs:
-            errors, settled = motion(run) - run.command, settled_steps(run)
+        for trace in traces:
+            errors, settled = motion(trace) - trace.command, settled_steps(trace)
             steps.append(errors[settled])
-            count = max(round(stride / run.control_step), 1)
+            period = stride or trace.meta["gait_period"] or STRIDE
+            count = max(round(period / trace.meta["control_step"]), 1)
             if len(errors) >= count:
                 whole = np.lib.stride_tricks.sliding_window_view(settled, count).all(axis=-1)
                 means = np.lib.stride_tricks.sliding_window_view(errors, count, axis=0).mean(axis=-1)
@@ -153,12 +102,7 @@ def _step_ways(trace: EpisodeTrace) -> tuple[Array, Array]:
     return step_ways(np.nan_to_num(trace.command[:, :2]), motion(trace)[:, :2], np.diff(trace.time, prepend=0.0))
 
 
-def _commanded_run(trace: EpisodeTrace) -> CommandedRun:
-    step = float(trace.meta["control_step"])
-    return CommandedRun(trace.time, trace.base_position_world, trace.base_quat_world, trace.command, step)
-
-
-def motion(trace: CommandedRun | EpisodeTrace) -> Array:
+def motion(trace: EpisodeTrace) -> Array:
     """Return mean speeds forward and to the left [m/s] and yaw rate [rad/s] over each control step, (T, 3)."""
     yaw, step = quat_yaw(trace.base_quat_world), np.diff(trace.time, prepend=0.0)
     velocity = np.diff(trace.base_position_world, axis=0) / step[:, None]
@@ -166,7 +110,7 @@ def motion(trace: CommandedRun | EpisodeTrace) -> Array:
     return np.column_stack([in_heading_frame(velocity, yaw[:-1])[:, :2], turned / step])
 
 
-def settled_steps(trace: CommandedRun) -> np.ndarray:
+def settled_steps(trace: EpisodeTrace) -> np.ndarray:
     """Return for each control step whether its command has been the same for `SETTLING`, (T,)."""
     changed = np.any(np.diff(trace.command, axis=0, prepend=np.nan) != 0, axis=1)
     since = trace.time - np.maximum.accumulate(np.where(changed, np.concatenate([[0.0], trace.time[:-1]]), 0.0))

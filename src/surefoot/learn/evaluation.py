@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from surefoot.evaluation.rollout import run_to_end
-from surefoot.evaluation.tracking import MotionRecorder
+from surefoot.evaluation.rollout import EpisodeRecorder, run_to_end
+from surefoot.evaluation.tracking import Tracking
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.task.config import TaskConfig
@@ -60,10 +60,12 @@ def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes
         task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
         observation, _ = env.reset()
-        recorder = MotionRecorder(env) if task.commands.enabled and not pushed else None
+        recorder = EpisodeRecorder(env, pushed) if task.commands.enabled and not pushed else None
         results.append(run_to_end(learner.act, env, observation, record=recorder.record if recorder else None))
         if recorder is not None:
-            rmse = recorder.tracking(results[0].steps).to_mapping()["rmse"]
+            steps, meta = results[0].steps, {"world": config.world, "ended": "time"}
+            traces = [recorder.trace(i, int(count), meta) for i, count in enumerate(steps) if count]
+            rmse = Tracking.from_traces(traces).to_mapping()["rmse"]
     runs, falls = results[0], [int((~result.balanced).sum()) for result in results]
     speed, mean_return, power = (float(column.mean()) for column in (runs.speed, runs["return"], runs.power))
     return Evaluation(learner.steps, speed, mean_return, falls[0], sum(falls[1:]), power, rmse)

@@ -7,6 +7,7 @@ be strings.
 
 from dataclasses import dataclass, field
 from types import new_class
+from typing import TypeVar
 
 import numpy as np
 from cyclonedds import idl
@@ -15,18 +16,19 @@ from cyclonedds.idl import annotations, types
 from surefoot.deploy.dds import low_level
 
 u8, u32, i16, i32, i64, f32 = types.uint8, types.uint32, types.int16, types.int32, types.int64, types.float32
+T = TypeVar("T")
 GO = "unitree_go.msg.dds_."
 API = "unitree_api.msg.dds_."
 GO_LOW_STATE = "unitree_go::msg::dds_::LowState_"
 """Name of the type of rt/lowstate as DDS shows it."""
 
 
-def _message(kind: type) -> type:
+def _message(kind: T) -> T:
     """Return a class as a type of DDS, final and with numbers in order, as the vendor's compiler makes them."""
     return dataclass(annotations.final(annotations.autoid("sequential")(kind)))
 
 
-def _from_record(name: str, record: np.dtype) -> type:
+def _from_record(name: str, record: np.dtype) -> type[idl.IdlStruct]:
     """Return the type whose fields are those of a record; records in it have had theirs made before."""
 
     def annotation(part: np.dtype):

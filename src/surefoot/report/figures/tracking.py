@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.evaluation.tracking import STRIDE, Tracking
+from surefoot.evaluation.tracking import Tracking
 from surefoot.report.figures.style import new_figure
 from surefoot.robot.commands import COMMANDS
 from surefoot.task.trace import EpisodeTrace
@@ -28,9 +28,7 @@ def tracking_figure(traces: Sequence[EpisodeTrace], path: str | Path) -> Path:
     A row of panels for forward with turning, and one for forward with sideways, if there are such commands.
     """
     commands = np.array([trace.command[0] for trace in traces])
-    errors = np.array(
-        [Tracking.from_traces([trace], float(trace.meta["gait_period"] or STRIDE)).rmse_stride for trace in traces]
-    )
+    errors = np.array([Tracking.from_traces([trace]).rmse_stride for trace in traces])
     fell = np.array([trace.fell for trace in traces])
     across = [2, *([1] if commands[:, 1].any() else [])]
     with new_figure(path, (10.0, 3.1 * len(across)), len(across), 3) as (figure, axes):

@@ -64,4 +64,4 @@ def test_comparisons_refuse_what_does_not_fit(line: str, part: str):
     [("compare", "surefoot evaluate POLICY POLICY"), ("sensitivity", "surefoot evaluate sensitivity POLICY")],
 )
 def test_a_former_name_answers_with_the_new_one(former: str, now: str):
-    refused(surefoot(former, "go2-steer", "--episodes", "2"), f"'{former}' is a former name; type: {now}")
+    refused(surefoot(former, "go2-steer", "--episodes", "2"), f"'{former}' is no command any more; type {now}")

@@ -1,0 +1,66 @@
+"""Statistics of a rollout, worked by hand."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.learn.rollout_statistics import RolloutStatistics
+
+
+def robots(commands: bool, levels: dict[str, float] | None = None) -> Any:
+    """Return what the statistics read of two robots with a control step of 0.02 s; episodes have 100 steps."""
+    return SimpleNamespace(
+        task=SimpleNamespace(reward={"progress": 1.0}, max_steps=100, commands=SimpleNamespace(enabled=commands)),
+        world=SimpleNamespace(params=SimpleNamespace(control_step=np.array([0.02, 0.02])), divergences=3),
+        reward_terms={},
+        command_error=np.zeros((2, 3)),
+        curriculum=None if levels is None else SimpleNamespace(levels=lambda: levels),
+    )
+
+
+def test_figures_of_two_control_steps():
+    env = robots(commands=True, levels={"stairs": 1.5})
+    statistics = RolloutStatistics(env)
+    env.reward_terms, env.command_error = {"progress": np.array([1.0, 3.0])}, np.array([[0.1, 0.0, 1.0], [0.7, 0, 1]])
+    statistics.add(np.array([1.0, 2.0]), {})
+    env.reward_terms, env.command_error = {"progress": np.array([0.0, 2.0])}, np.array([[0.5, 0.0, 1.0], [0.5, 0, 1]])
+    # The first robot fell after 50 steps: 2 m in 4 s. The second one goes on.
+    ended = {"return": [5.0, 0.0], "steps": [50, 0], "distance": [2.0, 0.0], "duration": [4.0, 0.0]}
+    figures = {name: np.array(column) for name, column in ended.items()}
+    statistics.add(np.array([0.0, 1.0]), {"figures": figures, "_figures": np.array([True, False])})
+    summary = statistics.summarize()
+    rmse = summary.pop("rmse")
+    assert rmse == {
+        "forward": pytest.approx(0.5),  # squares 0.01, 0.49, 0.25 and 0.25 have a mean of 0.25
+        "sideways": 0.0,
+        "yaw_rate": pytest.approx(1.0),
+    }
+    assert summary == {
+        "episodes": 1,
+        "falls": 1,
+        "return_mean": 5.0,
+        "speed_mean": 0.5,
+        "reward_rate": 1.0,
+        "divergences": 3,
+        "reward": {"progress": pytest.approx(3.0 / 0.04)},
+        "levels": {"stairs": 1.5},
+    }
+
+
+def test_an_episode_of_full_length_is_no_fall_and_none_has_no_mean():
+    env = robots(commands=False)
+    statistics = RolloutStatistics(env)
+    statistics.add(np.zeros(2), {})
+    summary = statistics.summarize()
+    assert (summary["rmse"], summary["levels"], summary["episodes"], summary["falls"]) == (None, None, 0, 0)
+    assert math.isnan(summary["return_mean"])
+    assert math.isnan(summary["speed_mean"])
+    figures = {name: np.array([100.0, 100.0]) for name in ("return", "steps", "distance", "duration")}
+    statistics.add(np.zeros(2), {"figures": figures, "_figures": np.array([True, True])})
+    summary = statistics.summarize()
+    assert (summary["episodes"], summary["falls"]) == (2, 0)
