@@ -194,6 +194,10 @@ def trace_reference() -> str:
     )
 
 
+FORMS = {("train",): ["trot"], ("evaluate",): ["sensitivity"]}
+"""Forms of commands with a help of their own, besides actions."""
+
+
 def help_of(*words: str) -> str:
     """Return the help of a command."""
     with contextlib.redirect_stdout(io.StringIO()) as output, contextlib.suppress(SystemExit):
@@ -216,7 +220,7 @@ def help_sections(*words: str) -> list[str]:
     usage = help_of(*words)
     text = [f"{'#' * (len(words) + 2)} {' '.join(words)}", f"```text\n{usage}\n```"]
     parts = re.findall(r"^  ([a-z][a-z-]+) ", usage, re.M) if re.search("ACTION|EXPERIMENT", usage) else []
-    for part in ["trot"] if words == ("train",) else parts:
+    for part in FORMS.get(words, parts):
         text += help_sections(*words, part)
     return text
 

@@ -254,7 +254,7 @@ def from_tagged(options: Sequence[type[T]], data: Any, where: str = "", base: T 
                 f"{choices(field_bounds(option))}"
             )
     if base is not None and not isinstance(base, option):
-        shared = field_bounds(type(typing.cast(Any, base))).keys() & field_bounds(option).keys() - {"kind"}
+        shared = field_bounds(typing.cast(Any, type(base))).keys() & field_bounds(option).keys() - {"kind"}
         base = option(**{name: getattr(base, name) for name in shared})
     made: T = from_mapping(option, kept, where, base)
     return made

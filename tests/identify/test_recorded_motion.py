@@ -117,7 +117,9 @@ def test_read_log_refuses_arrays_of_another_shape(
 
 def test_read_log_lists_arrays_if_commands_are_missing(tmp_path: Path, pupper: RobotDescription):
     np.savez(tmp_path / "log.npz", time=np.arange(3.0), position=np.zeros((3, 12)))
-    with pytest.raises(SurefootError, match=r"has no command.*It has position, time; with other names: surefoot trace"):
+    with pytest.raises(
+        SurefootError, match=r"has no command.*It has position, time; with other names: surefoot identify import"
+    ):
         read_motion(tmp_path / "log.npz", pupper)
 
 
