@@ -38,7 +38,7 @@ from surefoot.robot.randomization import load_ranges
 from surefoot.tables import write_csv
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference_config import ReferenceConfig
+from surefoot.task.reference_config import NoReferenceConfig
 from surefoot.world.sim_world import SimWorld
 
 FRESH = 7_000_003
@@ -73,7 +73,7 @@ def from_scratch(task: TaskConfig) -> TaskConfig:
     """Return the task without a reference gait, with wide bounds on the feedback."""
     wide = FeedbackConfig(abduction=(-0.4, 0.4), swing=(-0.8, 0.8), extension=(0.45, 0.9))
     seen = tuple(name for name in task.observations if name != "reference_phase")
-    return replace(task, reference=ReferenceConfig(), feedback=wide, observations=seen)
+    return replace(task, reference=NoReferenceConfig(), feedback=wide, observations=seen)
 
 
 def measure(learner: PpoLearner, episodes: int, within: Sequence[float] = ()) -> dict[str, Any]:

@@ -31,9 +31,16 @@ from surefoot.learn.config import PPOConfig, TrainConfig
 from surefoot.robot.params import GROUPS, PARAMETERS
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
+from surefoot.task.leg_config import FootConfig, WaveConfig
 from surefoot.task.observation import PARTS
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference_config import FootConfig, ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import (
+    FollowReferenceConfig,
+    FootReferenceConfig,
+    OverHolesConfig,
+    SineReferenceConfig,
+    TableReferenceConfig,
+)
 from surefoot.task.reward import TERMS
 from surefoot.task.trace import EpisodeTrace, FurtherMeta, TraceMeta
 
@@ -56,9 +63,13 @@ PACKAGES = sorted(path.parent.name for path in ROOT.glob("src/surefoot/*/__init_
 CONFIGURATIONS = {
     TaskConfig: "",
     FeedbackConfig: "feedback",
-    ReferenceConfig: "reference",
+    SineReferenceConfig: "reference of kind sine",
+    TableReferenceConfig: "reference of kind table",
+    FootReferenceConfig: "reference of kind foot",
+    FollowReferenceConfig: "reference of kind follow",
     WaveConfig: "reference.swing, extension, abduction",
     FootConfig: "reference.foot",
+    OverHolesConfig: "reference.over_holes",
     CommandConfig: "commands",
     PushConfig: "pushes",
     TrainConfig: "train",
@@ -67,6 +78,7 @@ CONFIGURATIONS = {
 """Dataclasses of a task's file, and the tables in which their fields stand."""
 TYPES = {
     r"^dict.*": "table",
+    r"^\w+Config.*": "table",
     r"Literal\[(.*?)\]": r"\1",
     r" \| None": "",
     r"tuple\[float, float\]": "two numbers",
@@ -182,6 +194,10 @@ def trace_reference() -> str:
     )
 
 
+FORMS = {("train",): ["trot"], ("evaluate",): ["sensitivity"]}
+"""Forms of commands with a help of their own, besides actions."""
+
+
 def help_of(*words: str) -> str:
     """Return the help of a command."""
     with contextlib.redirect_stdout(io.StringIO()) as output, contextlib.suppress(SystemExit):
@@ -204,7 +220,7 @@ def help_sections(*words: str) -> list[str]:
     usage = help_of(*words)
     text = [f"{'#' * (len(words) + 2)} {' '.join(words)}", f"```text\n{usage}\n```"]
     parts = re.findall(r"^  ([a-z][a-z-]+) ", usage, re.M) if re.search("ACTION|EXPERIMENT", usage) else []
-    for part in ["trot"] if words == ("train",) else parts:
+    for part in FORMS.get(words, parts):
         text += help_sections(*words, part)
     return text
 

@@ -1,13 +1,8 @@
-"""The paper on one page: each of its tables, figures and numbers beside surefoot's, read from files of results.
-
-python docs/paper_page.py [--out paper.html]    # `surefoot study paper` runs this
-"""
+"""The paper on one page: each of its tables, figures and numbers beside surefoot's, read from files of results."""
 
 from __future__ import annotations
 
-import argparse
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from html import escape
@@ -17,11 +12,10 @@ from typing import Literal
 from result_numbers import BRACES, NotMeasured, cell, substitute
 
 from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, prefix_errors
+from surefoot.errors import prefix_errors
 from surefoot.files import atomic_write
 from surefoot.report.pages.html import page, picture, row
 
-ROOT = Path(__file__).resolve().parents[1]
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"
 VERDICTS = {"untried": "Not tried.", "no": "Not reproduced.", "partly": "In part.", "yes": "Reproduced."}
@@ -273,29 +267,3 @@ def _inline(markdown: str) -> str:
     text = re.sub(r"\[(.+?)\]\([^)]*\)", r"\1", escape(markdown))
     text = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", text)
     return re.sub(r"`(.+?)`", r"<code>\1</code>", text)
-
-
-def main() -> int:
-    """Write the page; print its name, and results that are missing."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--root", type=Path, default=ROOT, help="folder with results, docs and policies")
-    parser.add_argument("--out", type=Path, default=Path("paper.html"), help="the page")
-    parser.add_argument("--note", default="", help="remark on all results")
-    parser.add_argument("--list-evaluations", action="store_true", help="write no page: print the evaluations on it")
-    arguments = parser.parse_args()
-    if arguments.list_evaluations:
-        print("\n".join(evaluations_on_page()))
-        return 0
-    try:
-        missing = write_page(arguments.root, arguments.out, arguments.note, ROOT)
-    except SurefootError as error:
-        print(error, file=sys.stderr)
-        return 2
-    print(f"wrote {arguments.out}")
-    for name in missing:
-        print(f"not there: {name}")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -22,7 +22,7 @@ ALLOWED: dict[str, set[str]] = {
     "identify": {"world", "deploy", "robot", "actuator", "task.trace"},
     "deploy": {
         *("robot", "policy", "world.interface"),
-        *("task.contract_mapping", "task.commands", "task.observation", "task.gait"),
+        *("task.contract_mapping", "task.policy_plugins", "task.commands", "task.observation", "task.gait"),
         *("task.component", "task.gait_components", "task.state"),
         *("task.height_scan", "task.trace", "task.partial_trace"),
     },

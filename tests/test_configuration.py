@@ -7,11 +7,11 @@ import subprocess
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import pytest
 
-from surefoot.configuration import Within, check_bounds, from_mapping, is_number, read_toml, read_yaml
+from surefoot.configuration import Within, check_bounds, from_mapping, is_number, read_toml, read_yaml, to_mapping
 from surefoot.errors import SurefootError, check_name, quote
 from surefoot.files import CONFIGURATION_BYTES, check_readable, read_configuration, remove_abandoned
 
@@ -110,6 +110,72 @@ def test_a_number_too_large_for_a_float_is_refused():
     with pytest.raises(SurefootError, match=r"^free is 1000.* it must be a finite number"):
         from_mapping(Config, {"free": 10**400})
     assert not is_number(10**400)
+
+
+@dataclass(frozen=True)
+class Circle:
+    """One of two shapes."""
+
+    kind: Literal["circle"] = "circle"
+    radius: Annotated[float, Within(0, 10)] = 1.0
+    place: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Box:
+    """The other one."""
+
+    kind: Literal["box"] = "box"
+    width: float = 2.0
+    place: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A table that holds one of them."""
+
+    shape: Circle | Box = field(default_factory=Circle)
+
+
+@pytest.mark.parametrize(
+    ("data", "shape"),
+    [
+        ({}, Circle()),
+        ({"radius": 2}, Circle(radius=2.0)),
+        ({"kind": "box", "width": 3.0, "place": [1, 2]}, Box(width=3.0, place=(1.0, 2.0))),
+        ({"kind": "box", "radius": 1}, Box()),  # of the other kind, but its default
+        ({"kind": "circle", "width": 2.0, "radius": 4.0}, Circle(radius=4.0)),
+    ],
+)
+def test_the_kind_says_which_of_several_dataclasses_a_table_is(data: dict[str, Any], shape: Circle | Box):
+    assert from_mapping(Drawing, {"shape": data}) == Drawing(shape)
+    assert from_mapping(Drawing, to_mapping(Drawing(shape))) == Drawing(shape)
+
+
+def test_a_base_of_another_kind_gives_what_both_kinds_have():
+    base = Drawing(Circle(radius=3.0, place=(1.0, 2.0)))
+    assert from_mapping(Drawing, {"shape": {"radius": 4.0}}, base=base).shape == Circle("circle", 4.0, (1.0, 2.0))
+    assert from_mapping(Drawing, {"shape": {"kind": "box"}}, base=base).shape == Box(place=(1.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"kind": "ring"}, r"shape.kind is 'ring'; choices: circle, box"),
+        ({"kind": ["box"]}, r"shape.kind is \['box'\]; choices: circle, box"),
+        ({"radius": 11}, r"shape.radius is 11; it must be 10 or less"),
+        (
+            {"kind": "box", "radius": 2.0},
+            r"shape.radius is not a key of kind box, but of circle; keys of kind box: kind, ",
+        ),
+        ({"kind": "box", "radius": "wide"}, r"shape.radius is 'wide'; it must be a number"),
+        ({"kind": "box", "widht": 2.0}, r"shape.widht is not a key; did you mean width\? choices: kind, width, place"),
+        (3, r"shape is 3; it must be a table with keys out of: kind, radius, place"),
+    ],
+)
+def test_a_table_that_fits_no_kind_is_refused_in_one_line(data: Any, message: str):
+    with pytest.raises(SurefootError, match=f"^{message}"):
+        from_mapping(Drawing, {"shape": data})
 
 
 @pytest.mark.parametrize("name", ["trot", "gallop-robust", "_1", "A" * 100])

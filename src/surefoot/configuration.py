@@ -9,7 +9,7 @@ import math
 import tomllib
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -222,6 +222,61 @@ def typed_entries(kind: type[T], data: Mapping[str, Any], where: str = "") -> T:
     return from_mapping(kind, {name: value for name, value in data.items() if name in names}, where)
 
 
+def from_tagged(options: Sequence[type[T]], data: Any, where: str = "", base: T | None = None) -> T:
+    """Make one of several dataclasses out of plain tables, lists and values: the one whose `kind` the table has.
+
+    Each option has a field `kind`, whose default is its own kind, and defaults for all fields. Keys that only other
+    kinds have are left out where they have their defaults, as in files of earlier versions.
+
+    Args:
+        options: the dataclasses; the first one is made without `kind` and base.
+        data: the values; without a key a field has its default.
+        where: dotted name of this mapping, for error messages.
+        base: an instance whose values hold where `data` has none; of another kind, those that both kinds have.
+
+    Raises:
+        SurefootError: an unknown kind, a key of another kind, or as `from_mapping`.
+    """
+    kinds: dict[Any, Any] = {_kind(option): option for option in options}
+    given = data if isinstance(data, Mapping) else {}
+    tag, prefix = given.get("kind", _kind(options[0] if base is None else base)), f"{where}." if where else ""
+    if tag not in list(kinds):  # it may be unhashable
+        raise SurefootError(f"{prefix}kind is {quote(tag)}; {suggest(tag, kinds)}")
+    option: Any = kinds[tag]
+    kept = keys_of_kind(options, data, tag)
+    for key in [key for key in given if key not in kept]:
+        others = {kind: other for kind, other in kinds.items() if key in field_bounds(other)}
+        other = next(iter(others.values()))
+        value = _convert(typing.get_type_hints(other)[key], given[key], f"{prefix}{key}", None)
+        if value != getattr(other(), key):
+            raise SurefootError(
+                f"{prefix}{key} is not a key of kind {tag}, but of {choices(others)}; keys of kind {tag}: "
+                f"{choices(field_bounds(option))}"
+            )
+    if base is not None and not isinstance(base, option):
+        shared = field_bounds(typing.cast(Any, type(base))).keys() & field_bounds(option).keys() - {"kind"}
+        base = option(**{name: getattr(base, name) for name in shared})
+    made: T = from_mapping(option, kept, where, base)
+    return made
+
+
+def keys_of_kind(options: Sequence[type], data: Any, kind: Any = None) -> Any:
+    """Return a table without the keys that only other options than those of a kind have; what is no table as it is.
+
+    `kind` defaults to the table's own, or else to the first option's. With an unknown kind nothing is left out.
+    """
+    if not isinstance(data, Mapping):
+        return data
+    tag = data.get("kind", _kind(options[0])) if kind is None else kind
+    own = next((field_bounds(option) for option in options if _kind(option) == tag), data)
+    others = {name for option in options for name in field_bounds(option)}
+    return {key: value for key, value in data.items() if key in own or key not in others}
+
+
+def _kind(option: Any) -> Any:
+    return option.kind
+
+
 def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
     """Return a value as the type that a field has; `base` is what the field has without it."""
     origin, args, is_bool = typing.get_origin(hint), typing.get_args(hint), isinstance(value, bool)
@@ -234,7 +289,9 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
             raise SurefootError(f"{where} is {quote(value)}; {suggest(value, args)}")
         return value
     if origin in (typing.Union, types.UnionType):
-        tables = [option for option in args if dataclasses.is_dataclass(option)]
+        tables: list[Any] = [option for option in args if dataclasses.is_dataclass(option)]
+        if len(tables) > 1:
+            return from_tagged(tables, value, where, base)
         if isinstance(value, Mapping) and len(tables) == 1:
             return _convert(tables[0], value, where, base)
         for option in args:

@@ -1,4 +1,4 @@
-"""Adopted policies compute what their own framework's arithmetic does, on 1000 random states.
+"""Adopted policies compute what their own framework's arithmetic does, on hundreds of random states.
 
 Observations, and the targets of an action, agree to 1e-6; actions of the network as far as two runtimes do.
 """
@@ -33,7 +33,7 @@ class Case:
     format: str
     network: Path
     deployer: Callable[[], Any]
-    states: int = 1000
+    states: int = 300
 
     @cached_property
     def run(self) -> Callable[[np.ndarray], np.ndarray]:
@@ -70,7 +70,7 @@ def unitree_case(folder: Path, by_step: bool, scale_first: bool) -> Case:
     deployer = partial(
         IsaacLab, LAB_ORDER, POSE, layout, ACTION["scale"], ACTION["clip"], by_step, scale_first, 0.02 / 0.7
     )
-    return Case("unitree_rl_lab", network, deployer, 200 if by_step or scale_first else 1000)
+    return Case("unitree_rl_lab", network, deployer, 200 if by_step or scale_first else 300)
 
 
 def mjlab_case(folder: Path, long: bool) -> Case:
@@ -87,7 +87,7 @@ def mjlab_case(folder: Path, long: bool) -> Case:
     network.write_bytes(perceptron(93 if long else 45, properties=MJLAB | (LONG if long else {})))
     pose = [0.1, 0.9, -1.8, -0.1, 0.9, -1.8] * 2
     return Case(
-        "mjlab", network, partial(IsaacLab, GYM_ORDER, pose, layout, [0.373, 0.373, 0.3] * 4), 1000 if long else 200
+        "mjlab", network, partial(IsaacLab, GYM_ORDER, pose, layout, [0.373, 0.373, 0.3] * 4), 300 if long else 200
     )
 
 

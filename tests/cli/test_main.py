@@ -11,7 +11,7 @@ from surefoot.cli import identify, robot, robot_firmware, study
 from surefoot.cli.main import COMMANDS, FORMER, GROUPS
 
 ACTIONS = {
-    "evaluate": {"sensitivity": None},
+    "evaluate": {"sensitivity"},
     "identify": {**identify.ACTIONS, **dict.fromkeys(identify.EXPERIMENTS)},
     "robot": robot.ACTIONS,
     "robot firmware": robot_firmware.ACTIONS,

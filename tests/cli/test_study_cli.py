@@ -262,7 +262,9 @@ BAD = [
     (["gaps.yaml"], "evaluate: a study measures one reality gap; it has gap, gap_test"),
     (["bars.yaml"], "bars: they show the reality gap; evaluate must name 'gap' or 'gap_test' for them"),
     (["robot.yaml"], "group a: observation 'smell' does not exist"),
-    ([], "FILE"),
+    (["--report-only"], "FILE is missing"),
+    (["run"], "FILE is missing"),
+    (["run", "kind.yaml"], "evaluate: 'luck' is no kind of evaluation"),
 ]
 
 

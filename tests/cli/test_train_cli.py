@@ -41,6 +41,30 @@ def test_train_refuses_an_invalid_task_before_there_is_a_run(text: str, message:
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ("--task.reference.foot.height", "0.2"),
+            "--task.reference.foot.height is an option of references of kind foot, follow, and the task's is of kind "
+            "sine; to change the kind: --task.reference.kind foot",
+        ),
+        (("--task.reference.kind", "follow"), "reference.kind is follow; it needs commands"),
+        (("--task.reference.kind", "square"), "reference.kind is 'square'; choices: none, sine, table, foot, follow"),
+    ],
+)
+def test_options_of_another_kind_of_reference_are_refused(words: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    refused(surefoot("train", "trot", *words, cwd=tmp_path), message)
+
+
+def test_the_options_of_a_reference_are_those_of_its_kind() -> None:
+    seeing = surefoot("train", "terrain-seeing", "--robot", "go2", "--help").stdout
+    assert "--task.reference.over-holes.stride-gain" in seeing
+    assert "--task.reference.swing.amplitude" not in seeing
+    other = surefoot("train", "trot", "--task.reference.kind", "foot", "--help").stdout
+    assert "--task.reference.foot.height" in other
+
+
 def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
     host, terminal = pty.openpty()
     words = ["train", "trot", "--steps", "100000", "--seed", "3", *TINY]

@@ -15,6 +15,7 @@ pytest.importorskip("mujoco")
 from surefoot.deploy.messages import Handshake, Hello, Mode, Reason
 from surefoot.emulator.board import BOOT_TIME
 from surefoot.emulator.fault_table import FAULTS, LINKS, describe, parse_faults
+from surefoot.emulator.faults import flip_bits
 from surefoot.errors import SurefootError
 
 ME = 7
@@ -73,6 +74,17 @@ def test_a_link_has_the_faults_of_what_it_has():
                 message = f"fault {name} acts on {kind.target}; --link {link} does not have that, give --link {other}"
                 with pytest.raises(SurefootError, match=message):
                     parse_faults([name], motors=12, link=link)
+
+
+def test_one_to_three_bits_are_flipped_and_none_before_the_first():
+    random, data = np.random.default_rng(3), bytes(range(40))
+    counts = set()
+    for _ in range(200):
+        bits = np.unpackbits(np.frombuffer(flip_bits(data, random, first=32), np.uint8))
+        flipped = np.flatnonzero(bits != np.unpackbits(np.frombuffer(data, np.uint8)))
+        counts.add(len(flipped))
+        assert flipped.min() >= 32
+    assert counts == {1, 2, 3}
 
 
 def test_every_fault_is_described():

@@ -1,4 +1,4 @@
-"""Logs: when readings were taken, and what is refused."""
+"""Recorded motion: its channels, when readings were taken, and what is refused."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.identify.motion.recorded import motion_from_rows
-from surefoot.identify.motion.traces import read_motion
+from surefoot.identify.motion.recorded import RecordedMotion
+from surefoot.identify.motion.traces import deployed_motion, motion_from_trace, read_motion, trace_from_motion
 from surefoot.robot import RobotDescription
 
 DATA = Path(__file__).parents[2] / "data" / "pupper_v2"
@@ -32,7 +32,7 @@ def write(path: Path, **changes: np.ndarray) -> Path:
 def test_repeated_readings_have_the_time_of_the_first():
     time = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 6.0])
     angle = np.array([[0.0], [5.0], [5.0], [5.0], [7.0], [9.0]])
-    log = motion_from_rows("log", time, np.arange(6.0)[:, None], angle, np.full((6, 4), np.nan))
+    log = RecordedMotion("log", time, np.arange(6.0)[:, None], motor_angle=angle)
     # New in rows 0, 1, 4 and 5, and so 1, 3 and 2 s apart: half of the row's step before it, of 2 s at most.
     np.testing.assert_allclose(log.read_time, [0.0, 0.5, 0.5, 0.5, 3.5, 5.0])
     assert log.fresh.tolist() == [True, True, False, False, True, True]
@@ -42,10 +42,52 @@ def test_repeated_readings_have_the_time_of_the_first():
 
 
 def test_times_may_repeat_and_are_counted():
-    log = motion_from_rows(
-        "log", np.array([0.0, 0.0, 1.0]), np.arange(3.0)[:, None], np.zeros((3, 1)), np.zeros((3, 4))
-    )
+    log = RecordedMotion("log", np.array([0.0, 0.0, 1.0]), np.arange(3.0)[:, None], motor_angle=np.zeros((3, 1)))
     assert log.timing()["repeated_times"] == 0.5
+
+
+def moved(**channels: np.ndarray) -> RecordedMotion:
+    """A knee that moves for half a second, read every 10 ms, and whatever else is given."""
+    rows = arrays(51)
+    return RecordedMotion("log", rows["time"], rows["command"], **channels)
+
+
+def test_channels_that_nobody_recorded_are_missing():
+    motion = moved(motor_angle=np.ones((51, 12)))
+    assert motion.missing() == ["motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base"]
+    assert motion.imu.shape == (51, 4)
+    assert np.isnan(motion.imu).all()
+    assert motion.control_step == pytest.approx(0.01)
+    part = motion.between(0.095, 0.205)
+    assert part.time.tolist() == pytest.approx((0.01 * np.arange(11, 22)).tolist())
+    assert part.motor_torque.shape == (11, 12)
+    with pytest.raises(SurefootError, match=r"--between 2 3 has 0 rows; the log is 0\.5 s long"):
+        motion.between(2.0, 3.0)
+
+
+def test_a_log_is_the_same_as_a_trace_and_back(pupper: RobotDescription):
+    torque, speed = np.full((51, 12), 2.0), np.full((51, 12), -0.5)
+    angle, attitude = np.random.default_rng(1).standard_normal((51, 12)), np.full((51, 3), 0.1)
+    motion = moved(motor_angle=angle, motor_velocity=speed, motor_torque=torque, roll_pitch_yaw=attitude)
+    trace = trace_from_motion(motion, pupper)
+    assert trace.imported
+    assert trace.energy == pytest.approx(np.full(51, 12 * 1.0 * 0.01))
+    again = motion_from_trace("log", trace)
+    for name, value in vars(motion).items():
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(getattr(again, name), value, err_msg=name)
+    # Without torques nobody knows the energy.
+    assert np.isnan(trace_from_motion(moved(motor_angle=angle), pupper).energy).all()
+    with pytest.raises(SurefootError, match="log log: trace: motor_angle row 3 holds inf"):
+        trace_from_motion(moved(motor_angle=np.where(np.arange(51)[:, None] == 3, np.inf, angle)), pupper)
+
+
+def test_a_deployment_sends_the_command_of_a_row_a_row_before(pupper: RobotDescription):
+    trace = trace_from_motion(moved(motor_angle=np.zeros((51, 12))), pupper)
+    motion = deployed_motion("run", trace)
+    np.testing.assert_array_equal(motion.read_time, trace.time)
+    np.testing.assert_allclose(motion.time, [0.0, *trace.time[:-1]], atol=1e-12)
+    np.testing.assert_array_equal(motion.command, trace.target)
 
 
 def test_the_published_logs_are_read(pupper: RobotDescription):
@@ -75,7 +117,9 @@ def test_read_log_refuses_arrays_of_another_shape(
 
 def test_read_log_lists_arrays_if_commands_are_missing(tmp_path: Path, pupper: RobotDescription):
     np.savez(tmp_path / "log.npz", time=np.arange(3.0), position=np.zeros((3, 12)))
-    with pytest.raises(SurefootError, match=r"has no command.*It has position, time; with other names: surefoot trace"):
+    with pytest.raises(
+        SurefootError, match=r"has no command.*It has position, time; with other names: surefoot identify import"
+    ):
         read_motion(tmp_path / "log.npz", pupper)
 
 

@@ -10,8 +10,9 @@ import pytest
 pytest.importorskip("torch")
 
 from surefoot.cli.main import main
+from surefoot.configuration import read_yaml, write_yaml
 from surefoot.errors import SurefootError
-from surefoot.learn.config import TrainConfig
+from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.folder_lock import folder_lock
 from surefoot.learn.run_folder import RunFolder, read_checkpoint
 
@@ -32,6 +33,16 @@ def test_a_damaged_run_json_is_refused(tmp_path: Path, content: str):
     (tmp_path / "run.json").write_text(content)
     with pytest.raises(SurefootError, match=r"run\.json: is damaged; it must be the JSON that surefoot wrote"):
         RunFolder.open(tmp_path)
+
+
+def test_a_run_with_the_keys_of_every_kind_of_reference_opens(tmp_path: Path):
+    """Runs of earlier versions have all of them, whatever they say."""
+    config = load_train_config("trot", "go2")
+    folder = RunFolder.create_at(config, tmp_path / "run")
+    data = read_yaml(folder.path / "config.yaml")
+    data["task"]["reference"] |= {"swing": {"amplitude": 0.2}, "file": None, "stride_gain": 1.2, "over_holes": None}
+    write_yaml(folder.path / "config.yaml", data)
+    assert RunFolder.open(folder.path)[1] == config
 
 
 def test_a_folder_that_can_t_be_made_is_refused(tmp_path: Path):

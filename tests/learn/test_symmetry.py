@@ -14,9 +14,10 @@ from surefoot.learn.symmetry import MirrorSamples, mirror_columns, mirror_name, 
 from surefoot.robot.randomization import load_ranges
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.leg_config import WaveConfig
 from surefoot.task.observation import PARTS
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference_config import ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import SineReferenceConfig
 from surefoot.world.sim_world import SimWorld
 
 
@@ -46,8 +47,7 @@ def test_a_column_without_counterpart_is_refused():
 def wave(*phase: float) -> TaskConfig:
     """A task whose reference has these phases: front left, back left, front right, back right."""
     phases = dict(zip(("front_left", "back_left", "front_right", "back_right"), phase, strict=True))
-    waves = ReferenceConfig(
-        kind="sine",
+    waves = SineReferenceConfig(
         swing=WaveConfig(amplitude=0.2, frequency=2.0, phase=phases),
         extension=WaveConfig(amplitude=0.2, frequency=2.0, phase=phases, offset=2.0),
     )

@@ -22,7 +22,6 @@ from surefoot.learn.training_loop import TrainingLoop
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import load_ranges
-from surefoot.task.reference_config import make_reference
 from surefoot.world.sim_world import SimWorld
 
 ROBOT_LEGS = RobotDescription.load("minitaur").leg_names
@@ -94,7 +93,7 @@ def test_the_table_of_a_reference_is_copied_into_the_run(tmp_path: Path) -> None
     table.unlink()
     again = RunFolder.open(path)[1].task.reference
     assert again.file == str(path / "reference.csv")
-    assert len(make_reference(again, RobotDescription.load("minitaur")).rows) == 3
+    assert len(again.make(RobotDescription.load("minitaur")).rows) == 3
 
 
 def test_another_seed_gives_another_policy(whole: TrainingLoop, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from surefoot.report.figures.runs import _mean_power, episode_plot, footfall_dia
 from surefoot.report.figures.tracking import tracking_figure
 from surefoot.robot import RobotDescription
 from surefoot.studies.comparison import Comparison
-from surefoot.studies.figures import group_figure
+from surefoot.studies.report import group_figure
 from surefoot.task.trace import EpisodeTrace
 
 pytestmark = pytest.mark.filterwarnings("error")

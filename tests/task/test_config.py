@@ -13,6 +13,8 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task, preset_names
+from surefoot.task.leg_config import WaveConfig
+from surefoot.task.reference_config import SineReferenceConfig
 
 
 def test_gallop_learns_from_scratch_and_trot_follows_a_reference():
@@ -146,6 +148,13 @@ def test_the_base_of_a_file_is_the_own_task_of_the_robot_it_names(tmp_path: Path
     robust = load_task("steer-robust", "go2")[0]
     assert load(tmp_path, "base: steer-robust\nrobot: go2\n") == replace(robust, name="mine")
     assert load(tmp_path, "base: steer\n") == replace(load_task("steer", "solo8")[0], name="mine", robot="minitaur")
+
+
+def test_a_task_with_a_reference_of_another_kind_than_its_base_drops_the_keys_of_that_kind(tmp_path: Path) -> None:
+    task = load(tmp_path, "base: trot\nrobot: go2\nreference: {kind: sine, swing: {amplitude: 0.1}}\n")
+    assert task.reference == SineReferenceConfig(swing=WaveConfig(amplitude=0.1))
+    with pytest.raises(SurefootError, match=r"reference.foot is not a key of kind sine, but of foot, follow; keys of"):
+        load(tmp_path, "base: trot\nrobot: go2\nreference: {kind: sine, foot: {height: 0.1}}\n")
 
 
 def test_a_task_lays_its_own_values_over_those_of_its_base(tmp_path: Path) -> None:

@@ -12,15 +12,16 @@ pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium")
 
 from surefoot.api.policies import find_policy
+from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
-from surefoot.policy.contract import Contract
+from surefoot.policy.contract import Contract, stated_fields
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task
-from surefoot.task.contract_mapping import make_contract, task_from_contract
+from surefoot.task.contract_mapping import contract_from_task, make_contract, task_from_contract
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.height_scan import MAP, ScanConfig
-from surefoot.task.reference_config import ReferenceConfig, make_reference
+from surefoot.task.reference_config import TableReferenceConfig
 from surefoot.task.terrain import TerrainConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -72,11 +73,31 @@ def test_a_table_comes_from_the_contract_and_not_from_its_file(tmp_path: Path):
     columns = [f"{part}_{leg}" for part in ("swing", "extension") for leg in ROBOT.leg_names]
     table = np.hstack([np.zeros((4, 4)), np.array([[1.8], [2.0], [1.9], [2.0]]) * np.ones((1, 4))])
     np.savez(tmp_path / "t.npz", **dict(zip(columns, table.T, strict=True)))
-    reference = ReferenceConfig(kind="table", file=str(tmp_path / "t.npz"), period=0.5)
+    reference = TableReferenceConfig(file=str(tmp_path / "t.npz"), period=0.5)
     contract = contract_of(TaskConfig(reference=reference))
     (tmp_path / "t.npz").unlink()
-    again = make_reference(task_from_contract(contract).reference, ROBOT)
+    again = task_from_contract(contract).reference.make(ROBOT)
     assert np.allclose(again.pose([0.125])[:, 1], 2.0)
+
+
+def test_the_fields_that_a_task_marks_stand_outside_of_the_contracts_task():
+    task = load_task("terrain-seeing", "go2")[0]
+    robot = RobotDescription.load("go2")
+    contract, whole = contract_from_task(task, robot), to_mapping(task)
+    stated = stated_fields(TaskConfig)
+    assert {name for name in whole if name not in contract.task} == {name for name in stated if "." not in name}
+    for table in ("commands", "params"):
+        missing = {f"{table}.{key}" for key in whole[table] if key not in contract.task[table]}
+        assert missing == {name for name in stated if name.partition(".")[2] in whole[table]} != set()
+
+
+@pytest.mark.parametrize(("table", "key"), [("commands", "forward"), ("params", "control_step"), ("", "history")])
+def test_a_contract_that_states_a_field_again_in_its_task_is_refused(table: str, key: str):
+    contract = PolicyRuntime.load(find_policy("go2-steer")).contract
+    task = {**contract.task, table: {**contract.task[table], key: 1}} if table else {**contract.task, key: 1}
+    name = f"task.{table}.{key}" if table else f"task.{key}"
+    with pytest.raises(SurefootError, match=f"^{name} is not a key; the contract states it outside the task"):
+        task_from_contract(replace(contract, task=task))
 
 
 def test_a_task_with_an_unknown_key_is_refused():

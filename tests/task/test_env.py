@@ -15,8 +15,9 @@ from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.leg_config import WaveConfig
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference_config import ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import SineReferenceConfig
 from surefoot.task.terminations import is_low, is_tilted
 from surefoot.world.ground import FLAT
 from surefoot.world.sim_world import SimWorld
@@ -165,7 +166,7 @@ def test_a_new_episodes_history_is_its_first_observation(make_env):
 
 def test_actions_become_motor_angles_at_the_robots_own_time(make_env):
     wave = WaveConfig(amplitude=0.3, frequency=2.0)
-    reference = ReferenceConfig(kind="sine", swing=wave, extension=WaveConfig(offset=2.0))
+    reference = SineReferenceConfig(swing=wave, extension=WaveConfig(offset=2.0))
     env = make_env(1, reference=reference, feedback=FeedbackConfig((0.0, 0.0), (0.0, 0.0)))
     env.reset()
     for k in range(5):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from resuming import assert_resumes_exactly
 
+from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
@@ -355,5 +356,5 @@ def test_legs_without_abduction_land_ahead_or_behind():
 
 def test_footholds_need_a_reference_that_follows_commands():
     task = seeing_task()
-    with pytest.raises(SurefootError, match=r"foothold_radius is not 0 and reference.kind is foot; it must be follow"):
-        replace(task, reference=replace(task.reference, kind="foot"))
+    with pytest.raises(SurefootError, match=r"reference.foothold_radius is not a key of kind foot, but of follow"):
+        from_mapping(TaskConfig, {"reference": {"kind": "foot", "foothold_radius": 0.5}}, base=task)

@@ -13,9 +13,10 @@ from surefoot.evaluation.rollout import run_episodes
 from surefoot.learn.config import load_train_config
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.handcrafted import HandcraftedGait, OpenLoop
+from surefoot.task.leg_config import FootConfig
 from surefoot.task.observation import IMU_4D
 from surefoot.task.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
-from surefoot.task.reference_config import FootConfig, ReferenceConfig
+from surefoot.task.reference_config import FootReferenceConfig
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.sim_world import SimWorld
 
@@ -25,7 +26,7 @@ TASK = TaskConfig(
     name="hand",
     observations=OBSERVATIONS,
     history=HISTORY,
-    reference=ReferenceConfig(kind="foot", foot=FOOT),
+    reference=FootReferenceConfig(foot=FOOT),
     feedback=FeedbackConfig((-0.25, 0.25), (-0.25, 0.25)),
     max_steps=250,
 )

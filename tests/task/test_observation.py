@@ -18,8 +18,9 @@ from surefoot.policy.contract import Contract
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.leg_config import WaveConfig
 from surefoot.task.observation import IMU_AND_MOTORS_12D, PARTS, Observer, gravity, phase
-from surefoot.task.reference_config import ReferenceConfig, WaveConfig
+from surefoot.task.reference_config import SineReferenceConfig
 from surefoot.world.interface import Readings
 
 WIDTHS = {
@@ -49,7 +50,7 @@ def make_env():
     def make(names: tuple[str, ...], history: int = 1) -> LocomotionEnv:
         # A period of 4 control steps: the phase of the k-th one is k quarters.
         wave = WaveConfig(amplitude=0.1, frequency=1 / 0.024)
-        reference = ReferenceConfig(kind="sine", swing=wave, extension=WaveConfig(offset=2.0))
+        reference = SineReferenceConfig(swing=wave, extension=WaveConfig(offset=2.0))
         feedback = FeedbackConfig((-0.5, 0.5), (-0.5, 0.5))
         task = TaskConfig(observations=names, history=history, reference=reference, feedback=feedback)
         return LocomotionEnv(task, 2, NumberedWorld)

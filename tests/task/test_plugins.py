@@ -20,8 +20,9 @@ from surefoot.errors import SurefootError
 from surefoot.learn.symmetry import mirror_columns
 from surefoot.policy.contract import Contract, PluginRecord
 from surefoot.task.config import TaskConfig
-from surefoot.task.contract_mapping import make_contract, plugin_notes, task_from_contract
+from surefoot.task.contract_mapping import make_contract, task_from_contract
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.leg_config import WaveConfig
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.plugins import (
     changed_plugins,
@@ -31,7 +32,8 @@ from surefoot.task.plugins import (
     remove_plugins,
     used_plugins,
 )
-from surefoot.task.reference_config import ReferenceConfig, WaveConfig
+from surefoot.task.policy_plugins import plugin_notes
+from surefoot.task.reference_config import SineReferenceConfig
 from surefoot.task.reward import TERMS
 
 HEAD = """
@@ -48,7 +50,7 @@ OBSERVATION = """
 def twice(inputs):
     return {}
 """
-TASK = TaskConfig(reference=ReferenceConfig(kind="sine", extension=WaveConfig(offset=2.0)))
+TASK = TaskConfig(reference=SineReferenceConfig(extension=WaveConfig(offset=2.0)))
 CONSTANT, TWICE = (
     TERM.format("np.full(2, 3.0)"),
     OBSERVATION.format("('twice',)", "2 * inputs.readings.motor_angle[:, :1]"),

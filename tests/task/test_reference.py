@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.foot_paths import FootPaths
 from surefoot.task.periodic_references import FootReference
-from surefoot.task.reference import Reference
+from surefoot.task.reference import Feedforward, Reference
 
 ROBOT = RobotDescription.load("minitaur")
 LEGS = ROBOT.leg_names
@@ -218,6 +218,26 @@ def test_robots_may_have_paths_of_their_own():
 
 
 @pytest.mark.parametrize("data", [{}, TROT, ROWS, FOOT])
+def test_a_reference_of_time_has_no_leads_and_follows_nothing(data):
+    reference = read_reference(data, ROBOT)
+    assert reference.feedforward == Feedforward(0.0, 0.0, 0.0)
+    assert (reference.following, reference.over_holes, reference.is_clipped) == (None, None, False)
+    assert (reference.foothold_radius, reference.touch_clearance) == (0.0, 0.0)
+    cycles = 1 / reference.period if reference.period else 0.0
+    np.testing.assert_array_equal(reference.frequency(np.zeros((3, 3))), [cycles] * 3)
+    np.testing.assert_array_equal(reference.load(), [0.25] * 4)
+
+
+def test_rates_of_a_sinusoid_are_its_derivatives():
+    reference, time = read_reference(TROT, ROBOT), np.linspace(0, 1, 17)
+    angle, sign = 4 * np.pi * time[:, None], np.array([1, -1, -1, 1])
+    # Differences over 4 and 20 ms are less by a factor of sin(x) / x, of 1e-4 and 2.6e-3.
+    np.testing.assert_allclose(reference.pose_rate(time)[:, 0], 0.3 * 4 * np.pi * np.cos(angle) * sign, atol=1e-3)
+    second = -0.3 * (4 * np.pi) ** 2 * np.sin(angle) * sign
+    np.testing.assert_allclose(reference.pose_acceleration(time)[:, 0], second, atol=0.15)
+
+
+@pytest.mark.parametrize("data", [{}, TROT, ROWS, FOOT])
 def test_to_dict_describes_the_same_reference(data):
     reference = read_reference(data, ROBOT)
     again = read_reference(reference.to_dict(), ROBOT)
@@ -247,6 +267,15 @@ def test_to_dict_describes_the_same_reference(data):
             {"kind": "sine", "swing": {"phase": DIAGONAL | {"tail": 0.0}}},
             ["reference.swing.phase.tail is not a key", "choices: front_left"],
         ),
+        (
+            TROT | {"foot": {"height": 0.1}},
+            ["reference.foot is not a key of kind sine, but of foot, follow", "kind, abduction, swing, extension"],
+        ),
+        (
+            {"swing": {"amplitude": 0.1}},
+            ["swing is not a key of kind none, but of sine; keys of kind none: kind"],
+        ),
+        (FOOT | {"weight_feedforward": 1.0}, ["reference.weight_feedforward is not a key of kind foot, but of follow"]),
         (foot(stroke={"front_left": 0.1}), ["reference.foot.stroke lacks back_left"]),
         (foot(stroke=1e300), ["reference.foot.stroke is 1e+300", "10 or less"]),
         (foot(duty_factor=1.0), ["reference.foot.duty_factor is 1", "0.95 or less"]),

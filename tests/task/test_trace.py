@@ -152,6 +152,8 @@ def test_bad_arrays_are_refused(name: str, value: np.ndarray, match: str) -> Non
         ({"energy_weight": "much"}, "meta.energy_weight is 'much'; it must be a number"),
         ({"leg_names": ["a", "a", "b", "c"]}, "leg_names"),
         ({"params": {"f": lambda: None}}, "JSON"),
+        ({"lead": "early"}, "trace: meta.lead is 'early'; it must be a number or nothing"),
+        ({"missed_steps": [0.5]}, r"meta.missed_steps\[0\] is 0.5; it must be a whole number"),
     ],
 )
 def test_bad_meta_is_refused(change: dict[str, Any], match: str) -> None:
@@ -212,7 +214,7 @@ def test_other_files_are_refused(tmp_path: Path, saved: Path) -> None:
     meta = EpisodeTrace.load(saved).meta
     deep = json.dumps({**meta, "params": {}}).replace('"params": {}', f'"params": {{"a": {"[" * 900}{"]" * 900}}}')
     np.savez(other, meta=np.array(deep))
-    with pytest.raises(SurefootError, match="not an episode trace: its meta is nested too deep"):
+    with pytest.raises(SurefootError, match="meta is nested too deep"):
         EpisodeTrace.load(other)
     rewrite(saved, energy=None)
     with pytest.raises(SurefootError, match="missing or unknown energy"):

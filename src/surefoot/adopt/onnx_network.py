@@ -97,11 +97,14 @@ class OnnxNetwork:
             for one, values in zip(self._inputs, inputs, strict=True):
                 feed[one.name] = values[row].reshape([size or 1 for size in _shape(one)])
             for mine, theirs in zip(translated, run_model(self._data, feed), strict=False):
-                difference = np.abs(mine[row] - theirs.ravel()) / np.maximum(1.0, np.abs(theirs.ravel()))
-                if not difference.max() <= _TOLERANCE:
-                    raise SurefootError(
-                        f"the network was not understood: its translation differs by {difference.max():.2g}"
-                    )
+                check_translation(mine[row], theirs.ravel())
+
+
+def check_translation(mine: NDArray[Any], theirs: NDArray[Any]) -> None:
+    """Refuse a translation whose numbers differ from those of the network itself."""
+    difference = np.abs(mine - theirs) / np.maximum(1.0, np.abs(theirs))
+    if not difference.max() <= _TOLERANCE:
+        raise SurefootError(f"the network was not understood: its translation differs by {difference.max():.2g}")
 
 
 def read_model(data: bytes) -> onnx.ModelProto:
@@ -341,22 +344,23 @@ def _clip(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequen
     return [Value(graph.clip(_value(inputs[0]).name, *ends), inputs[0].width)]
 
 
-def _norm(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequence[Item]:
+def _columns_of(inputs: list[Any], attributes: dict[str, Any]) -> Value:
+    """Return the value whose columns become one number, which keeps its axis."""
     axes = attributes.get("axes", inputs[1] if len(inputs) > 1 else None)
     if axes is None or np.size(axes) != 1 or not attributes.get("keepdims", 1):
         raise _UnknownUseError("it is not over the columns alone")
     _axis_is_last(int(np.ravel(axes)[0]))
-    return [graph.norm(_value(inputs[0]))]
+    return _value(inputs[0])
+
+
+def _norm(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequence[Item]:
+    return [graph.norm(_columns_of(inputs, attributes))]
 
 
 def _sum(scale: bool) -> Operator:
     def apply(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequence[Item]:
-        axes = attributes.get("axes", inputs[1] if len(inputs) > 1 else None)
-        if axes is None or np.size(axes) != 1 or not attributes.get("keepdims", 1):
-            raise _UnknownUseError("it is not over the columns alone")
-        _axis_is_last(int(np.ravel(axes)[0]))
-        width = _value(inputs[0]).width
-        return [graph.linear(inputs[0].name, np.full((width, 1), 1.0 / width if scale else 1.0))]
+        value = _columns_of(inputs, attributes)
+        return [graph.linear(value.name, np.full((value.width, 1), 1.0 / value.width if scale else 1.0))]
 
     return apply
 

@@ -17,14 +17,13 @@ from typing import Any
 import numpy as np
 
 from surefoot.adopt import sandbox
-from surefoot.adopt.onnx_network import OnnxNetwork, run_model
+from surefoot.adopt.onnx_network import OnnxNetwork, check_translation, run_model
 from surefoot.errors import SurefootError
 from surefoot.policy.network import MAX_BYTES
 
 _TIMEOUT = 180
 """Longest time of the process [s]; torch takes some seconds to load."""
 _SAMPLES = 16
-_TOLERANCE = 1e-4
 _TRUSTED = "trusted"
 
 
@@ -83,9 +82,7 @@ def _check_samples(network: OnnxNetwork, samples: Any, model: bytes) -> None:
     columns = np.split(samples.reshape(-1, sum(widths)), np.cumsum(widths)[:-1], axis=1)
     results = run_model(model, dict(zip(names, columns, strict=False)))
     for mine, theirs in zip(results, columns[len(ends) :], strict=True):
-        difference = np.abs(mine - theirs) / np.maximum(1.0, np.abs(theirs))
-        if not difference.max() <= _TOLERANCE:
-            raise SurefootError(f"the network was not understood: its translation differs by {difference.max():.2g}")
+        check_translation(mine, theirs)
 
 
 def main(words: list[str]) -> int:

@@ -18,8 +18,9 @@ from surefoot.policy.runtime import PolicyRuntime
 from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig
-from surefoot.task.contract_mapping import plugin_notes, task_from_contract
+from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.handcrafted import HandcraftedGait
+from surefoot.task.policy_plugins import plugin_notes
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 

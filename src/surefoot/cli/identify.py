@@ -13,7 +13,7 @@ from typing import Annotated
 
 from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
 from surefoot.cli.helpers.options import Json, Seed, check_folder, check_suffix
-from surefoot.cli.helpers.output import next_command, print_json, run_action, table_lines
+from surefoot.cli.helpers.output import Actions, next_command, print_json, run_action, table_lines
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, suggest
@@ -28,7 +28,7 @@ STOPPED = 3
 RECORDING = "recording.npz"
 RUNS = Path("runs/identify")
 TRACE = "--trace"
-ACTIONS = {
+ACTIONS: Actions = {
     "replay": ("replay a recorded run in simulation, and compare", "surefoot.cli.identify_replay"),
     "import": ("make a trace of a log that others recorded: NPZ, CSV, pickle, MCAP or ROS bag",
                "surefoot.cli.identify_import"),

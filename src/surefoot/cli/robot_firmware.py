@@ -12,7 +12,7 @@ import tyro
 from surefoot.cli.doctor import FAILED, print_result
 from surefoot.cli.helpers.link_options import SerialOptions
 from surefoot.cli.helpers.options import Port, Yes, ask_to_move, check_terminal
-from surefoot.cli.helpers.output import make_console, next_command, run_action
+from surefoot.cli.helpers.output import Actions, make_console, next_command, run_action
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.deploy.doctor.duty_check import MAX_DUTY, try_duty
@@ -99,7 +99,7 @@ def _motor(argv: list[str]) -> int:
     return 0 if result.passed else FAILED
 
 
-ACTIONS = {
+ACTIONS: Actions = {
     "new": ("write the firmware of a robot as a folder of C", _new),
     "motor": ("turn one motor a little, without a servo", _motor),
 }

@@ -13,7 +13,7 @@ import tyro
 
 from surefoot.api.policies import POLICY, find_policy, shipped_policies
 from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, check_suffix
-from surefoot.cli.helpers.parsing import parse, positional_words
+from surefoot.cli.helpers.parsing import options, parse, positional_words
 from surefoot.cli.helpers.simulator import RunOptions
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, choices, quote
@@ -78,7 +78,14 @@ def main(argv: list[str]) -> int:
     words = positional_words(argv, ShowPolicyCommand, ShowRunsCommand)
     if not words:
         return _print_help(argv)
-    return _show_runs(argv) if _is_recorded(words[0]) else _show_policy(argv)
+    is_recorded = _is_recorded(words[0])
+    kinds = [options(kind) for kind in (ShowRunsCommand, ShowPolicyCommand)]
+    own, other = kinds if is_recorded else reversed(kinds)
+    for name in (word.partition("=")[0] for word in argv):
+        if name in other and name not in own:
+            what = "recorded run" if is_recorded else "policy"
+            raise SurefootError(f"{name} does not go with {words[0]}, a {what}; for every option: surefoot show --help")
+    return _show_runs(argv) if is_recorded else _show_policy(argv)
 
 
 def _print_help(argv: list[str]) -> int:

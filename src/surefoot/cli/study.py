@@ -16,7 +16,7 @@ from surefoot.cli.helpers.output import Actions, make_console, run_action
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Seed
-from surefoot.errors import SurefootError, prefix_errors
+from surefoot.errors import SurefootError, prefix_errors, suggest
 from surefoot.learn.config import Steps
 from surefoot.studies.study_config import StudyConfig, load_study, study_runs
 from surefoot.studies.training import Training
@@ -56,8 +56,11 @@ class StudyCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     word = argv[0] if argv else ""
-    is_file = word.endswith((".yaml", ".yml")) or Path(word).is_file()
-    return _run(argv) if word and word not in ACTIONS and is_file else run_action(argv, "study", ACTIONS)
+    if word in ("", "-h", "--help") or word in ACTIONS:
+        return run_action(argv, "study", ACTIONS)
+    if not word.startswith("-") and not word.endswith((".yaml", ".yml")) and not Path(word).is_file():
+        raise SurefootError(f"'{word}' is neither the file of a study (.yaml) nor an action; {suggest(word, ACTIONS)}")
+    return _run(argv)
 
 
 def _run(argv: list[str]) -> int:

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import shlex
+import sys
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
-from surefoot.cli.helpers.options import Ray, Workers, check_folder, check_suffix
-from surefoot.cli.helpers.paper_runs import PAGE, QUICK_NOTE, PaperRuns, make_all, run_script
+from surefoot.cli.helpers.options import Ray, Workers, check_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
+
+RUNS = Path("docs/paper_runs.py")
+"""Module of a clone that writes the page and makes what it shows."""
 
 
 @dataclass(frozen=True)
 class PaperCommand:
     """Write one page with every table, figure and number of the paper, each beside surefoot's.
 
-    The page is one HTML file that loads nothing from elsewhere. A clone's docs/paper_page.py writes it, of the results
-    in the clone.
-    With --quick or --full it makes results anew, in a folder of their own: every training, search and evaluation.
-    Ctrl-C stops; the same command goes on.
+    The page is one HTML file that loads nothing from elsewhere. It reads the results that a clone of surefoot holds,
+    by the clone's own docs/paper_runs.py. With --quick or --full results are made anew, in a folder of their own:
+    every training, search and evaluation. Ctrl-C stops; the same command goes on.
     """
 
     root: Path = Path()
@@ -40,24 +43,12 @@ def main(argv: list[str]) -> int:
     command = parse(PaperCommand, argv, "surefoot study paper")
     if not (command.quick or command.full):
         check_suffix("out", command.out, ".html")
-    if not (command.root / PAGE).is_file():
-        raise SurefootError(f"root is {command.root}; it must be a clone of surefoot, with {PAGE}")
+        if command.workers or command.ray:
+            raise SurefootError("--workers and --ray go with --quick or --full, and neither is given")
+    if not (command.root / RUNS).is_file():
+        raise SurefootError(f"root is {command.root}; it must be a clone of surefoot, with {RUNS}")
     if command.quick and command.full:
         raise SurefootError("--quick and --full are given; give one of them, or neither")
-    root, page, note = command.root, command.out or Path("paper.html"), ""
-    if command.quick or command.full:
-        from surefoot.studies.workers import check_address
-
-        check_address(command.ray)
-        root = (command.out or Path("paper-quick" if command.quick else "paper-full")).resolve()
-        check_folder(root)
-        page = root / "paper.html"
-        runs = PaperRuns(command.root.resolve(), root, command.quick, command.workers, command.ray)
-        if not make_all(runs):
-            runs.console.print(f"Stopped. To go on:\n  {shlex.join(['surefoot', 'study', 'paper', *argv])}")
-            return 130
-        note = QUICK_NOTE if command.quick else ""
-    elif command.workers or command.ray:
-        raise SurefootError("--workers and --ray go with --quick or --full, and neither is given")
-    print(run_script(command.root / PAGE, "--root", root, "--out", page, "--note", note), end="")
-    return 0
+    sys.path.insert(0, str((command.root / RUNS).resolve().parent))
+    code: int = import_module(RUNS.stem).main(command, shlex.join(["surefoot", "study", "paper", *argv]))
+    return code

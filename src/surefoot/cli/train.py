@@ -17,10 +17,12 @@ from surefoot.cli.helpers.output import make_console, next_command, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
+from surefoot.configuration import field_bounds, from_mapping
 from surefoot.errors import SurefootError, choices, suggest
 from surefoot.learn.config import LoggerName, Steps, TrainConfig, load_train_config
-from surefoot.task.config import preset_names
+from surefoot.task.config import TaskConfig, preset_names
 from surefoot.task.plugins import load_plugins
+from surefoot.task.reference_config import REFERENCES
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,6 +38,8 @@ TASK is {tasks}, or the path of a YAML file.
 
 Besides the options that the last one lists:
 {ranges}"""
+
+_REFERENCE = "--task.reference."
 
 
 def main(argv: list[str]) -> int:
@@ -113,9 +117,12 @@ class TrainCommand(ViewOptions, TrainConfig):
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     """Return the configuration of the arguments, with the task's values as defaults, and the command."""
-    # The defaults of the other options depend on these two.
+    # The other options and their defaults depend on these three.
     load_plugins(_option_values(argv, "--plugin"))
     base = load_train_config(argv[0], next(reversed(_option_values(argv, "--robot")), None))
+    for kind in _option_values(argv, f"{_REFERENCE}kind")[-1:]:
+        base = replace(base, task=from_mapping(TaskConfig, {"reference": {"kind": kind}}, base=base.task))
+    _check_reference_options(argv, base.task.reference.kind)
     words, range_options = take_ranges(argv[1:])
     ranges = range_options.apply(base.task.robot, base.task.randomize)
     # Ranges have options of their own: tyro's would take any count of numbers.
@@ -125,6 +132,18 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     pushes = replace(task.pushes, enabled=task.pushes.enabled or command.pushes)
     task = replace(task, pushes=pushes, randomize=ranges)
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
+
+
+def _check_reference_options(argv: list[str], kind: str) -> None:
+    """Reject options of another kind of reference than the task's."""
+    for name in [word.partition("=")[0] for word in argv if word.startswith(_REFERENCE)]:
+        key = name.removeprefix(_REFERENCE).partition(".")[0].replace("-", "_")
+        kinds = [option.kind for option in REFERENCES if key in field_bounds(option)]
+        if kinds and kind not in kinds:
+            raise SurefootError(
+                f"{name} is an option of references of kind {choices(kinds)}, and the task's is of kind {kind}; to "
+                f"change the kind: {_REFERENCE}kind {kinds[0]}"
+            )
 
 
 def _option_values(argv: list[str], option: str) -> list[str]:

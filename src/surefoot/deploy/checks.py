@@ -12,9 +12,10 @@ from surefoot.deploy.messages import Handshake
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
-from surefoot.task.contract_mapping import check_plugins, task_from_contract
+from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.height_scan import MAP
 from surefoot.task.observation import PARTS, Observer
+from surefoot.task.policy_plugins import check_plugins
 
 Gains = float | Sequence[float] | Array
 """A gain of all motors, or one for each."""

@@ -16,8 +16,8 @@ from surefoot.deploy.robot_link import LinkStatistics
 from surefoot.emulator.capture_writer import PERIOD
 from surefoot.emulator.fault_table import InjectedFault
 from surefoot.emulator.faults import FaultInjector
-from surefoot.emulator.host_link import HostLink
 from surefoot.emulator.plant import Plant
+from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
 BOOT_TIME = 200_000
 """Time [us] that a microcontroller takes to start."""
@@ -60,7 +60,7 @@ class EmulatedBoard(ABC):
     firmware: BoardProgram
 
     def __init__(
-        self, plant: Plant, link: HostLink, faults: dict[str, InjectedFault] | None = None, stride: int = 1
+        self, plant: Plant, link: SerialHostLink, faults: dict[str, InjectedFault] | None = None, stride: int = 1
     ) -> None:
         faults = faults or {}
         self.stride = stride if not faults and plant.servo_every == 1 else 1
@@ -199,7 +199,7 @@ class Board(EmulatedBoard):
         self,
         plant: Plant,
         handshake: Handshake,
-        link: HostLink,
+        link: SerialHostLink,
         limits: Limits,
         faults: dict[str, InjectedFault] | None = None,
         stride: int = 1,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,7 @@ from surefoot.arrays import Array
 from surefoot.deploy.board.signals import MotorOrder, Sensors
 from surefoot.deploy.messages import Handshake, Mode, Packet, State
 from surefoot.emulator.fault_table import HARMS, InjectedFault
-
-if TYPE_CHECKING:
-    from surefoot.emulator.plant import Plant
+from surefoot.emulator.plant import Plant
 
 TILT_FORCE, TILT_TIME = 1.1, 0.4
 """Force of the push that topples a robot, over its weight, and its duration [s]."""

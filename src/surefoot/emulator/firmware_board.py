@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from surefoot.deploy.board.signals import MotorOrder
 from surefoot.deploy.messages import Mode
@@ -11,9 +10,7 @@ from surefoot.emulator.board import EmulatedBoard
 from surefoot.emulator.fault_table import InjectedFault
 from surefoot.emulator.firmware_process import FirmwareProcess
 from surefoot.emulator.plant import Plant
-
-if TYPE_CHECKING:
-    from surefoot.emulator.serial.serial_host_link import SerialHostLink
+from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
 
 class FirmwareBoard(EmulatedBoard):
@@ -31,8 +28,7 @@ class FirmwareBoard(EmulatedBoard):
     def __init__(
         self, plant: Plant, program: Path, link: SerialHostLink, faults: dict[str, InjectedFault] | None = None
     ) -> None:
-        self._program, self._line = program, link
-        self._fed = 0
+        self._program, self._fed = program, 0
         super().__init__(plant, link, faults)
 
     def counts(self) -> list[str]:
@@ -44,7 +40,7 @@ class FirmwareBoard(EmulatedBoard):
         self.firmware.share_priority()
 
     def _receive(self) -> None:
-        self.firmware.receive(self.now, self._line.inbound.take())
+        self.firmware.receive(self.now, self.link.inbound.take())
 
     def _decide(self) -> MotorOrder:
         now = self.plant.ticks * self._step

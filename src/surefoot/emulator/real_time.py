@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from surefoot.deploy.board.signals import microseconds
-from surefoot.emulator.host_link import Transport
 from surefoot.emulator.plant import Plant
 
 BEHIND = 10_000
@@ -23,6 +22,19 @@ _MAX_STRIDE = 4_000
 _REPORT_EVERY = 1.0
 _PAUSE = 1e-3
 """Pause [s] when robot time slips: a process that has priority over all others must not keep the processor."""
+
+
+class Transport(Protocol):
+    """What a loop that advances a robot needs of its link. Times are whole microseconds on the robot's clock."""
+
+    def poll(self, now: int) -> None:
+        """Put what hosts have written on its way to the robot."""
+
+    def flush(self, now: int) -> None:
+        """Hand over to hosts what has reached them by now."""
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until hosts have written something, at most `timeout` [s]; return whether they have."""
 
 
 class EmulatedRobot(Protocol):

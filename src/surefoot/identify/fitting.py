@@ -5,9 +5,8 @@ A fit has intervals that allow for residuals that correlate in time, correlation
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from mujoco import minimize
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.identify.model import Unknown
+from surefoot.identify.model import ReplayModel, Unknown
 
 MIN_GAIN = 1e-5
 """Relative decrease of the cost that a step must promise; less ends the fit."""
@@ -28,23 +27,6 @@ MAX_ITERATIONS = 25
 
 class _ConvergedError(Exception):
     """Raised from within the solver: its own tolerances are finer than finite differences of a simulation."""
-
-
-class Model(Protocol):
-    """A model that can be fitted, such as `ReplayModel`."""
-
-    unknowns: Sequence[Unknown]
-    """n numbers to estimate."""
-    blocks: NDArray[np.int64]
-    """Number of the block of time of each residual (m,): residuals of different blocks are independent."""
-
-    def residuals(self, values: Array) -> Array:
-        """Return the residuals (K, m) of K candidates (K, n), each in standard deviations of its noise."""
-        ...
-
-    def affected(self, unknown: int) -> NDArray[np.bool_] | None:
-        """Return which residuals (m,) a coloured unknown affects; None: all."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -85,7 +67,7 @@ class Fit:
         ]
 
 
-def forward_jacobian(model: Model, values: Array, residuals: Array) -> Array:
+def forward_jacobian(model: ReplayModel, values: Array, residuals: Array) -> Array:
     """Return derivatives (m, n) by forward differences, with one candidate for all unknowns of a colour."""
     unknowns = model.unknowns
     colours: dict[int, list[int]] = {}
@@ -106,7 +88,7 @@ def forward_jacobian(model: Model, values: Array, residuals: Array) -> Array:
 
 
 def fit_least_squares(
-    model: Model, start: Array | None = None, report: Callable[[int, float], None] | None = None
+    model: ReplayModel, start: Array | None = None, report: Callable[[int, float], None] | None = None
 ) -> Fit:
     """Minimize the sum of squared residuals of a model within bounds, priors counted as residuals.
 

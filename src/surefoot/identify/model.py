@@ -83,7 +83,7 @@ class Observations:
 
 
 class ReplayModel:
-    """Residuals of candidates against observations; a `fitting.Model`.
+    """Residuals of candidates against observations: what `fitting.fit_least_squares` fits.
 
     Args:
         unknowns: what is to be estimated.
@@ -113,6 +113,7 @@ class ReplayModel:
                 for k, one in enumerate(observations)
             ]
         )
+        """Number of the block of time of each residual (m,): residuals of different blocks are independent."""
 
     def _select(self, number: int, values: NDArray[np.int64]) -> NDArray[np.int64]:
         compared = self._compared[number]

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from surefoot.configuration import from_mapping, read_yaml, write_yaml
+from surefoot.configuration import from_mapping, keys_of_kind, read_yaml, write_yaml
 from surefoot.errors import prefix_errors
 from surefoot.files import atomic_write
 from surefoot.learn.config import TrainConfig
 from surefoot.robot import RobotDescription
 from surefoot.robot.archive import copy_robot
+from surefoot.task.reference_config import REFERENCES, TableReferenceConfig
 
 ROBOT = "robot"
 """Folder with a copy of a robot that does not ship, and then `task.robot` of the file."""
@@ -30,7 +31,7 @@ def write_run_config(config: TrainConfig, folder: Path) -> None:
     if not robot.ships:
         copy_robot(robot.folder, folder / ROBOT)
         task = replace(task, robot=ROBOT)
-    if (file := task.reference.file) is not None:
+    if isinstance(task.reference, TableReferenceConfig) and (file := task.reference.file) is not None:
         name = f"{_TABLE}{Path(file).suffix}"
         atomic_write(folder / name, Path(file).read_bytes())
         task = replace(task, reference=replace(task.reference, file=name))
@@ -47,8 +48,9 @@ def read_run_config(folder: Path) -> TrainConfig:
     task = config.task
     if task.robot == ROBOT and (here / ROBOT).is_dir():
         task = replace(task, robot=str(here / ROBOT))
-    file = task.reference.file
-    if file is not None and Path(file).stem == file.rpartition(".")[0] == _TABLE and (here / file).is_file():
+    file = task.reference.file or ""
+    is_copy = Path(file).stem == file.rpartition(".")[0] == _TABLE and (here / file).is_file()
+    if is_copy and isinstance(task.reference, TableReferenceConfig):
         task = replace(task, reference=replace(task.reference, file=str(here / file)))
     return replace(config, task=task)
 
@@ -66,5 +68,8 @@ def set_steps(folder: Path, steps: int) -> None:
 
 def _read(folder: Path) -> TrainConfig:
     data = read_yaml(folder / _CONFIG)
+    if isinstance(task := data.get("task"), dict) and "reference" in task:
+        # Runs of earlier versions have the keys of all kinds.
+        task["reference"] = keys_of_kind(REFERENCES, task["reference"])
     with prefix_errors(folder / _CONFIG):
         return from_mapping(TrainConfig, data)

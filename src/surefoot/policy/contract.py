@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
@@ -26,6 +27,24 @@ MEMORY = "memory"
 MAX_MEMORY = 4096
 MEMORY_RANGE = 1e6
 """Greatest number that a policy keeps."""
+
+
+@dataclass(frozen=True)
+class Stated:
+    """Mark of a task's field that is the policy's interface: the contract states it itself, or some keys of it."""
+
+    keys: tuple[str, ...] = ()
+    """Keys of the table that are stated; none: the whole field is."""
+
+
+def stated_fields(kind: type) -> set[str]:
+    """Return the dotted names of a dataclass's fields, and of keys in them, that are marked as `Stated`."""
+    hints = typing.get_type_hints(kind, include_extras=True)
+    marks = [(name, mark) for name, hint in hints.items() for mark in getattr(hint, "__metadata__", ())]
+    stated = [(name, mark.keys) for name, mark in marks if isinstance(mark, Stated)]
+    return {part for name, keys in stated for part in ([f"{name}.{key}" for key in keys] or [name])}
+
+
 _TURN = Within(-2 * math.pi, 2 * math.pi)
 Angle = Annotated[float, _TURN]
 Latency = Annotated[float, Within(0, 1)]
@@ -104,7 +123,7 @@ class Contract:
     high: Annotated[tuple[float, ...], Within(-MEMORY_RANGE, MEMORY_RANGE)]
     """Greatest feedback, one an action."""
     reference: dict[str, Any] | None
-    """The open loop part of the gait, as `ReferenceConfig` reads it; None: zero at all times."""
+    """The open loop part of the gait, as a task's `reference`; None: zero at all times."""
     rest: tuple[Angle | tuple[Angle, ...], ...]
     """Pose of the legs in leg space in which an episode starts: each coordinate of all legs or of each."""
     control_step: Annotated[float, Within(1e-4, 1)]

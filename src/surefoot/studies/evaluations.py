@@ -74,6 +74,12 @@ class EvaluationRun:
     settings: dict[str, Any]
     threads: int
 
+    @classmethod
+    def load(cls, policy: Path, settings: dict[str, Any], threads: int = 0) -> EvaluationRun:
+        """Return an evaluation of a policy file on the policy's own task and robot."""
+        runtime = PolicyRuntime.load(policy)
+        return cls(runtime, task_from_contract(runtime.contract, runtime.load_robot()), settings, threads)
+
     def run(self, task: TaskConfig, world: str) -> list[EpisodeTrace]:
         """Run episodes of a task in a world."""
         how = (self.settings["episodes"], find_world(world), self.settings["seed"], self.threads)
@@ -281,9 +287,8 @@ def evaluate(policy: Path, name: str, threads: int = 0) -> Result:
     """
 
     def compute() -> Result:
-        runtime, kind = PolicyRuntime.load(policy), EVALUATIONS[name]
-        task = task_from_contract(runtime.contract, runtime.load_robot())
-        result, stored = kind.run(EvaluationRun(runtime, task, kind.settings, threads))
+        kind = EVALUATIONS[name]
+        result, stored = kind.run(EvaluationRun.load(policy, kind.settings, threads))
         # Traces before the result, so that a result never lacks them.
         for world, traces in stored.items():
             save_runs(_result_path(policy, name).with_suffix("") / world, traces)

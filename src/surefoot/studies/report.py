@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from surefoot.evaluation.statistics import decimal
+import numpy as np
+import pandas as pd
+
+from surefoot.evaluation.statistics import Interval, decimal
 from surefoot.files import atomic_write
 from surefoot.report.figures.runs import footfall_diagram
+from surefoot.report.figures.style import BLUE, GREEN, ORANGE, QUIET, capital, heading, new_figure, place_labels
 from surefoot.studies.evaluations import load_gait_trace
+from surefoot.studies.search_space import short_name
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from surefoot.studies.comparison import Comparison
+    from surefoot.studies.search_result import SearchResult
+
+_COLORS = {"complete": BLUE, "pruned": ORANGE}
 
 
 def write_readme(folder: Path, title: str, command: str, parts: Iterable[str], files: Mapping[str, str]) -> Path:
@@ -48,3 +61,97 @@ def stride_cells(result: Mapping[str, Any]) -> dict[str, str]:
         heading: decimal(math.nan if result[name] is None else result[name])
         for heading, name in (("stride (s)", "stride"), ("duty factor", "duty"))
     }
+
+
+def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str]) -> Path:
+    """Draw the figures in `names` of every group as bars: mean over seeds, its interval of 95 %, each seed as a dot."""
+    figures = [figure for figure in comparison.figures if figure.name in names]
+    groups = comparison.groups
+    with new_figure(path, (3.4 * len(figures), 1.5 + 0.55 * len(groups)), columns=len(figures)) as (picture, axes):
+        for ax, figure in zip(axes, figures, strict=True):
+            for row, group in enumerate(groups):
+                values = comparison.of_group(group)[figure.name]
+                _group_bar(ax, row, comparison.interval(group, figure), values, f"C{row}")
+            ax.set_title(capital(figure.heading))
+            ax.set_ylim(len(groups) - 0.4, -0.6)
+            place_labels(
+                ax, [comparison.study.label(group) if ax is axes[0] else "" for group in groups], vertical=True
+            )
+            ax.axvline(0.0, color=QUIET, linewidth=0.8)
+            if figure.unit == "%":
+                # Room for the dot of a share of 100 %.
+                ax.set_xlim(0.0, min(max(ax.get_xlim()[1], 5.0), 103.0))
+        heading(picture, "Mean over seeds, 95 % confidence interval, and each seed as a dot")
+    return Path(path)
+
+
+def _group_bar(ax: Axes, row: int, interval: Interval, values: pd.Series, color: str) -> None:
+    ax.barh(row, interval.mean, height=0.62, color=color, alpha=0.28, linewidth=0)
+    if interval.is_finite:
+        half = [[interval.mean - interval.low], [interval.high - interval.mean]]
+        ax.errorbar(interval.mean, row, xerr=half, fmt="|", color=color, capsize=4.0, markersize=9.0, linewidth=1.6)
+    lane = np.full(len(values), row + 0.2)
+    ax.plot(values, lane, "o", color=color, markersize=4.5, markeredgecolor="white", markeredgewidth=0.6, clip_on=False)
+
+
+def search_figure(result: SearchResult, path: Path) -> None:
+    """Draw returns of trials in order, their evaluations in training, and the distribution of returns."""
+    trials, steps = result.trials, result.config.train.steps
+    scale, unit = (1e6, "million ") if steps >= 2e5 else (1.0, "")
+    with new_figure(path, (11.0, 3.8), columns=3) as (figure, (order, curves, spread)):
+        parts = [trials[trials.state == state] for state in _COLORS]
+        for part, (state, color) in zip(parts, _COLORS.items(), strict=True):
+            order.plot(part.trial, part["return"], "o", color=color, markersize=4.0, label=state)
+            for curve in part.curve:
+                curves.plot(*(np.array(curve) / [scale, 1.0]).T, color=color, alpha=0.5, linewidth=0.8)
+        so_far = trials["return"].where(trials.state == "complete").cummax().ffill()
+        order.step(trials.trial, so_far, where="post", color=GREEN, linewidth=1.2, label="best so far")
+        order.set_title("Return at the end (m)")
+        order.set_xlabel("trial")
+        order.locator_params(axis="x", integer=True)
+        curves.set_title("Return in training (m)")
+        curves.set_xlabel(f"{unit}control steps")
+        returns, colors = [part["return"].dropna() for part in parts], list(_COLORS.values())
+        spread.hist(returns, bins=20, stacked=True, color=colors, label=list(_COLORS))
+        spread.set_title("Trials by return (m)")
+        spread.set_xlabel("return (m)")
+        figure.legend(*order.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        heading(figure, f"Search: {result.config.train.task.name}, {len(trials)} trials")
+
+
+def settings_figure(result: SearchResult, path: Path) -> None:
+    """Draw the return of every trial that has a policy against each field, the most important first."""
+    trials = result.trials[result.trials.policy.notna()]
+    names = list(dict.fromkeys([*result.importance, *result.config.space]))
+    columns = min(4, len(names))
+    rows = -(-len(names) // columns)
+    with new_figure(path, (2.9 * columns, 1.0 + 2.3 * rows), rows=rows, columns=columns) as (figure, axes):
+        for ax, name in zip(axes, names, strict=False):
+            _against(ax, trials, name)
+            importance = f" ({result.importance[name]:.2f})" if name in result.importance else ""
+            ax.set_title(short_name(name) + importance, fontsize=8.0)
+        for ax in axes[len(names) :]:
+            ax.set_axis_off()
+        handles = {label: line for ax in axes for line, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=2)
+        heading(figure, "Return (m) against each field; in brackets: its importance")
+
+
+def _against(ax: Axes, trials: pd.DataFrame, name: str) -> None:
+    """Draw returns against a field: on an axis of names where values are not numbers."""
+    values = list(trials[name])
+    if any(isinstance(value, str) for value in values):
+        labels = sorted({str(value) for value in values}, key=lambda text: (len(text), text))
+        places = np.array([labels.index(str(value)) for value in values], np.float64)
+        place_labels(ax, labels)
+        ax.set_xlim(-0.5, len(labels) - 0.5)
+    else:
+        places = np.array(values, np.float64)
+        if places.min() > 0 and places.max() > 8 * places.min():
+            ax.set_xscale("log")
+            ax.xaxis.set_minor_formatter("")
+    for state, color in _COLORS.items():
+        of_state = (trials.state == state).to_numpy()
+        returns = trials["return"][of_state]
+        ax.plot(places[of_state], returns, "o", color=color, markersize=3.5, alpha=0.7, label=state)
+    ax.tick_params(colors=QUIET, labelsize=7.0)

@@ -9,8 +9,7 @@ import pandas as pd
 
 from surefoot.evaluation.runs import summarize_runs
 from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
-from surefoot.studies.figures import search_figure, settings_figure
-from surefoot.studies.report import gait_image, image, stride_cells, write_readme
+from surefoot.studies.report import gait_image, image, search_figure, settings_figure, stride_cells, write_readme
 from surefoot.studies.search_result import SearchResult, sort_trials
 from surefoot.studies.search_space import short_name
 from surefoot.tables import markdown, write_csv

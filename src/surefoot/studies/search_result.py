@@ -13,16 +13,12 @@ import pandas as pd
 
 from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import away_task
-from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.evaluation.statistics import Interval, t_interval
-from surefoot.policy.runtime import PolicyRuntime
-from surefoot.studies.evaluations import Result, cached_result, evaluate
+from surefoot.studies.evaluations import EvaluationRun, Result, cached_result, evaluate
 from surefoot.studies.search import Search, SearchConfig
 from surefoot.studies.search_space import get
-from surefoot.task.contract_mapping import task_from_contract
 from surefoot.world.process_world import worker_pool
-from surefoot.world.registry import find_world
 
 _TOP = 3
 """Number of best trials that are evaluated in fresh episodes."""
@@ -125,15 +121,14 @@ def _fresh_runs(search: Search, path: Path) -> pd.DataFrame:
     reward = search.config.train.task.reward
 
     def run(world: str) -> pd.DataFrame:
+        settings = {"world": world, "episodes": _EPISODES, "seed": _SEED, "reward": reward}
+
         def compute() -> Result:
-            policy = PolicyRuntime.load(path)
-            task = replace(task_from_contract(policy.contract, policy.load_robot()), reward=reward)
-            task = replace(task, pushes=replace(task.pushes, enabled=False))
-            task = task if world == "mujoco" else away_task(task)
-            traces = run_episodes(policy, task, _EPISODES, find_world(world), _SEED, world_name=world)
+            run = EvaluationRun.load(path, settings)
+            task = replace(run.task, reward=reward, pushes=replace(run.task.pushes, enabled=False))
+            traces = run.run(task if world == "mujoco" else away_task(task), world)
             return {"runs": measure_runs(traces).to_dict("list")}
 
-        settings = {"world": world, "episodes": _EPISODES, "seed": _SEED, "reward": reward}
         return pd.DataFrame(cached_result(path, f"fresh_{world}", settings, compute)["runs"])
 
     worlds = ("mujoco", "bullet") if find_spec("pybullet") is not None else ("mujoco",)

@@ -16,8 +16,7 @@ from surefoot.report.figures.parameters import parameter_figure, parameters_figu
 from surefoot.report.figures.style import capital
 from surefoot.studies.comparison import CONTENTS, FAR, Comparison, study_tables, write_tables
 from surefoot.studies.evaluations import EVALUATIONS, ResultFigure
-from surefoot.studies.figures import group_figure
-from surefoot.studies.report import gait_image, image, stride_cells, write_readme
+from surefoot.studies.report import gait_image, group_figure, image, stride_cells, write_readme
 from surefoot.tables import markdown
 
 _BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std", "gap_away", "gap", "gap_balanced")

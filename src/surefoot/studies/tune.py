@@ -29,10 +29,11 @@ from surefoot.task.env import LocomotionEnv
 from surefoot.task.foot_paths import FootPaths
 from surefoot.task.gait import HybridGait
 from surefoot.task.handcrafted import HandcraftedGait, OpenLoop
+from surefoot.task.leg_config import FootConfig
 from surefoot.task.observation import IMU_4D
 from surefoot.task.periodic_references import FootReference
 from surefoot.task.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
-from surefoot.task.reference_config import FootConfig, ReferenceConfig, make_reference
+from surefoot.task.reference_config import FootReferenceConfig
 from surefoot.world.interface import SimulationFactory
 
 Gait = Literal["trot", "bound", "gallop", "free"]
@@ -249,7 +250,7 @@ class Tuner:
             robot=config.robot,
             observations=observations,
             history=history,
-            reference=ReferenceConfig(kind="foot", foot=foot),
+            reference=FootReferenceConfig(foot=foot),
             feedback=self.feedback,
             rest=self.robot.rest,
         )
@@ -282,8 +283,8 @@ class Tuner:
     def costs(self, candidates: Sequence[Mapping[str, float]]) -> Array:
         """Return the costs of all episodes (C, starts) [W]: power, and penalties for missing speed or time."""
         config, env, starts = self.config, self._env, self.config.starts
-        references = [self._reference(values) for values in candidates for _ in range(starts)]
-        paths = FootPaths.stacked([reference.feet for reference in references])
+        each = [self._paths(values) for values in candidates for _ in range(starts)]
+        paths = FootPaths.stacked(each)
         env.gait = HybridGait(self.robot, FootReference(paths), *self.feedback.bounds(self.robot.coordinates))
         policy: OpenLoop | RaibertController = OpenLoop(len(env.gait.action_names))
         if config.raibert:
@@ -310,7 +311,7 @@ class Tuner:
     def _refusal(self, values: Mapping[str, float]) -> str:
         """Return why a gait is out of the legs' reach; empty if it is not."""
         try:
-            HybridGait(self.robot, self._reference(values), *self.feedback.bounds(self.robot.coordinates))
+            HybridGait(self.robot, FootReference(self._paths(values)), *self.feedback.bounds(self.robot.coordinates))
         except SurefootError as error:
             return str(error)
         return ""
@@ -318,8 +319,5 @@ class Tuner:
     def _values(self, point: Array) -> dict[str, float]:
         return dict(zip(self.ranges, (self._low + self._width * point).tolist(), strict=True))
 
-    def _reference(self, values: Mapping[str, float]) -> FootReference:
-        foot = foot_config(values, self.config.gait, self.config.speed, self.reach)
-        reference = make_reference(ReferenceConfig(kind="foot", foot=foot), self.robot)
-        assert isinstance(reference, FootReference)
-        return reference
+    def _paths(self, values: Mapping[str, float]) -> FootPaths:
+        return foot_config(values, self.config.gait, self.config.speed, self.reach).paths(self.robot)

@@ -8,22 +8,25 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from surefoot.configuration import NoOption, Within, check_bounds, from_mapping, read_yaml
+from surefoot.configuration import NoOption, Within, check_bounds, from_mapping, keys_of_kind, read_yaml
 from surefoot.errors import SurefootError, check_name, prefix_errors, quote, suggest
-from surefoot.policy.contract import MAX_MEMORY
+from surefoot.policy.contract import ASSUMED_PARAMS, MAX_MEMORY, Stated
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
+from surefoot.robot.commands import COMMANDS
 from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges, check_ranges, resolve_table
 from surefoot.task.commands import CommandConfig
 from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
 from surefoot.task.observation import IMU_AND_MOTORS_12D, OVER_HOLES
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference_config import ReferenceConfig, make_reference
+from surefoot.task.reference_config import REFERENCES, NoReferenceConfig, ReferenceField
 from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
 from surefoot.task.terrain import TerrainConfig
 
 _PRESETS = Path(__file__).parent / "presets"
 
+_LIMITS = (*COMMANDS, "relative", "acceleration", "heading_gain")
+"""Fields of the commands that are limits of what a policy follows."""
 MAX_STEPS = 1_000_000
 """Control steps of the longest episode: hours."""
 
@@ -56,26 +59,26 @@ class FeedbackConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Configuration of a task."""
+    """Configuration of a task. Fields marked as `Stated` are the policy's interface, which its contract states."""
 
     name: str = "gait"
     """Name of the task; run folders carry it."""
-    robot: NoOption[str] = DEFAULT_ROBOT
+    robot: Annotated[NoOption[str], Stated()] = DEFAULT_ROBOT
     """Name of a robot that ships with surefoot, or the path of a robot's folder; in a file from the file's folder."""
-    observations: tuple[str, ...] = IMU_AND_MOTORS_12D
+    observations: Annotated[tuple[str, ...], Stated()] = IMU_AND_MOTORS_12D
     """Parts of the observation, in order."""
-    history: Annotated[int, Within(1, 100)] = 1
+    history: Annotated[int, Within(1, 100), Stated()] = 1
     """Number of last observations in the policy's input, the newest first."""
-    reference: ReferenceConfig = field(default_factory=ReferenceConfig)
+    reference: Annotated[ReferenceField, Stated()] = field(default_factory=NoReferenceConfig)
     """The open loop part of the gait."""
-    feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
+    feedback: Annotated[FeedbackConfig, Stated()] = field(default_factory=FeedbackConfig)
     """Bounds of the policy's part."""
-    action: ActionKind = "leg"
+    action: Annotated[ActionKind, Stated()] = "leg"
     """What the policy's part is added to: the legs' poses in leg space, or the motors' angles. angle: to nothing; it is
     the motors' angles themselves, without a reference."""
-    memory: Annotated[int, Within(0, MAX_MEMORY)] = 0
+    memory: Annotated[int, Within(0, MAX_MEMORY), Stated()] = 0
     """Numbers beside the motion that the policy keeps from one control step to the next, by observation `memory`."""
-    rest: tuple[float | tuple[float, ...], ...] | None = None
+    rest: Annotated[tuple[float | tuple[float, ...], ...] | None, Stated()] = None
     """Pose of the legs in leg space in which the robot settles first, each coordinate of all legs or of each; the
     middle of commands if not given."""
     fall_angle: Annotated[float, Within(1e-3, math.pi)] = 0.5
@@ -85,7 +88,7 @@ class TaskConfig:
     from crawling on the belly."""
     max_steps: Annotated[int, Within(1, MAX_STEPS)] = 1000
     """Control steps of an episode."""
-    commands: CommandConfig = field(default_factory=CommandConfig)
+    commands: Annotated[CommandConfig, Stated(_LIMITS)] = field(default_factory=CommandConfig)
     """Speeds and yaw rates that the robot must follow; none by default: it goes straight on."""
     reward: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=PAPER_REWARD.copy)
     """Weights of reward terms by name (`task.reward.TERMS`); costs have negative weights."""
@@ -100,7 +103,7 @@ class TaskConfig:
     randomize_ramp: Annotated[int, Within(0, 1_000_000)] = 0
     """Curriculum: a robot's first `randomize_ramp` episodes draw from ranges that widen from the nominal value; 0: none
     do."""
-    params: NoOption[dict[str, ParamValue]] = field(default_factory=dict)
+    params: Annotated[NoOption[dict[str, ParamValue]], Stated(ASSUMED_PARAMS)] = field(default_factory=dict)
     """Physical parameters that differ from the robot's description, by name: a number, or one for each motor."""
     params_source: NoOption[dict[str, str]] = field(default_factory=dict)
     """The file that they were read from, if any: its name as `file`, and `sha256`. It is not read again."""
@@ -119,11 +122,6 @@ class TaskConfig:
         check_bounds(self)
         check_reward(self.reward, self.reward_limits)
         check_ranges(self.randomize)
-        kind = self.reference.kind
-        if self.reference.foothold_radius and kind != "follow":
-            raise SurefootError(f"reference.foothold_radius is not 0 and reference.kind is {kind}; it must be follow")
-        if self.reference.over_holes is not None and not self.reference.foothold_radius:
-            raise SurefootError("reference.over_holes is given and foothold_radius is 0; holes are found for footholds")
         if self.reference.over_holes is not None and OVER_HOLES not in self.observations:
             raise SurefootError(
                 f"reference.over_holes is given and observations lack {OVER_HOLES}; the policy has a network for each "
@@ -140,7 +138,7 @@ class TaskConfig:
 
         Beside a `relative` reference, which serves any robot, bounds are narrowed: see `narrowed_bounds`.
         """
-        reference = make_reference(self.reference, robot, self.commands.limits(robot), self.nominal(robot))
+        reference = self.reference.make(robot, self.commands.limits(robot), self.nominal(robot))
         names = {"leg": robot.coordinates, "joint": ("joint",), "angle": ()}[self.action]
         bounds = self.feedback.bounds(names)
         if self.reference.relative and self.action == "leg":
@@ -225,7 +223,10 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
     files = {file.stem: file for folder in (_PRESETS, *own) for file in folder.glob("*.yaml") if file != path}
     if base not in list(files):  # it may be unhashable
         raise SurefootError(f"{path}: base is {quote(base)}; {suggest(base, sorted(files))}")
-    return _merge(_with_base(read_yaml(files[base]), files[base]), data)
+    below, reference = _with_base(read_yaml(files[base]), files[base]), data.get("reference")
+    if isinstance(reference, dict) and "kind" in reference:
+        below["reference"] = keys_of_kind(REFERENCES, below.get("reference", {}), reference["kind"])
+    return _merge(below, data)
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

@@ -6,41 +6,41 @@ as numbers for one robot. The rest of the task (reward, randomization, pushes) s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from surefoot import __version__
-from surefoot.configuration import from_mapping, to_mapping
-from surefoot.errors import SurefootError, choices, quote
-from surefoot.policy.contract import ASSUMED_PARAMS, MEMORY, Contract, HeightMap, ObservationPart, config_hash
+from surefoot.configuration import from_mapping, from_tagged, to_mapping
+from surefoot.errors import SurefootError, choices
+from surefoot.policy.contract import (
+    ASSUMED_PARAMS,
+    MEMORY,
+    Contract,
+    HeightMap,
+    ObservationPart,
+    config_hash,
+    stated_fields,
+)
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
-from surefoot.robot.commands import COMMANDS
 from surefoot.robot.params_file import ParamValue, param_values
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.gait import ActionKind, action_names
 from surefoot.task.height_scan import MAP
-from surefoot.task.observation import PARTS, Observer
-from surefoot.task.plugins import changed_plugins, used_plugins
-from surefoot.task.reference_config import ReferenceConfig
-from surefoot.task.reward import TERMS
+from surefoot.task.observation import Observer
+from surefoot.task.plugins import used_plugins
+from surefoot.task.policy_plugins import check_plugins, task_without_skipped
+from surefoot.task.reference_config import REFERENCES
 from surefoot.task.terrain import TerrainConfig
 
 if TYPE_CHECKING:
     from surefoot.task.env import LocomotionEnv
 
-_STATED = ("robot", "observations", "history", "reference", "feedback", "action", "memory", "rest")
-"""Fields of the task that the contract states itself."""
-_LIMITS = (*COMMANDS, "relative", "acceleration", "heading_gain")
-"""Fields of the task's commands that the contract states as limits."""
-_STATED_KEYS = {
-    *(f"task.{name}" for name in _STATED),
-    *(f"task.commands.{name}" for name in _LIMITS),
-    *(f"task.params.{name}" for name in ASSUMED_PARAMS),
-}
+_STATED = stated_fields(TaskConfig)
+"""Dotted names of the task's fields that the contract states itself."""
 
 
 def make_contract(
@@ -122,54 +122,19 @@ def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, 
 
 def _task_mapping(task: TaskConfig) -> dict[str, Any]:
     """Return the part of a task that the contract does not state itself."""
-    data = {name: value for name, value in to_mapping(task).items() if name not in _STATED}
+    data = to_mapping(task)
     if task.sees:
-        del data["terrain"]["scan"]["delay"]
-    data["params"] = {name: value for name, value in data["params"].items() if name not in ASSUMED_PARAMS}
-    data["commands"] = {name: value for name, value in data["commands"].items() if name not in _LIMITS}
-    return data
+        del data["terrain"]["scan"]["delay"]  # the age of the contract's map
+    return _without_stated(data)
 
 
-def check_plugins(contract: Contract) -> None:
-    """Refuse a policy with an observation of a plug-in that is not registered."""
-    for record in contract.plugins:
-        if missing := [name for name in record.observations if name not in PARTS]:
-            raise SurefootError(
-                f"policy {quote(contract.name)} needs observation {choices(map(quote, missing))} of a plug-in; "
-                f"name the file: --plugin {quote(record.name)}"
-            )
-
-
-def plugin_notes(contract: Contract) -> list[str]:
-    """Return a line for each plug-in of a policy that has changed, and one for reward terms that are skipped."""
-    notes = changed_plugins(contract.plugins)
-    if skipped := _skipped_rewards(contract):
-        names = choices(quote(record.name) for record in contract.plugins)
-        what = (
-            "are without"
-            if skipped < {*contract.task.get("reward", {})}
-            else "are those of the paper's reward, without"
-        )
-        notes.append(
-            f"returns {what} {choices(map(quote, sorted(skipped)))}; to have them, name the plug-in: --plugin {names}"
-        )
-    return notes
-
-
-def _skipped_rewards(contract: Contract) -> set[str]:
-    """Return the reward terms of plug-ins that are not registered."""
-    return {name for record in contract.plugins for name in record.rewards if name not in TERMS}
-
-
-def _task_without_skipped(contract: Contract) -> dict[str, Any]:
-    """Return the task's table without the reward terms of plug-ins that are not registered."""
-    skipped, task = _skipped_rewards(contract), dict(contract.task)
-    for key in ("reward", "reward_limits") if skipped else ():
-        if isinstance(table := task.get(key), Mapping):
-            task[key] = {name: value for name, value in table.items() if name not in skipped}
-    if skipped and not task.get("reward"):
-        task.pop("reward", None)
-    return task
+def _without_stated(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return a task's table without what the contract states itself."""
+    return {
+        key: _without_stated(value, f"{prefix}{key}.") if isinstance(value, Mapping) else value
+        for key, value in table.items()
+        if f"{prefix}{key}" not in _STATED
+    }
 
 
 def task_from_contract(contract: Contract, robot: RobotDescription | None = None) -> TaskConfig:
@@ -184,13 +149,9 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
     """
     check_plugins(contract)
     robot = robot or RobotDescription.load(contract.description)
-    keys = {f"task.{key}" for key in contract.task}
-    for table in ("commands", "params"):
-        if isinstance(values := contract.task.get(table), Mapping):
-            keys |= {f"task.{table}.{key}" for key in values}
-    if stated := keys & _STATED_KEYS:
-        raise SurefootError(f"{min(stated)} is not a key; the contract states it outside the task")
-    task = from_mapping(TaskConfig, _task_without_skipped(contract), "task")
+    if stated := _STATED.intersection(_names(contract.task)):
+        raise SurefootError(f"task.{min(stated)} is not a key; the contract states it outside the task")
+    task = from_mapping(TaskConfig, task_without_skipped(contract), "task")
     kind, memory, feedback = _feedback(contract, robot)
     scan = task.terrain.scan
     if contract.height_map is not None:
@@ -200,7 +161,7 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         robot=robot.location,
         observations=tuple(part.name for part in contract.observation),
         history=contract.history,
-        reference=from_mapping(ReferenceConfig, contract.reference or {}, "reference"),
+        reference=from_tagged(REFERENCES, contract.reference or {}, "reference"),
         feedback=feedback,
         action=kind,
         memory=memory,
@@ -210,6 +171,14 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         # The terrain of its training is not what a robot stands on that runs it.
         terrain=TerrainConfig(scan=scan),
     )
+
+
+def _names(table: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """Yield the dotted names in a table."""
+    for key, value in table.items():
+        yield f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _names(value, f"{prefix}{key}.")
 
 
 def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, int, FeedbackConfig]:

@@ -45,7 +45,7 @@ class GaitSwitch(FollowingReference):
         return np.asarray(pose + state.over_holes[:, None, None] * (other - pose))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the `ReferenceConfig` that makes it again, as JSON values."""
+        """Return the configuration that makes it again, as JSON values."""
         other = self.holes_gait.choice
         numbers = {name: getattr(other, name) for name in ("stride_gain", "frequency_rise")}
         return {**super().to_dict(), "over_holes": {"foot": self.holes_gait.feet.to_dict(), **numbers}}

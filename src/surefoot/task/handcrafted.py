@@ -17,9 +17,8 @@ from surefoot.errors import SurefootError, prefix_errors
 from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task
-from surefoot.task.periodic_references import FootReference
 from surefoot.task.raibert import RaibertConfig, RaibertController
-from surefoot.task.reference_config import make_reference
+from surefoot.task.reference_config import FootReferenceConfig
 
 KEY = "handcrafted"
 """Key in a task's file of everything besides the task."""
@@ -58,7 +57,7 @@ class HandcraftedGait:
 
     def __post_init__(self) -> None:
         """Refuse a task with another reference."""
-        if self.task.reference.kind != "foot":
+        if not isinstance(self.task.reference, FootReferenceConfig):
             raise SurefootError(
                 f"task.reference.kind is {self.task.reference.kind!r}; a handcrafted gait has a reference of kind foot"
             )
@@ -70,10 +69,10 @@ class HandcraftedGait:
             SurefootError: foot trajectories that the robot does not allow.
         """
         robot = RobotDescription.load(self.task.robot)
-        reference = make_reference(self.task.reference, robot)
+        assert isinstance(self.task.reference, FootReferenceConfig)
+        reference = self.task.reference.make(robot)
         if self.raibert is None:
             return OpenLoop(len(self.task.gait(robot).action_names))
-        assert isinstance(reference, FootReference)
         return RaibertController(robot, reference.feet, self.raibert, self.task.observations, self.task.history)
 
     def save(self, path: Path) -> None:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
+from surefoot.errors import SurefootError, choices
+from surefoot.files import check_readable
+from surefoot.npz import read_npz
+from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.foot_paths import FootPaths
 from surefoot.task.reference import Extent, Feedforward, Reference
@@ -69,7 +75,7 @@ class SineReference(Reference):
         return tuple(wave.extent for wave in self.waves.values())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the `ReferenceConfig` that makes it again, as JSON values."""
+        """Return the configuration that makes it again, as JSON values."""
         return {"kind": "sine", **{part: wave.to_dict(self.legs) for part, wave in self.waves.items()}}
 
 
@@ -86,6 +92,25 @@ class TableReference(Reference):
     coordinates: tuple[str, ...]
     rows: Array
     """Poses (rows, C, L)."""
+
+    @classmethod
+    def from_columns(
+        cls, robot: RobotDescription, duration: float, columns: Sequence[Array], where: str
+    ) -> TableReference:
+        """Return the table of columns of poses, of each coordinate for every leg in turn; `where` is its name."""
+        lengths = sorted({len(column) for column in columns})
+        if len(lengths) != 1:
+            raise SurefootError(f"{where}: columns differ in length ({choices(map(str, lengths))}); make them equal")
+        if lengths[0] < 2:
+            raise SurefootError(f"{where}: the table has {lengths[0]} row(s); a periodic reference needs 2 or more")
+        rows = np.stack(columns, axis=1)
+        bad = ~np.isfinite(rows).all(axis=1)
+        if bad.any():
+            raise SurefootError(
+                f"{where}: row {int(np.argmax(bad)) + 1} of the table is not finite; every pose must be a number"
+            )
+        legs, coordinates = robot.leg_names, robot.coordinates
+        return cls(legs, duration, coordinates, rows.reshape(len(rows), len(coordinates), len(legs)))
 
     @property
     def period(self) -> float:
@@ -105,12 +130,32 @@ class TableReference(Reference):
         return tuple((float(part.min()), float(part.max())) for part in np.moveaxis(self.rows, 1, 0))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the `ReferenceConfig` that makes it again, as JSON values: rows instead of the file."""
+        """Return the configuration that makes it again, as JSON values: rows instead of the file."""
         rows = {
             part: dict(zip(self.legs, self.rows[:, k].T.tolist(), strict=True))
             for k, part in enumerate(self.coordinates)
         }
         return {"kind": "table", "period": self.period, "rows": rows}
+
+
+def read_columns(path: Path, names: list[str]) -> list[Array]:
+    """Return the named columns of a CSV or NPZ file."""
+    rule = f"a table has columns {choices(names)}"
+    if path.suffix not in (".csv", ".npz"):
+        raise SurefootError(f"{path}: is not a .csv or .npz file; {rule}")
+    try:
+        if path.suffix == ".npz":
+            table = {name: np.atleast_1d(values).astype(float) for name, values in read_npz(path).items()}
+        else:
+            check_readable(path)
+            read = np.genfromtxt(path, delimiter=",", names=True, dtype=float)
+            table = {name: np.atleast_1d(read[name]) for name in read.dtype.names or ()}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:  # Of empty and other files.
+        raise SurefootError(f"{path}: can't be read as a table: {' '.join(str(error).split())}; {rule}") from error
+    for name in names:
+        if name not in table:
+            raise SurefootError(f"{path}: has no column {name}; {rule}")
+    return [table[name] for name in names]
 
 
 @dataclass(frozen=True)
@@ -134,6 +179,6 @@ class FootReference(Reference):
         return self.feet.extent
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the `ReferenceConfig` that makes it again, as JSON values."""
+        """Return the configuration that makes it again, as JSON values."""
         ahead = {"velocity_feedforward": self.feedforward.velocity} if self.feedforward.velocity else {}
         return {"kind": "foot", "foot": self.feet.to_dict(), **ahead}

@@ -66,7 +66,7 @@ class Reference(ABC):
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
-        """Return the `ReferenceConfig` that makes it again, as JSON values."""
+        """Return the configuration that makes it again, as JSON values."""
 
     @property
     def feedforward(self) -> Feedforward:
@@ -238,7 +238,7 @@ class FollowingReference(Reference):
         return self._extent
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the `ReferenceConfig` that makes it again, as JSON values."""
+        """Return the configuration that makes it again, as JSON values."""
         choice, kinematics, ahead = self.choice, self.kinematics, self.feedforward
         gains = {name: getattr(choice, name) for name in ("stride_gain", "frequency_rise", "turn_gain")}
         names = ("clearance_rise", "height_rise", "foothold_radius", "touch_clearance")

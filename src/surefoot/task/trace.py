@@ -260,10 +260,7 @@ class EpisodeTrace:
             arrays = read_npz(path)
             if (meta := pop_meta(arrays)) is None:
                 raise SurefootError("not an episode trace: it has no meta")
-            try:
-                meta = _checked_meta(meta)  # Another schema may have other arrays.
-            except RecursionError:
-                raise SurefootError("not an episode trace: its meta is nested too deep") from None
+            meta = _checked_meta(meta)  # Another schema may have other arrays.
             archive = pop_bytes(arrays, ROBOT)
             columns = columns_of(EpisodeTrace)
             left_out = {name for name, declared in columns.items() if not declared.always_in_file}
@@ -293,11 +290,12 @@ def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:
     """Return meta with the defaults of `TraceMeta` filled in, as plain JSON types."""
     try:
         plain: dict[str, Any] = json.loads(json.dumps(meta, default=_plain))
+        typed_entries(FurtherMeta, plain, "meta")
+        return {**to_mapping(typed_entries(TraceMeta, plain, "meta")), **plain}
     except TypeError as error:
         raise SurefootError(f"meta must be what JSON can hold: {error}") from error
-    typed = typed_entries(TraceMeta, plain, "meta")
-    typed_entries(FurtherMeta, plain, "meta")
-    return {**to_mapping(typed), **plain}
+    except RecursionError:
+        raise SurefootError("meta is nested too deep") from None
 
 
 def _plain(value: object) -> object:

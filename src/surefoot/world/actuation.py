@@ -39,7 +39,7 @@ from surefoot.actuator.motor import (
 from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.actuator import HEAT_LOSS, DcMotorData
-from surefoot.rotations import rpy_quat
+from surefoot.rotations import quat_rpy, rpy_quat
 from surefoot.world.interface import WorldConfig
 
 Quat = tuple[Any, Any, Any, Any]
@@ -81,6 +81,7 @@ _MOTORS = (
 IMU_WIDTH = 6
 """Numbers of the IMU in a reading: roll, pitch, yaw [rad], and angular velocity in the base frame [rad/s]."""
 _rpy_quat = njit(cache=True)(rpy_quat)
+roll_pitch_yaw = kernel(quat_rpy)
 
 
 class ActuationState(NamedTuple):
@@ -174,15 +175,6 @@ def set_actuation_params(state: ActuationState, index: NDArray[np.int64], params
 def bases_on_rack(num_envs: int) -> Array:
     """Return an engine's `base` of robots on a rack, (N, 10): level, `RACK_HEIGHT` up, and at rest."""
     return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (num_envs, 1))
-
-
-@kernel
-def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return Euler angles [rad] of a unit quaternion: yaw about z, then pitch about y, then roll about x."""
-    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0))
-    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return roll, pitch, yaw
 
 
 @njit(cache=True, inline="always")

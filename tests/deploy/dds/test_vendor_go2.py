@@ -19,6 +19,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("unitree_sdk2py.idl.default", exc_type=ImportError)
 from surefoot.deploy.dds import bus, services, types
 
+pytestmark = pytest.mark.sdk
 DOMAIN = 180 + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 ROBOT = Path(__file__).parents[2] / "vendor_go2.py"
 

@@ -90,17 +90,13 @@ def positional_words(words: Sequence[str], *kinds: type) -> list[str]:
 
     Further values of an option that takes several count as positional: a command decides by the first word.
     """
-    types = {name: hint for kind in kinds for name, hint in options(kind).items()}
-    found, is_value = [], False
-    for word in words:
-        if word.startswith("-"):
-            name = word.replace("_", "-")
-            is_value = "=" not in word and types.get(name, bool if name in ("-h", "--help") else str) is not bool
-        elif is_value:
-            is_value = False
-        else:
-            found.append(word)
-    return found
+    flags = {name for kind in kinds for name, hint in options(kind).items() if hint is bool} | {"-h", "--help"}
+
+    def takes_value(word: str) -> bool:
+        return word.startswith("-") and "=" not in word and word.replace("_", "-") not in flags
+
+    pairs = zip(["", *words], words, strict=False)
+    return [word for before, word in pairs if not (word.startswith("-") or takes_value(before))]
 
 
 def options(kind: type, default: Any = None, prefix: str = "--") -> dict[str, Any]:
@@ -116,6 +112,8 @@ def options(kind: type, default: Any = None, prefix: str = "--") -> dict[str, An
         value = getattr(default, field.name, None)
         if tyro.conf.Fixed in marks:
             continue
+        if dataclasses.is_dataclass(value) and not dataclasses.is_dataclass(hint):
+            hint = type(value)  # of several, the default's
         if dataclasses.is_dataclass(hint):
             is_flat = tyro.conf.OmitArgPrefixes in marks
             types |= options(typing.cast("type", hint), value, prefix if is_flat else f"{prefix}{name}.")

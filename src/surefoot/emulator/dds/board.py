@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Protocol
 
 import numpy as np
 
@@ -11,36 +10,14 @@ from surefoot.deploy.board.signals import microseconds
 from surefoot.deploy.dds.low_level import POS_STOP, SERVO, VEL_STOP, Record, encode
 from surefoot.emulator.board import BOOT_TIME
 from surefoot.emulator.dds.faults import MessageFaults
+from surefoot.emulator.dds.link import LowLevelLink
 from surefoot.emulator.dds.low_state import StateMessage
 from surefoot.emulator.dds.motion_service import MotionService
 from surefoot.emulator.dds.own_controller import OwnController
 from surefoot.emulator.fault_table import InjectedFault
 from surefoot.emulator.faults import FaultInjector
-from surefoot.emulator.host_link import Transport
 from surefoot.emulator.plant import JointOrder, Plant
 from surefoot.seeding import generator
-
-
-class StateLink(Transport, Protocol):
-    """What the robot needs of its topics. Times are whole microseconds on the robot's clock."""
-
-    inbound: list[Record]
-    """Undamaged commands that have arrived, oldest first."""
-    dead: bool
-    """Nothing comes or goes any more."""
-
-    @property
-    def next_departure(self) -> float:
-        """When the next state leaves; infinite if none waits."""
-
-    def send(self, at: float, data: bytes) -> None:
-        """Put a state's bytes on their way, to leave at a time."""
-
-    def publish_command(self, command: Record) -> None:
-        """Publish a command of the robot's own."""
-
-    def counts(self) -> list[str]:
-        """Return what came and went, for a line at the end."""
 
 
 def read_order(command: Record, motors: int) -> JointOrder | None:
@@ -80,7 +57,7 @@ class Go2Board:
     def __init__(
         self,
         plant: Plant,
-        link: StateLink,
+        link: LowLevelLink,
         lead: float,
         controller: OwnController | None = None,
         service: MotionService | None = None,

@@ -18,7 +18,7 @@ HostPort = PtyPort | SocketServerPort
 
 
 class SerialHostLink:
-    """COBS frames over a line in both directions; a `HostLink`.
+    """COBS frames over a line in both directions; a `Transport`.
 
     Args:
         port: where the line ends for hosts.
@@ -27,7 +27,7 @@ class SerialHostLink:
         baud: bits per second; 0: bytes take no time.
         seed: of the random damage to frames.
         patience: longest time [s] that a write waits for a host to read.
-        lead: time [s] between a state's sending and the next command.
+        lead: time [s] between a state's sending and its use by a deployment; 0 in lockstep.
     """
 
     def __init__(

@@ -11,14 +11,12 @@ import io
 import itertools
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import yaml
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, describe_os_errors
@@ -240,10 +238,8 @@ def open_bag(path: Path) -> Iterator[Any]:
         if path.is_file():
             check_readable(path, FILE_BYTES)
     try:
-        with ExitStack() as stack:
-            folder = Path(stack.enter_context(TemporaryDirectory()))
-            bag = _folder_of_mcap(path, folder) if path.suffix.lower() == ".mcap" else path
-            yield stack.enter_context(AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            yield reader
     except SurefootError:
         raise
     except Exception as error:  # the reader has errors of many kinds, not all of them its own
@@ -269,31 +265,3 @@ def _read_bag(path: Path) -> ColumnTable:
         values[k] = list(newest.values())
     time = np.array([time for time, _ in rows])
     return ColumnTable(dict(zip(names, values.T, strict=True)), time - time[0])
-
-
-def _folder_of_mcap(path: Path, folder: Path) -> Path:
-    """Make the folder of a ROS 2 bag around one MCAP file, which contains what the folder's own file states."""
-    from rosbags.rosbag2.storage_mcap import McapReader
-
-    mcap = McapReader(path)
-    mcap.open()
-    topics: list[dict[str, Any]] = [
-        {
-            "topic_metadata": {"name": one.topic, "type": one.msgtype, "serialization_format": "cdr"},
-            "message_count": one.msgcount,
-        }
-        for one in mcap.connections
-    ]
-    mcap.close()
-    (folder / "log.mcap").symlink_to(path.resolve())
-    info = {
-        "version": 5,
-        "storage_identifier": "mcap",
-        "relative_file_paths": ["log.mcap"],
-        "duration": {"nanoseconds": 2**62},
-        "starting_time": {"nanoseconds_since_epoch": 0},
-        "message_count": sum(one["message_count"] for one in topics),
-        "topics_with_message_count": topics,
-    }
-    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": info}), encoding="utf-8")
-    return folder

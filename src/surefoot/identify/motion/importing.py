@@ -13,9 +13,9 @@ without a column are NaN. Times and rows stay as they are, uneven and repeated o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.identify.motion.column_table import ColumnTable, read_table
 from surefoot.identify.motion.go2_messages import is_go2, read_go2
-from surefoot.identify.motion.recorded import RecordedMotion, check_rising, reading_times
+from surefoot.identify.motion.recorded import RecordedMotion, check_rising
 from surefoot.robot import RobotDescription
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -71,7 +71,7 @@ class ImuColumns:
 class LogMapping:
     """The columns of a log."""
 
-    motors: dict[str, Any]
+    motors: dict[str, MotorColumns]
     time: TimeColumn | None = None
     unit: Literal["rad", "deg"] = "rad"
     imu: ImuColumns = field(default_factory=ImuColumns)
@@ -79,9 +79,7 @@ class LogMapping:
 
 def default_mapping(robot: RobotDescription) -> LogMapping:
     """Return the mapping of a file with arrays time, command, motor_angle and imu, all in the robot's own order."""
-    motors = {
-        name: {"command": f"command[{k}]", "angle": f"motor_angle[{k}]"} for k, name in enumerate(robot.motor_names)
-    }
+    motors = {name: MotorColumns(f"command[{k}]", f"motor_angle[{k}]") for k, name in enumerate(robot.motor_names)}
     return LogMapping(motors, TimeColumn("time"), imu=ImuColumns("imu[0]", "imu[1]", None, "imu[2]", "imu[3]"))
 
 
@@ -122,7 +120,7 @@ def import_log(
 def _motion(
     table: ColumnTable, columns: LogMapping, robot: RobotDescription, default: bool, name: str
 ) -> RecordedMotion:
-    motors = [from_mapping(MotorColumns, columns.motors[key], f"motors.{key}") for key in robot.motor_names]
+    motors = [columns.motors[key] for key in robot.motor_names]
     if default and (extra := f"command[{robot.num_motors}]") in table.columns:
         raise SurefootError(f"has a column '{extra}'; {robot.name} has {robot.num_motors} motors")
     missing = np.full(table.rows, np.nan)
@@ -156,15 +154,13 @@ def _motion(
     if not np.isfinite(command).all():
         row, motor = (int(k) for k in np.argwhere(~np.isfinite(command))[0])
         raise SurefootError(f"row {row} has no command of {robot.motor_names[motor]}; every row needs its command")
-    motion = RecordedMotion(
+    return RecordedMotion(
         name,
         time,
         command,
-        time,
-        of_motors("angle", angle, True),
-        of_motors("velocity", angle),
-        of_motors("torque"),
-        of_imu("roll", "pitch", "yaw"),
-        of_imu("roll_rate", "pitch_rate", "yaw_rate"),
+        motor_angle=of_motors("angle", angle, True),
+        motor_velocity=of_motors("velocity", angle),
+        motor_torque=of_motors("torque"),
+        roll_pitch_yaw=of_imu("roll", "pitch", "yaw"),
+        angular_velocity_base=of_imu("roll_rate", "pitch_rate", "yaw_rate"),
     )
-    return replace(motion, read_time=reading_times(time, motion.motor_angle, motion.imu))

@@ -47,8 +47,8 @@ class RecordedMotion:
     """When commands were sent (T,) [s]; times may repeat."""
     command: Array
     """Motor angles (T, M) [rad]."""
-    read_time: Array
-    """When readings were taken (T,) [s]."""
+    read_time: Array = field(default_factory=_absent)
+    """When readings were taken (T,) [s]; as of `reading_times`, if left out."""
     motor_angle: Array = field(default_factory=_absent)
     """(T, M) [rad]"""
     motor_velocity: Array = field(default_factory=_absent)
@@ -67,13 +67,15 @@ class RecordedMotion:
     """What else the recorder states: control_step and lead [s], missed_steps, date, notes."""
 
     def __post_init__(self) -> None:
-        """Fill absent channels with NaN."""
+        """Fill absent channels."""
         motors = np.shape(self.command)
         widths = dict.fromkeys(("motor_angle", "motor_velocity", "motor_torque"), motors)
         widths |= dict.fromkeys(("roll_pitch_yaw", "angular_velocity_base"), (len(self.time), 3))
         for name, shape in widths.items():
             if not np.size(getattr(self, name)):
                 object.__setattr__(self, name, np.full(shape, np.nan))
+        if len(self.time) and not np.size(self.read_time):
+            object.__setattr__(self, "read_time", reading_times(self.time, self.motor_angle, self.imu))
 
     @property
     def control_step(self) -> float:
@@ -182,13 +184,6 @@ def reading_times(time: Array, *readings: Array) -> Array:
     apart = float(np.median(np.diff(time[new]))) if len(new) > 1 else 0.0
     taken = time[new] - np.minimum(np.diff(time, prepend=time[:1])[new], apart) / 2
     return np.repeat(taken, np.diff([*new, len(time)]))
-
-
-def motion_from_rows(name: str, time: Array, command: Array, motor_angle: Array, imu: Array) -> RecordedMotion:
-    """Return the motion of a log's rows, with the channels of `IMU` (T, 4)."""
-    attitude, rates = (np.pad(part, ((0, 0), (0, 1)), constant_values=np.nan) for part in (imu[:, :2], imu[:, 2:]))
-    read = reading_times(time, motor_angle, imu)
-    return RecordedMotion(name, time, command, read, motor_angle, roll_pitch_yaw=attitude, angular_velocity_base=rates)
 
 
 def common_gains(motions: Iterable[RecordedMotion]) -> dict[str, ParamValue]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices, prefix_errors
-from surefoot.identify.motion.recorded import IMU, RecordedMotion, motion_from_rows, reading_times
+from surefoot.identify.motion.recorded import IMU, RecordedMotion
 from surefoot.npz import read_npz
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import param_table
@@ -32,13 +32,11 @@ def motion_from_trace(name: str, trace: EpisodeTrace) -> RecordedMotion:
     """
     if not trace.imported:
         return deployed_motion(name, trace).checked()
-    motion = _motion(name, trace, trace.time, trace.time)
-    motion = motion.rows(_longest(np.asarray(np.isfinite(trace.target).all(axis=1))))
-    if len(motion.time) < 2:
+    rows = _longest(np.asarray(np.isfinite(trace.target).all(axis=1)))
+    if rows.stop - rows.start < 2:
         raise SurefootError("has no two rows in a row with commands; a log to replay or to identify from has commands")
-    if not trace.meta.get("read_at_row"):
-        motion = replace(motion, read_time=reading_times(motion.time, motion.motor_angle, motion.imu))
-    return replace(motion, gains=param_table(trace.meta["params"], "meta.params")).checked()
+    motion = _motion(name, trace, trace.time, trace.time if trace.meta.get("read_at_row") else np.empty(0))
+    return replace(motion.rows(rows), gains=param_table(trace.meta["params"], "meta.params")).checked()
 
 
 def _motion(name: str, trace: EpisodeTrace, sent: Array, read: Array) -> RecordedMotion:
@@ -124,7 +122,7 @@ def _motion_from_arrays(name: str, arrays: dict[str, NDArray[Any]], robot: Robot
         )
     steps, motors = np.shape(arrays["time"])[:1] or (0,), robot.num_motors
     shapes = {"time": steps, "command": (*steps, motors), "motor_angle": (*steps, motors), "imu": (*steps, len(IMU))}
-    columns = {}
+    columns: dict[str, Any] = {}
     for key, shape in shapes.items():
         array = arrays.get(key, np.full(shape, np.nan))
         if array.dtype.kind not in "iuf":
@@ -133,4 +131,8 @@ def _motion_from_arrays(name: str, arrays: dict[str, NDArray[Any]], robot: Robot
             rule = f"{robot.name} has {motors} motors" if key in ("command", "motor_angle") else "a row for each time"
             raise SurefootError(f"{key} has shape {array.shape}; it must have {shape}: {rule}")
         columns[key] = array.astype(float)
-    return motion_from_rows(name, **columns).checked()
+    # Yaw and its rate are not among the channels.
+    columns["roll_pitch_yaw"], columns["angular_velocity_base"] = (
+        np.pad(part, ((0, 0), (0, 1)), constant_values=np.nan) for part in np.split(columns.pop("imu"), 2, axis=1)
+    )
+    return RecordedMotion(name, **columns).checked()

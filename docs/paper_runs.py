@@ -1,4 +1,7 @@
-"""The runs behind the page of the paper: all commands in order; those whose result is there are skipped."""
+"""The runs behind the page of the paper: all commands in order; those whose result is there are skipped.
+
+`surefoot study paper` calls `main`.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from paper_page import evaluations_on_page, write_page
 from rich.console import Console
 
-from surefoot.cli.helpers.options import Ray, Workers
+from surefoot.cli.helpers.options import Ray, Workers, check_folder
 from surefoot.cli.helpers.output import make_console
+from surefoot.cli.study_paper import PaperCommand
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import atomic_write
@@ -31,8 +36,6 @@ POLICIES = ("gallop", "trot", "trot-robust", "gallop-robust")
 """Tasks whose policies stand on the page."""
 HYBRIDS = ("trot-hybrid", "gallop-hybrid")
 """Tasks of the clone's examples: learned feedback on top of handcrafted trajectories."""
-PAGE = Path("docs/paper_page.py")
-"""Script of a clone that writes the page."""
 _PICTURES = ("learning_curve.png", "footfalls.png")
 
 
@@ -111,7 +114,7 @@ def train(task: str, steps: int) -> Stage:
 def evaluations(runs: PaperRuns) -> None:
     """Evaluate policies for the rows that the page has, with the options that the clone names for them."""
     names, rows = read_yaml(runs.root / "results" / "evaluations.yaml"), []
-    for name in run_script(runs.root / PAGE, "--list-evaluations").split():
+    for name in evaluations_on_page():
         policy, _, kind = name.partition("/")
         about = names["policies"].get(policy)
         path = runs.root / about["file"] if about else f"policies/{policy}.onnx"
@@ -173,22 +176,11 @@ def tune(gait: str, speed: float) -> Stage:
 
 def script(runs: PaperRuns, name: str, *words: object) -> None:
     """Run a script of the clone in the folder of the runs."""
-    runs.console.print(shlex.join(["python", str(runs.root / name), *map(str, words)]), style="bold")
-    run_script(runs.root / name, *words, cwd=runs.folder, capture=False)
-
-
-def run_script(path: Path, *words: object, cwd: Path | None = None, capture: bool = True) -> str:
-    """Run a script of a clone; return what it printed, if that is captured.
-
-    Raises:
-        SurefootError: the script failed; the message is the last line of what it printed.
-    """
+    path = runs.root / name
     argv = [sys.executable, str(path), *map(str, words)]
-    done = subprocess.run(argv, cwd=cwd, capture_output=capture, text=True)
-    if done.returncode:
-        lines = (done.stderr or "").strip().splitlines() or [f"ended with exit code {done.returncode}"]
-        raise SurefootError(f"{path}: {lines[-1]}")
-    return done.stdout or ""
+    runs.console.print(shlex.join(["python", *argv[1:]]), style="bold")
+    if code := subprocess.run(argv, cwd=runs.folder).returncode:
+        raise SurefootError(f"{path}: ended with exit code {code}")
 
 
 def open_loop(runs: PaperRuns) -> None:
@@ -252,3 +244,33 @@ def make_all(runs: PaperRuns) -> bool:
         if not (runs.folder / stage.makes).exists():
             raise SurefootError(f"{stage.makes} was not made; see the output above")
     return True
+
+
+def main(command: PaperCommand, again: str) -> int:
+    """Write the page of a clone's results, or make results anew before; return the exit code.
+
+    Args:
+        command: the options.
+        again: command line that goes on after a stop.
+
+    Raises:
+        SurefootError: a command or script that failed, or results that can't be read.
+    """
+    root, page, note = command.root, command.out or Path("paper.html"), ""
+    if command.quick or command.full:
+        from surefoot.studies.workers import check_address
+
+        check_address(command.ray)
+        root = (command.out or Path("paper-quick" if command.quick else "paper-full")).resolve()
+        check_folder(root)
+        page = root / "paper.html"
+        runs = PaperRuns(command.root.resolve(), root, command.quick, command.workers, command.ray)
+        if not make_all(runs):
+            runs.console.print(f"Stopped. To go on:\n  {again}")
+            return 130
+        note = QUICK_NOTE if command.quick else ""
+    missing = write_page(root, page, note, command.root)
+    print(f"wrote {page}")
+    for name in missing:
+        print(f"not there: {name}")
+    return 0

@@ -9,16 +9,17 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
-from paper_page import load_content
+from paper_page import evaluations_on_page, load_content
 from processes import refused, surefoot
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("mujoco")
 
+import paper_runs
+from paper_runs import PaperRuns, Stage, command, evaluations
+
 from surefoot.cli.evaluate import EvaluateCommand
 from surefoot.cli.evaluate_sensitivity import SensitivityCommand
-from surefoot.cli.helpers import paper_runs
-from surefoot.cli.helpers.paper_runs import PaperRuns, Stage, command, evaluations
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.study import StudyCommand
 from surefoot.cli.study_search import SearchCommand
@@ -35,7 +36,7 @@ def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
-        (["--root", "."], ["root is .", "with docs/paper_page.py"]),
+        (["--root", "."], ["root is .", "with docs/paper_runs.py"]),
         (["--out", "page.pdf"], ["out page.pdf: the name must end in .html"]),
         (["--root", "REPOSITORY", "--quick", "--full"], ["--quick and --full are given; give one of them"]),
         (["--root", "REPOSITORY", "--workers", "2"], ["--workers", "go with --quick or --full"]),
@@ -77,7 +78,7 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
 
     stages = (Stage("once", once), Stage("results/evaluations.csv", evaluations), Stage("stopped", stopped))
     monkeypatch.setattr(paper_runs, "STAGES", stages)
-    monkeypatch.setattr(paper_runs, "run_script", lambda *_: "trot\n")
+    monkeypatch.setattr(paper_runs, "evaluations_on_page", lambda: ["trot"])
     words = ("study", "paper", "--root", repository, "--quick", "--out", shipped)
     done = surefoot(*words)
     assert done.returncode == 130
@@ -170,8 +171,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
         return 0
 
     monkeypatch.setattr("surefoot.cli.main.main", main)
-    listed = paper_runs.run_script(repository / paper_runs.PAGE, "--list-evaluations")
-    run = mock.Mock(return_value=mock.Mock(returncode=0, stdout=listed, stderr=""))
+    run = mock.Mock(return_value=mock.Mock(returncode=0))
     monkeypatch.setattr(paper_runs.subprocess, "run", run)
     (tmp_path / "results/search").mkdir(parents=True)
     quick = PaperRuns(repository, tmp_path, True, workers=2)
@@ -184,11 +184,11 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     assert "trot,policies/trot.onnx" in (tmp_path / "results/evaluations.csv").read_text()
     assert (tmp_path / "results/handcrafted/trot-60.yaml").exists()
     evaluated = {words for words in commands if words[0] == "evaluate" and words[1] != "sensitivity"}
-    assert len(evaluated) == len(listed.split()) > 5
+    assert len(evaluated) == len(evaluations_on_page()) > 5
     assert any("--push-force" in words for words in evaluated)
     assert (tmp_path / "docs/pushes.png").exists()
     scripts = [Path(call.args[0][1]).name for call in run.call_args_list]
-    assert scripts == ["paper_page.py", "open_loop.py", "handcrafted.py"]
+    assert scripts == ["open_loop.py", "handcrafted.py"]
     assert run.call_args.args[0][1:3] == [str(repository / "benchmarks/handcrafted.py"), "results/handcrafted"]
     assert run.call_args.args[0][-4:] == ["--episodes", "5", "--conditions", "mujoco"]
     studies = [words for words in calls if words[0] == "study" and words[1].endswith(".yaml")]
