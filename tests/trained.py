@@ -53,6 +53,6 @@ def trained_run(folder: Path) -> Path:
                 shutil.rmtree(former)
             config = from_mapping(TrainConfig, TINY, base=load_train_config("trot"))
             training = RunFolder.create_at(config, folder / "training")
-            TrainingLoop(config, training, SimWorld).run(lambda *_: None)
+            TrainingLoop.create(config, training, SimWorld).run(lambda *_: None)
             training.path.rename(run)
     return run

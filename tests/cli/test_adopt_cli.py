@@ -1,4 +1,4 @@
-"""`surefoot adopt`, `export`, `compare`, and `doctor` without a robot."""
+"""`surefoot adopt`, `export`, `evaluate` of several policies, and `doctor` without a robot."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_doctor_names_what_it_tried(adopted, tmp_path, monkeypatch, capsys):
 def test_export_and_compare(adopted, tmp_path, capsys):
     assert main(["export", str(adopted), "--to", "rl_sar", "--out", str(tmp_path / "theirs")]) == 0
     assert sorted(path.name for path in (tmp_path / "theirs").iterdir()) == ["base.yaml", "config.yaml", "policy.onnx"]
-    words = ["compare", "go2-steer", str(adopted), "--conditions", "nominal", "pushes", "--episodes", "2"]
+    words = ["evaluate", "go2-steer", str(adopted), "--conditions", "nominal", "pushes", "--episodes", "2"]
     assert main([*words, "--duration", "1.4", "--threads", "1", "--out", str(tmp_path / "table")]) == 0
     with (tmp_path / "table" / "policies.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -127,7 +127,7 @@ def test_export_and_compare(adopted, tmp_path, capsys):
     assert "adopted from mjlab" in page
     assert "trained with surefoot" in page
     capsys.readouterr()
-    assert main(["compare", "go2-trot"]) == 2
+    assert main(["evaluate", "go2-trot", "go2-steer"]) == 2
     assert "policy 'go2-trot' follows no commands" in capsys.readouterr().err
-    assert main(["compare", "go2-steer", "--conditions", "rain"]) == 2
+    assert main(["evaluate", "go2-steer", "--conditions", "rain"]) == 2
     assert "--conditions are rain; give some of nominal, bullet" in capsys.readouterr().err

@@ -76,7 +76,7 @@ def test_errors_come_before_anything_heavy_is_imported():
 
 
 def test_an_unknown_command_is_refused():
-    refused(surefoot("fly"), "'fly' is not a command; choices: train, robot, adopt, ")
+    refused(surefoot("fly"), "'fly' is not a command; choices: train, adopt, export, ")
     assert surefoot().returncode == 2
 
 

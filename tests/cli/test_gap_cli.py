@@ -235,7 +235,7 @@ def test_a_policy_whose_name_is_no_folder_name_is_refused(name: str, here: Path)
         "gap gallop.onnx --to bullet",
         "gap gallop.onnx --from bullet --to mujoco",
         "evaluate gallop.onnx --world bullet --out out",
-        "play gallop.onnx --world bullet",
+        "show gallop.onnx --world bullet",
         "evaluate sensitivity gallop.onnx --world bullet",
     ],
 )

@@ -58,7 +58,8 @@ def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) 
     [
         (
             ["tail"],
-            "'tail' is no experiment; choices: latency, motor, mass, contact, motor-figure, or --trace FOLDER",
+            "'tail' is no experiment; choices: latency, motor, mass, contact, replay, import, motor-figure, or "
+            "--trace FOLDER",
         ),
         (["motor"], "give one of them; none is given"),
         (["motor", "--port", "x", "--recording", "y"], "give one of them; both is given"),

@@ -231,7 +231,7 @@ FILES = {
         "evaluate trot --out o",
         "gap trot --to mujoco",
         "evaluate sensitivity trot",
-        "play trot --out o.mp4",
+        "show trot --out o.mp4",
     ],
 )
 def test_every_command_refuses_a_file_that_does_not_fit(line: str, here: Path):

@@ -27,7 +27,7 @@ INVALID = [
     ("evaluate trot --trace", "--trace has no value; it takes one or more"),
     ("evaluate trot --params /dev/zero", "/dev/zero: can't be read: not a regular file"),
     ("show trot --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
-    ("sensitivity trot --values 1000000000", "values is 1000000000; it must be 1000 or less"),
+    ("evaluate sensitivity trot --values 1000000000", "values is 1000000000; it must be 1000 or less"),
     ("emulate --duration 1e30", "duration is 1e+30; it must be 10000000 or less"),
     ("evaluate trot --actuator servo", "servo"),
     ("train trot --actuator --pushes", "--actuator"),
@@ -61,7 +61,6 @@ INVALID = [
     ("train trot --task.robot go2", "--task.robot is not an option; did you mean --robot?"),
     ("train trot --task.reward.progres 1", "did you mean --task.reward.progress?"),
     ("show a.npz --html a.html", "--html is not an option; for every option: surefoot show --help"),
-    ("evaluate trot trot", "trot is one word too many; for every option: surefoot evaluate --help"),
     ("show", "no POLICY and no TRACE is given; for every option: surefoot show --help"),
     ("show --world bullet", "no POLICY and no TRACE is given"),
     ("show trot --layout over", "--layout does not go with trot, a policy; for every option: surefoot show --help"),
@@ -73,11 +72,14 @@ INVALID = [
     ("evaluate tort", "policy 'tort' does not exist; did you mean trot? choices: gallop"),
     ("evaluate trot --robot g2", "did you mean go2? choices: go2, minitaur"),
     ("train key.yaml", "observation is not a key; did you mean observations? choices: name, robot"),
-    ("sensitivity", "no policy is given"),
-    ("sensitivity trot --duration 0", "duration is 0; it must be over 0"),
-    ("sensitivity trot --world moon", "world 'moon' does not exist; choices: mujoco"),
-    ("sensitivity trot --ranges table9", "'table9' does not exist; did you mean table1? choices: ensemble, none"),
-    ("sensitivity trot --out /dev/null/out", "/dev/null"),
+    ("evaluate sensitivity", "no policy is given"),
+    ("evaluate sensitivity trot --duration 0", "duration is 0; it must be over 0"),
+    ("evaluate sensitivity trot --world moon", "world 'moon' does not exist; choices: mujoco"),
+    (
+        "evaluate sensitivity trot --ranges table9",
+        "'table9' does not exist; did you mean table1? choices: ensemble, none",
+    ),
+    ("evaluate sensitivity trot --out /dev/null/out", "/dev/null"),
     ("evaluate \udc80", "the arguments hold characters that can't be printed"),
 ]
 
@@ -89,7 +91,7 @@ INVALID = [
 def test_invalid_option_is_refused_in_one_line(line: str, message: str, tmp_path: Path):
     if line.startswith(("train", "study")):
         pytest.importorskip("torch")
-    if line.startswith("sensitivity"):
+    if line.startswith("evaluate sensitivity"):
         pytest.importorskip("matplotlib")
     (tmp_path / "name.yaml").write_text("name: ../../x\ngroups: {a: {}}\n" if "study" in line else "name: ../../x\n")
     (tmp_path / "key.yaml").write_text("observation: [roll]\n")

@@ -127,4 +127,4 @@ def test_load_refuses_arrays_of_another_shape_or_type(
     whole = getattr(recorded, odd)
     for k, array in enumerate((whole[:-1], whole.reshape(-1, 1), whole.astype("?"), whole.astype("U5"), np.array(0.0))):
         path = saved(replace(recorded, **{odd: array}), tmp_path / f"{k}.npz")
-        assert "does not fit" in refused(path, robot)
+        assert "but must have" in refused(path, robot)

@@ -17,18 +17,19 @@ def robots(commands: bool, levels: dict[str, float] | None = None) -> Any:
     return SimpleNamespace(
         task=SimpleNamespace(reward={"progress": 1.0}, max_steps=100, commands=SimpleNamespace(enabled=commands)),
         world=SimpleNamespace(params=SimpleNamespace(control_step=np.array([0.02, 0.02])), divergences=3),
-        reward_terms={},
-        command_error=np.zeros((2, 3)),
-        curriculum=None if levels is None else SimpleNamespace(levels=lambda: levels),
+        state=SimpleNamespace(reward_terms={}, command_error=np.zeros((2, 3))),
+        metrics=lambda: {} if levels is None else {"levels": levels},
     )
 
 
 def test_figures_of_two_control_steps():
     env = robots(commands=True, levels={"stairs": 1.5})
     statistics = RolloutStatistics(env)
-    env.reward_terms, env.command_error = {"progress": np.array([1.0, 3.0])}, np.array([[0.1, 0.0, 1.0], [0.7, 0, 1]])
+    env.state.reward_terms = {"progress": np.array([1.0, 3.0])}
+    env.state.command_error = np.array([[0.1, 0.0, 1.0], [0.7, 0.0, 1.0]])
     statistics.add(np.array([1.0, 2.0]), {})
-    env.reward_terms, env.command_error = {"progress": np.array([0.0, 2.0])}, np.array([[0.5, 0.0, 1.0], [0.5, 0, 1]])
+    env.state.reward_terms = {"progress": np.array([0.0, 2.0])}
+    env.state.command_error = np.array([[0.5, 0.0, 1.0], [0.5, 0.0, 1.0]])
     # The first robot fell after 50 steps: 2 m in 4 s. The second one goes on.
     ended = {"return": [5.0, 0.0], "steps": [50, 0], "distance": [2.0, 0.0], "duration": [4.0, 0.0]}
     figures = {name: np.array(column) for name, column in ended.items()}

@@ -83,17 +83,6 @@ def test_shapes_that_are_not_searched_for_contacts_have_none(make_world, terrain
     np.testing.assert_array_equal(*paths)
 
 
-def test_a_state_of_version_0_6_continues(make_world, trot, assert_same):
-    world, other = make_world(1), make_world(1)
-    world.step(trot(0))
-    state = world.get_state()
-    del state["actuation"]["limit_ticks"]
-    other.set_state(state)
-    for k in range(1, 4):
-        assert_same(other.step(trot(k)), world.step(trot(k)))
-        assert_same(other.truth(), world.truth())
-
-
 @pytest.mark.parametrize("force", [1e12, np.nan])
 def test_a_robot_that_diverges_is_put_back_in_silence(
     make_world, trot, assert_same, engine, force, tmp_path, monkeypatch, capfd

@@ -23,6 +23,13 @@ from surefoot.task.state import RobotState
 from surefoot.world.interface import Readings
 
 
+class _OperatorCommand(CommandGenerator):
+    """The command that the operator gave last; it holds when an episode starts."""
+
+    def reset(self, rows: NDArray[np.int64]) -> None:
+        """Keep the command."""
+
+
 class Controller:
     """Observation, history, policy and reference for one robot, step by step.
 
@@ -42,7 +49,7 @@ class Controller:
         self.heights: Array | None = None
         """Heights of the ground (K,) [m] on the grid of the contract's map, for a policy that sees them."""
         self._history: NDArray[np.float32] | None = None
-        self._source = CommandGenerator(1)
+        self._source = _OperatorCommand(1)
         self._components: list[RobotComponent] = []
         if limits is not None:
             self._components += gait_components(self.gait, limits, self._source, 1)
