@@ -15,7 +15,7 @@ from surefoot.identify.motion.recorded import IMU, RecordedMotion
 from surefoot.npz import read_npz
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import param_table
-from surefoot.task.trace import LOG, EpisodeTrace
+from surefoot.task.trace import LOG, EpisodeTrace, robot_meta
 
 
 def deployed_motion(name: str, trace: EpisodeTrace) -> RecordedMotion:
@@ -58,28 +58,21 @@ def trace_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Episod
     Raises:
         SurefootError: numbers that a trace does not take, such as infinite ones.
     """
-    steps, legs, step = len(motion.time), len(robot.legs), motion.control_step
+    step = motion.control_step
     power = np.abs(np.sum(motion.motor_torque * motion.motor_velocity, axis=1))
     with prefix_errors(f"log {motion.name}"):
         return EpisodeTrace(
             time=motion.time,
-            base_position_world=np.full((steps + 1, 3), np.nan),
-            base_quat_world=np.full((steps + 1, 4), np.nan),
             roll_pitch_yaw=motion.roll_pitch_yaw,
             angular_velocity_base=motion.angular_velocity_base,
             motor_angle=motion.motor_angle,
             motor_velocity=motion.motor_velocity,
             motor_torque=motion.motor_torque,
-            observation=np.empty((steps, 0)),
-            feedback=np.full((steps, 2 * legs), np.nan),
             target=motion.command,
             energy=power * np.diff(motion.time, prepend=motion.time[:1] - step),
-            foot_contact=np.full((steps, legs), np.nan),
             meta={
-                "robot": robot.name,
+                **robot_meta(robot),
                 "world": LOG,
-                "leg_names": robot.leg_names,
-                "motor_names": robot.motor_names,
                 "observation_names": [],
                 "ended": "time",
                 "max_steps": round(float(np.ptp(motion.time)) / step) + 1,
