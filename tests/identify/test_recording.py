@@ -131,5 +131,6 @@ def test_load_refuses_arrays_of_another_shape_or_type(
         assert re.search(r": \w+ has shape \([\d, ]*\), but must have \(", refused(path, robot))
     path = saved(replace(recorded, **{odd: whole.astype("U5")}), tmp_path / "text.npz")
     assert refused(path, robot).endswith(f": {odd} holds <U5, but must hold numbers")
-    path = saved(replace(recorded, **{odd: whole.astype("?")}), tmp_path / "truth.npz")
-    assert "its digest does not fit" in refused(path, robot)
+    if np.any(whole.astype("?") != whole):  # a base on a rack is level throughout
+        path = saved(replace(recorded, **{odd: whole.astype("?")}), tmp_path / "truth.npz")
+        assert "its digest does not fit" in refused(path, robot)
