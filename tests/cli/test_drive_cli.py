@@ -495,7 +495,7 @@ def test_page_changes_the_terrain_and_draws_it(running: Running, page: Page):
     running.until(lambda: running.drive.terrain == "slope:15")
     page.locator("#size").fill("5")
     running.until(lambda: running.drive.terrain == "slope:5")
-    ground, view = running.drive.robot.env.ground, "document.getElementById('view').contentWindow.__viserMutable"
+    ground, view = running.drive.robot.env.state.ground, "document.getElementById('view').contentWindow.__viserMutable"
     assert ground.height(np.array([2.0, 0.0])) == pytest.approx(np.tan(np.radians(5.0)))
     assert np.abs(running.measure(0.1)[0].position[:2]).max() < 0.05
     page.wait_for_function(
@@ -504,7 +504,7 @@ def test_page_changes_the_terrain_and_draws_it(running: Running, page: Page):
     page.locator("#terrain").select_option("flat")
     running.until(lambda: running.drive.terrain == "flat")
     page.locator("#size").wait_for(state="hidden")
-    assert running.drive.robot.env.ground.is_flat
+    assert running.drive.robot.env.state.ground.is_flat
 
 
 @in_browser
