@@ -36,7 +36,10 @@ def surefoot(*words: object, cwd: Path | None = None) -> subprocess.CompletedPro
         stack.enter_context(mock.patch.dict(os.environ, environment))
         # However slow the computer, standard error holds no lines of a bar that has taken long.
         stack.enter_context(mock.patch.object(progress, "_LINE_PERIOD", math.inf))
-        code = main(list(map(str, words)))
+        try:
+            code = main(list(map(str, words)))
+        except SystemExit as end:  # as of --help
+            code = int(end.code or 0)
     return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
 
 
