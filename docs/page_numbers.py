@@ -46,7 +46,7 @@ from surefoot.errors import SurefootError, prefix_errors
 from surefoot.files import atomic_write
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "policies/README.md", "docs/*.md")
+PAGES = ("policies/README.md", "docs/*.md")
 MARKER = re.compile(r"<!--=\s*(.+?)\s*-->", re.DOTALL)
 TABLE = re.compile(r"(<!-- table of: *([^\n]+)\n(.+?)-->\n)(.*?)<!-- end of table -->", re.DOTALL)
 CLAIMS = re.compile(r"(<!-- claims: *([^\n]+?) *-->\n)(.*?)(?=<!-- end of claims -->)", re.DOTALL)

@@ -1,4 +1,7 @@
-"""Every measured number of a page is read from a file of results: see docs/page_numbers.py."""
+"""Measured numbers of pages with markers are read from files of results: see docs/page_numbers.py.
+
+Those of README and docs/why.md are in docs/claims.yaml: see tests/test_claims.py.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from surefoot.errors import SurefootError
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = [
-    *("README.md", "policies/README.md"),
+    "policies/README.md",
     *(
         f"docs/{name}.md"
         for name in (
@@ -26,7 +29,7 @@ RESULTS = [
         )
     ),
 ]
-"""Pages with results."""
+"""Pages with results and markers."""
 UNIT = (
     r"(?:%|(?:km|kN|kg|kHz|ms|mm|cm|mJ|dB|degC|deg|rad|million|minutes?|seconds?|hours?|MB|kB|[NWmsJVAMhHg]|Hz)"
     r"(?:/\w+)?\b)"
@@ -181,7 +184,7 @@ def test_numbers_without_a_source_are_found(numbers: ModuleType, text: str, stra
 
 
 def pages() -> list[Path]:
-    return [path for pattern in ("README.md", "policies/README.md", "docs/*.md") for path in sorted(ROOT.glob(pattern))]
+    return [path for pattern in ("policies/README.md", "docs/*.md") for path in sorted(ROOT.glob(pattern))]
 
 
 @pytest.mark.parametrize("page", [path.relative_to(ROOT).as_posix() for path in pages()])

@@ -1,0 +1,50 @@
+"""What pages in Markdown hold: links, headings and commands."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [
+    path
+    for pattern in ("README.md", "CONTRIBUTING.md", "policies/README.md", "docs/*.md")
+    for path in sorted(ROOT.glob(pattern))
+]
+LINK = re.compile(r"\]\((?!\w+:)([^)\s]+)\)")
+FENCED = re.compile(r"^( *)```(\w*)\n(.*?)^\1```", re.DOTALL | re.MULTILINE)
+INDENTED = re.compile(r"(?:\A|^\n)((?: {4}[^\n]*\n|\n)+)", re.MULTILINE)
+COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+
+
+def links(text: str) -> list[str]:
+    """Return the relative targets of links and images."""
+    return LINK.findall(FENCED.sub("", COMMENT.sub("", text)))
+
+
+def anchors(text: str) -> set[str]:
+    """Return the anchors that a Git host gives to the headings of a page."""
+    found: set[str] = set()
+    for title in re.findall(r"^#+ +(.+?) *$", FENCED.sub("", text), re.MULTILINE):
+        slug = re.sub(r"[^\w\- ]", "", re.sub(r"\]\([^)]*\)", "]", title).lower()).replace(" ", "-")
+        found.add(next(one for one in (slug, *(f"{slug}-{k}" for k in range(1, 99))) if one not in found))
+    return found
+
+
+def blocks(text: str) -> list[str]:
+    """Return the fenced blocks of a shell, and the indented ones; lines that a backslash continues are joined."""
+    text = COMMENT.sub("", text)
+    fenced = [code for _, language, code in FENCED.findall(text) if language in ("", "bash", "sh")]
+    return [re.sub(r"\\\n\s*", " ", block) for block in [*fenced, *INDENTED.findall(FENCED.sub("", text))]]
+
+
+def lines(block: str) -> list[str]:
+    """Return the commands of a block without comments."""
+    return [line for one in block.splitlines() if (line := re.split(r"\s#|\s&$|^#", one.strip())[0].strip())]
+
+
+def commands(text: str) -> list[str]:
+    """Return all commands `surefoot ...` of a page: those of its blocks, and those in its sentences."""
+    prose = FENCED.sub("", COMMENT.sub("", text))
+    found = [line for block in blocks(text) for line in lines(block) if line.startswith("surefoot ")]
+    return [" ".join(one.split()) for one in [*found, *re.findall(r"`(surefoot\s[^`]+)`", prose)]]
