@@ -15,7 +15,7 @@ from unittest import mock
 import numpy as np
 import pytest
 from fault_bench import QUICK
-from processes import refused, surefoot
+from processes import surefoot
 
 pytest.importorskip("cyclonedds")
 from go2_robot import Go2, worker_domain
@@ -130,24 +130,3 @@ def test_doctor_checks_the_robot_first(body: Go2) -> None:
     assert list(checks)[: len(names)] == names
     assert all(checks[name]["passed"] for name in [*names, "gravity", "servo gains", "control step"])
     assert body.read() == []
-
-
-@pytest.mark.parametrize(
-    ("words", "error"),
-    [
-        (("go2-steer", "--link", "dds"), "--interface is missing; it names the network interface"),
-        (
-            ("go2-steer", "--link", "dds", "--interface", "eth9"),
-            "there is no network interface 'eth9'; it must be one of",
-        ),
-        (("go2-steer", *LINK, "--port", "x"), "--port and --link dds don't go together"),
-        (("go2-steer", *LINK, "--lockstep"), "--lockstep and --link dds don't go together"),
-        (("go2-steer", "--port", "x", "--release"), "--release is given; it goes with --link dds"),
-        (("go2-steer", "--port", "x", "--interface", "lo"), "--interface is given; it goes with --link dds"),
-        (("go2-steer", "--link", "can"), "--link is 'can'"),
-        (("go2-steer", *LINK[:-1], "231"), "domain is 231; it must be"),
-        (("trot", *LINK), "a link over DDS speaks with a Unitree Go2; minitaur must have"),
-    ],
-)
-def test_options_that_do_not_fit(words: tuple[str, ...], error: str) -> None:
-    refused(surefoot("deploy", *words), error)
