@@ -141,16 +141,6 @@ def test_a_line_that_damages_frames_fails(port_of: Callable[..., str]):
     assert "frames damaged" in checks["link, losses"]["message"]
 
 
-@pytest.mark.realtime
-def test_an_adapter_that_gathers_bytes_fails_in_real_time(emulate: Callable[..., Emulator]):
-    port = emulate("--fault", "batching").port
-    code, checks = doctor("trot", port, "--pings", "200", "--steps", "10")
-    assert code == 3
-    assert checks["link, bursts"]["passed"] is False
-    assert checks["link, bursts"]["value"] == pytest.approx(16 / 5, rel=0.25)
-    assert "latency_timer" in checks["link, bursts"]["remedy"]
-
-
 @pytest.mark.parametrize(("option", "place"), [("--rack", "hang free"), ("--ground", "sit on flat ground")])
 def test_without_a_terminal_motors_move_only_with_yes(option: str, place: str):
     with open(os.devnull) as nothing, mock.patch("sys.stdin", nothing):
