@@ -120,7 +120,7 @@ class Cable:
         self._actions: list[tuple[float, Callable[[], object]]] = []
         self._chatter = b"".join(_states_of_another_session(30))[70:-70] if chatter else b""
         self._others = bytearray()
-        self._over = False
+        self._over = self._pulled = False
         self._thread = threading.Thread(target=self._carry, daemon=True)
         self._thread.start()
 
@@ -140,6 +140,10 @@ class Cable:
         for number, message in enumerate(messages, 1):
             self._others += encode_frame(CODEC, message, number, now)
 
+    def pull(self) -> None:
+        """Lose all that both say from now on; it is still recorded."""
+        self._pulled = True
+
     def close(self) -> None:
         self._over = True
         self._thread.join()
@@ -156,12 +160,12 @@ class Cable:
             if self._host in ready:
                 data = _read(self._host)
                 self._hear(of_host.feed(data))
-                _write(self._robot, bytes(self._others) + data)
+                _write(self._robot, b"" if self._pulled else bytes(self._others) + data)
                 self._others.clear()
             if self._robot in ready:
                 data = _read(self._robot)
                 self.record.from_robot += of_robot.feed(data)
-                _write(self._host, data)
+                _write(self._host, b"" if self._pulled else data)
 
     def _hear(self, frames: list[Packet]) -> None:
         record = self.record
@@ -372,7 +376,7 @@ SCENARIOS = {
     "whole": Scenario(),
     **{
         name: Scenario((f"{name}={RUNNING}",), duration=LONG)
-        for name in ("stale-state", "repeat-sequence", "backward-sequence", "unplug", "tilt")
+        for name in ("stale-state", "repeat-sequence", "backward-sequence", "unplug", "reboot", "tilt")
     },
     **{name: Scenario(policy=name, duration=LONG) for name in ("nan", "infinite")},
     "exception": Scenario(raises=True, duration=LONG),

@@ -13,14 +13,11 @@ from typing import Any
 from unittest import mock
 
 import pytest
-from edited import edited_policy
 from processes import Emulator, EmulatorHere, emulators, refused, run_surefoot, surefoot
 
 pytest.importorskip("mujoco")
 onnx = pytest.importorskip("onnx")
 
-from surefoot.api.policies import find_policy  # noqa: E402
-from surefoot.policy.contract import METADATA_KEY  # noqa: E402
 
 QUICK = ("--pings", "40", "--steps", "50")
 
@@ -85,54 +82,6 @@ def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator], t
     assert checks["inference"]["value"] < 0.001
 
 
-# Policies that do not fit the robot.
-
-
-def exchange_columns(contract: dict[str, Any]) -> None:
-    names = contract["columns"]
-    names[4], names[5] = names[5], names[4]
-
-
-def widen_feedback(contract: dict[str, Any]) -> None:
-    contract["low"] = [-0.8] * 4 + [-0.25] * 4
-
-
-@pytest.mark.parametrize(
-    ("change", "policy", "message"),
-    [
-        (exchange_columns, "gallop", "column 4 is 'angle.front_left_1_motor' (policy)"),
-        (widen_feedback, "trot", "swing can be -1.100 to 0.550 rad"),
-    ],
-)
-@pytest.mark.parametrize("command", ["doctor", "deploy"])
-def test_a_policy_that_does_not_fit_the_data_sheet_is_refused_before_the_port_is_opened(
-    command: str, change: Callable[[dict[str, Any]], None], policy: str, message: str, tmp_path: Path
-):
-    edited = edited_policy(tmp_path / "edited.onnx", change, policy)
-    refused(surefoot(command, edited, "--port", "/dev/none"), f"policy '{policy}' must not run on minitaur: ", message)
-
-
-def cut_normalizer(model: Any) -> None:
-    model.graph.node[2].input[0] = "observation"
-    del model.graph.node[:2]
-
-
-def turn_rate(model: Any) -> None:
-    (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
-    entry.value = entry.value.replace('"control_step": 0.006', '"control_step": 0.012')
-
-
-@pytest.mark.parametrize(("command", "edit"), [("doctor", cut_normalizer), ("deploy", turn_rate)])
-def test_a_changed_policy_is_refused_before_the_port_is_opened(
-    command: str, edit: Callable[[Any], None], tmp_path: Path
-):
-    model = onnx.load(find_policy("trot"))
-    edit(model)
-    onnx.save(model, tmp_path / "stale.onnx")
-    done = surefoot(command, tmp_path / "stale.onnx", "--port", "/dev/none")
-    refused(done, "stale.onnx: its digest does not match: the network or the contract was changed")
-
-
 # Robots with faults.
 
 
@@ -190,38 +139,6 @@ def test_a_line_that_damages_frames_fails(port_of: Callable[..., str]):
     _, checks = doctor("trot", port_of("--fault", "corrupt=0.05"), "--lockstep")
     assert checks["link, losses"]["passed"] is False
     assert "frames damaged" in checks["link, losses"]["message"]
-
-
-@pytest.mark.realtime
-def test_an_adapter_that_gathers_bytes_fails_in_real_time(emulate: Callable[..., Emulator]):
-    port = emulate("--fault", "batching").port
-    code, checks = doctor("trot", port, "--pings", "200", "--steps", "10")
-    assert code == 3
-    assert checks["link, bursts"]["passed"] is False
-    assert checks["link, bursts"]["value"] == pytest.approx(16 / 5, rel=0.25)
-    assert "latency_timer" in checks["link, bursts"]["remedy"]
-
-
-# Command line.
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["none.onnx", "--port", "/dev/none"], "policy 'none.onnx' does not exist"),
-        (["trot", "--port", "/dev/none"], "port /dev/none: can't be opened: No such file or directory"),
-        (["trot", "--port", "x", "--rack", "--ground"], "--rack and --ground don't go together"),
-        (["trot", "--port", "x", "--pings", "1"], "pings is 1; it must be 10 or more"),
-        (["trot", "--port", "x", "--steps", "0"], "steps is 0; it must be 10 or more"),
-        (["trot", "--port", "x", "--robot", "cat"], "robot 'cat': no such robot"),
-        (["trot"], "--port"),
-    ],
-)
-def test_wrong_options_are_refused_in_one_line(words: list[str], message: str):
-    done = surefoot("doctor", *words)
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(("option", "place"), [("--rack", "hang free"), ("--ground", "sit on flat ground")])

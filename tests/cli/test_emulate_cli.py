@@ -1,4 +1,4 @@
-"""`surefoot emulate`: what it takes, and what it says when that does not fit."""
+"""`surefoot emulate`: its parameters, files, summary and faults."""
 
 from __future__ import annotations
 
@@ -6,79 +6,13 @@ import re
 
 import numpy as np
 import pytest
-from processes import refused, surefoot
+from processes import surefoot
 
 pytest.importorskip("mujoco")
 
-from surefoot.api.extras import install_command
 from surefoot.cli import emulate
 from surefoot.emulator.fault_table import FAULTS
 from surefoot.robot.params_file import read_params
-
-DDS = ["--link", "dds", "--interface", "lo"]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--world", "gazebo"], "world 'gazebo' does not exist; choices: mujoco, bullet"),
-        (["--robot", "cat"], "robot 'cat': no such robot"),
-        (["--fault", "melt"], "'melt' is no fault; choices: corrupt, drop"),
-        (["--fault", "drop=0.1", "--fault", "drop"], "fault drop is given twice"),
-        (["--lockstep", "--fault", "overload"], "it does not go with --lockstep"),
-        (["--terrain", "stairs:9"], "terrain stairs: size is 9 m; it must be 0.01 to 0.4"),
-        (["--rack", "--fault", "tilt"], "it does not go with --rack"),
-        (["--fault", "slow-servo=0.0025"], "fault slow-servo is 0.0025; it must be whole servo steps of 0.001 s"),
-        (["--link", "dds"], "link dds needs the network interface of the topics; give --interface, such as lo"),
-        (["--link", "tcp"], "dds"),
-        (
-            ["--interface", "lo"],
-            "motion_service are those of a link over DDS; give --link dds too",
-        ),
-        ([*DDS, "--domain", "233"], "domain is 233; it must be 232 or less"),
-        ([*DDS, "--lockstep"], "lockstep is about the serial link; it does not go with --link dds"),
-        (
-            [*DDS, "--fault", "garbage"],
-            "fault garbage acts on bytes between messages; --link dds does not have that, give --link serial",
-        ),
-        (
-            ["--fault", "remote-stop"],
-            "fault remote-stop acts on the remote control; --link serial does not have that, give --link dds",
-        ),
-        (DDS, "link dds is that of a Unitree Go2; robot minitaur has other motors, give --robot go2"),
-        (["--duration", "0"], "duration is 0; it must be over 0"),
-        (["--baud", "-1"], "baud is -1; it must be 0 or more"),
-        (["--baud", "300"], "baud is 300; it must be 9600 or more, or 0"),
-        (["--hidden-seed", "-1"], "hidden_seed is -1; it must be 0 or more"),
-        (["--out", "x.toml"], "out x.toml is for hidden parameters; give --hidden-seed too"),
-        (["--hidden-seed", "1", "--set", "voltage=15"], "does not go with --params and --set"),
-        (["--out", "x.txt"], "out x.txt: the name must end in .csv or .toml, with one file of each"),
-        (["--out", "x.csv", "y.csv"], "out y.csv: the name must end in"),
-        (["--set", "voltage=99"], "voltage is 99; minitaur allows 5 to 30"),
-        (["--params", "missing.toml"], "missing.toml: can't be read: No such file"),
-    ],
-)
-def test_emulate_reports_invalid_options_in_one_line(tmp_path, words, message):
-    refused(surefoot("emulate", *words, cwd=tmp_path), message)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(("option", "name"), [("--out", "a.csv"), ("--out", "a.toml"), ("--symlink", "a")])
-def test_emulate_refuses_to_overwrite_files(tmp_path, option, name):
-    file = tmp_path / name
-    file.write_text("mine")
-    words = (option, file, "--hidden-seed", "1", "--duration", "0.01")
-    refused(surefoot("emulate", *words), "exists; give another name")
-    assert file.read_text() == "mine"
-
-
-def test_emulate_refuses_a_viewer_without_a_display():
-    refused(surefoot("emulate", "--viewer"), "viewer: there is no display here")
-
-
-def test_emulate_reports_a_missing_engine_before_it_starts(monkeypatch):
-    monkeypatch.setattr("surefoot.world.registry.find_spec", lambda name: None)
-    refused(surefoot("emulate", "--world", "bullet"), install_command("bullet"))
 
 
 def test_the_faults_are_listed():

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
-from processes import refused, surefoot
+from processes import surefoot
 
 pytest.importorskip("mujoco")
 pytest.importorskip("pandas")
@@ -42,18 +42,3 @@ def test_one_policy_is_measured_under_conditions_that_are_named():
     assert done.returncode == 0, done.stderr
     (row,) = json.loads(done.stdout)["policies"]
     assert (row["policy"], row["condition"], row["episodes"]) == ("go2-steer", "feet", 2)
-
-
-@pytest.mark.parametrize(
-    ("line", "part"),
-    [
-        ("go2-steer trot", "policies that are compared must be for the same robot"),
-        ("trot gallop", "policy 'trot' follows no commands; policies that are compared must"),
-        ("go2-steer go2-terrain --conditions ice", "--conditions are ice; give some of nominal, bullet, table1"),
-        ("go2-steer go2-terrain --conditions feet feet", "--conditions are feet, feet; give some of"),
-        ("go2-steer --conditions", "--conditions has no value"),
-        ("go2-steer go2-terrain --terrain stairs:0.1", "--terrain is not an option"),
-    ],
-)
-def test_comparisons_refuse_what_does_not_fit(line: str, part: str):
-    refused(surefoot("evaluate", *line.split()), part)

@@ -5,20 +5,17 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from edited import edited_policy, maxitaur
+from edited import edited_policy
 from processes import refused, surefoot
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
 
-from surefoot.api.extras import install_command
 from surefoot.cli.gap import make_labels, parse_side
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
@@ -65,12 +62,6 @@ def result(words: list[str]) -> dict[str, Any]:
 def read(path: Path) -> list[dict[str, str]]:
     with path.open() as file:
         return list(csv.DictReader(file))
-
-
-def refused_gap(words: list[str], *parts: str) -> None:
-    """One line on stderr that has all parts, and no folder for results."""
-    refused(surefoot("gap", *words, *ONE), *parts)
-    assert not Path("gap").exists()
 
 
 def test_tables_figure_and_traces(here: Path):
@@ -171,49 +162,6 @@ def test_recorded_runs_have_the_results_of_simulated_ones(here: Path):
     assert turned["pooled"][0]["return_mean"] == recorded["pooled"][1]["return_mean"]
 
 
-@pytest.mark.parametrize(
-    ("line", "part"),
-    [
-        ("--to mujoco", "no policy is given"),
-        ("gallop.onnx", "no --to is given; it takes the name of a world, or trace FOLDER"),
-        ("gallop.onnx --to moon", "world 'moon' does not exist; choices: mujoco, bullet"),
-        ("gallop.onnx --to trace", "--to is 'trace'; it takes the name of a world, or trace FOLDER"),
-        ("gallop.onnx --to mujoco bullet", "--to is 'mujoco bullet'; it takes"),
-        ("gallop.onnx --to mujoco --to mujoco", "--to mujoco is given twice"),
-        ("gallop.onnx --from moon --to mujoco", "world 'moon' does not exist"),
-        ("gallop.onnx --to mujoco --episodes 0", "episodes is 0; it must be 1 or more"),
-        ("gallop.onnx --to mujoco --to-set strength=1", "'strength' is not a physical parameter"),
-        ("gallop.onnx --to mujoco --from-set motor_strength=9", "motor_strength is 9; minitaur allows 0 to 2"),
-        ("gallop.onnx --to mujoco --out /dev/null/gap", "/dev/null"),
-        ("gallop.onnx --to trace nowhere", "trace folder nowhere does not exist"),
-        ("gallop.onnx --to trace mine --to-set voltage=15", "--to-set is given, but nothing is simulated"),
-        ("gallop.onnx --to trace mine --to-actuator constraint", "--to-actuator is given, but nothing"),
-        ("gallop.onnx --from trace mine --to mujoco --from-set voltage=15", "--from-set is given, but nothing"),
-        ("gallop.onnx --to trace mine --out mine/gap", "lie one in the other"),
-        ("gallop.onnx --to trace .", "lie one in the other"),
-    ],
-)
-def test_gap_refuses_options_that_do_not_go_together(line: str, part: str, here: Path):
-    refused_gap(line.split(), part)
-
-
-def test_policies_for_different_robots_are_refused(here: Path):
-    robot = maxitaur(here / "maxitaur")
-
-    def other(contract: dict[str, Any]) -> None:
-        contract.update(robot="maxitaur", description=str(robot))
-
-    edited_policy(here / "other.onnx", other, "trot")
-    refused_gap(["gallop.onnx", "other.onnx", "--to", "mujoco"], "policy 'trot' is for robot 'maxitaur'")
-
-
-def test_traces_of_several_worlds_are_refused(here: Path, make_run: Callable[..., EpisodeTrace]):
-    for world in ("bullet", "lab"):
-        make_run(world=world, policy="gallop").save(here / "traces" / f"{world}.npz")
-    words = ["gallop.onnx", "--to", "trace", "traces"]
-    refused_gap(words, "trace traces: the traces come from more than one world: bullet, lab; measure one at a time")
-
-
 def test_sides_have_distinct_labels():
     folder = Path("a/robot")
     assert make_labels(["mujoco", "mujoco", "lab"], ["mujoco", "mujoco", folder]) == ["mujoco", "mujoco-away", "lab"]
@@ -221,29 +169,6 @@ def test_sides_have_distinct_labels():
     assert parse_side("--to", ("trace", "x y")) == Path("x y")
     with pytest.raises(SurefootError, match="--to is 'nothing'"):
         parse_side("--to", ())
-
-
-@pytest.mark.parametrize("name", ["a/b c", "..", "../../x"])
-def test_a_policy_whose_name_is_no_folder_name_is_refused(name: str, here: Path):
-    edited_policy(here / "odd.onnx", lambda contract: contract.update(name=name), "trot")
-    refused_gap(["odd.onnx", "--to", "mujoco"], f"policy name is '{name}'; a name has letters, digits")
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "gap gallop.onnx --to bullet",
-        "gap gallop.onnx --from bullet --to mujoco",
-        "evaluate gallop.onnx --world bullet --out out",
-        "show gallop.onnx --world bullet",
-        "evaluate sensitivity gallop.onnx --world bullet",
-    ],
-)
-def test_without_bullet_the_error_names_the_extra(line: str, here: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(sys.modules, "pybullet", None)
-    before = sorted(here.iterdir())
-    refused(surefoot(*line.split()), f"this needs pybullet, which is not installed: {install_command('bullet')}\n")
-    assert sorted(here.iterdir()) == before
 
 
 def test_bullet_is_another_world(here: Path):

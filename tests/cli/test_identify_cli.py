@@ -53,51 +53,6 @@ def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) 
     assert output["rms_error"]["constraint"] > 5 * output["rms_error"]["dc"]
 
 
-@pytest.mark.parametrize(
-    ("words", "output"),
-    [
-        (
-            ["tail"],
-            "'tail' is no experiment; choices: latency, motor, mass, contact, replay, import, motor-figure, or "
-            "--trace FOLDER",
-        ),
-        (["motor"], "give one of them; none is given"),
-        (["motor", "--port", "x", "--recording", "y"], "give one of them; both is given"),
-        (["motor", "--recording", "x", "--yes"], "--recording and --yes don't go together"),
-        (["motor", "--recording", "x", "--record-only"], "--recording and --record-only don't go together"),
-        (["motor", "--port", "x", "--record-only", "--params", "a.toml"], "--record-only and --params don't go"),
-        (["motor", "--port", "x", "--params", "a.txt"], "params a.txt: the name must end in .toml"),
-        (["motor", "--recording", "none"], "recording none: can't be read: No such file"),
-        (["motor", "--port", "/dev/none", "--yes"], "/dev/none"),
-        (["motor", "--port", "/dev/none", "--robot", "cat"], "robot 'cat': no such robot"),
-        (
-            ["motor", "--port", "/dev/none"],
-            "motors will move and the robot must hang free, its legs in the air; without",
-        ),
-        (["mass", "--port", "/dev/none", "--record-only"], "the robot must sit on flat ground with a metre of room"),
-        (["--trace", "none"], "trace folder none does not exist"),
-        (["--trace=none"], "trace folder none does not exist"),
-        (["motor-figure", "--motor", "tail"], "motor 'tail' does not exist"),
-        (
-            ["motor-figure", "--out", "motor.pdf"],
-            "out motor.pdf: the name must end in .png or .csv, with one file of each",
-        ),
-        (["motor-figure", "--frequency", "0"], "frequency is 0; it must be over 0"),
-        (["motor-figure", "--log", "none.csv"], "none.csv: can't be read"),
-        (["motor-figure", "--set", "mass=2"], "'mass' is not a physical parameter"),
-        (["motor-figure", "--world", "moon"], "world 'moon' does not exist"),
-    ],
-)
-def test_identify_refuses_invalid_options_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], output: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    done = identify(*words)
-    done.stderr = "".join(line for line in done.stderr.splitlines(True) if "warning" not in line)
-    refused(done, output)
-    assert not list(tmp_path.iterdir())
-
-
 def test_identify_without_words_lists_the_experiments():
     done = identify()
     assert done.returncode == 2
@@ -354,7 +309,6 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
     pupper, logs, out = RobotDescription.load("pupper_v2"), tmp_path / "logs", tmp_path / "out"
     words = ("--trace", logs, "--robot", "pupper_v2")
     logs.mkdir()
-    refused(identify(*words), f"folder {logs} holds no logs (.npz)")
     truth = PhysicalParams.nominal(pupper).with_values(pupper, control_latency=0.030)
     replayer, time = Replayer(pupper, 1, torques=False), 0.01 * np.arange(71)
     # Nobody says when readings were taken; they are taken to be half a row old.

@@ -53,27 +53,3 @@ def test_import_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert output["missing"][0] == "motor_angle"
     assert (output["timing"]["rows"], output["timing"]["repeated_times"]) == (4, pytest.approx(1 / 3))
     assert EpisodeTrace.load(output["trace"]).num_steps == 4
-    assert main(["identify", "imprt"]) == 2
-    assert "'imprt' is no experiment; did you mean import?" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--params", "nothing"], "params is 'nothing'; it must be a file (.toml), or a name; choices: id"),
-        (["--world", "newton"], "world 'newton' does not exist; choices: mujoco, bullet"),
-        (["--out", "figure.svg"], "out figure.svg: the name must end in .png"),
-        (["--set", "mass=1"], "'mass' is not a physical parameter"),
-    ],
-)
-def test_replay_refuses_invalid_options(words: list[str], message: str, capsys: pytest.CaptureFixture[str]):
-    assert main(["identify", "replay", str(DATA / "one_hip_200hz.npz"), "--robot", "pupper_v2", *words]) == 2
-    assert message in capsys.readouterr().err
-
-
-def test_replay_refuses_a_short_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    command = np.zeros((5, 12))
-    command[:, 1] = np.arange(5) / 10
-    np.savez(tmp_path / "log.npz", time=0.01 * np.arange(5), command=command, motor_angle=command)
-    assert main(["identify", "replay", str(tmp_path / "log.npz"), "--robot", "pupper_v2"]) == 2
-    assert "log.npz is 0.04 s long; errors count after 0.3 s" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from edited import maxitaur
-from processes import refused, surefoot
+from processes import surefoot
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
@@ -206,56 +206,3 @@ def test_training_evaluates_on_the_robot_of_its_file(here: Path):
     assert (own["params"], own["params_source"]) == (AS_JSON, SOURCE)
     for key in ("return_mean", "distance_mean", "power_mean", "falls"):
         assert own[key] == evaluation[key], key
-
-
-# --- what does not fit ------------------------------------------------------------------------------------
-
-FILES = {
-    "cat.toml": (
-        'robot = "cat"\n[params]\nvoltage = 15\n',
-        "cat.toml: has parameters of robot 'cat', not of 'minitaur'",
-    ),
-    "range.toml": (
-        "[params]\nmotor_strength = [1, 1, 1, 9, 1, 1, 1, 1]\n",
-        "motor_strength is 9; minitaur allows 0 to 2",
-    ),
-    "short.toml": ("[params]\nmotor_strength = [1, 0.9]\n", "motor_strength has shape (2,); it must fit (1, 8)"),
-    "step.toml": ("[params]\ncontrol_step = 0.008\n", "control_step is 0.008, and the task's is 0.006"),
-}
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "train trot",
-        "evaluate trot --out o",
-        "gap trot --to mujoco",
-        "evaluate sensitivity trot",
-        "show trot --out o.mp4",
-    ],
-)
-def test_every_command_refuses_a_file_that_does_not_fit(line: str, here: Path):
-    if line.startswith("train"):
-        pytest.importorskip("torch")
-    for name, (text, _) in FILES.items():
-        Path(name).write_text(text)
-    before = sorted(here.iterdir())
-    messages = [
-        *((name, message) for name, (_, message) in FILES.items()),
-        ("no.toml", "no.toml: can't be read: No such"),
-    ]
-    for name, message in messages:
-        refused(surefoot(*line.split(), "--params", name), message)
-        assert sorted(here.iterdir()) == before
-
-
-@pytest.mark.parametrize(
-    ("line", "part"),
-    [
-        ("evaluate --trace a.npz --params robot.toml", "--trace and --params are given"),
-        ("evaluate --trace a.npz --control-latency 0", "--trace and --control-latency are given"),
-        ("gap trot --from trace a --to trace b --params robot.toml", "--params is given, but nothing is simulated"),
-    ],
-)
-def test_recorded_runs_refuse_another_simulator(line: str, part: str):
-    refused(surefoot(*line.split()), part)

@@ -94,11 +94,3 @@ def test_a_robot_runs_the_policy(run: Path, plugin: Path, emulate: Callable[...,
     assert done.returncode == 0, done.stdout + done.stderr
     (result,) = json.loads(done.stdout)["runs"]
     assert result["ended"] == "time"
-
-
-def test_an_error_in_a_plugin_is_one_line(run: Path, tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text("raise RuntimeError('not today')\n")
-    done = surefoot("show", run / "policy.onnx", "--plugin", tmp_path / "mine.py")
-    refused(done, "mine.py, line 1: RuntimeError: not today")
-    refused(surefoot("evaluate", "trot", "--plugin", "no.py"), "plug-in no.py: can't be read: No such file")
-    refused(surefoot("evaluate", "trot", "--plugin", "no"), "plug-in 'no' is neither a file whose name ends in .py")

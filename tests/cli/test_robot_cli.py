@@ -1,4 +1,4 @@
-"""`surefoot robot new` and `surefoot robot check`: a robot from a file, the checks of it, and bad input."""
+"""`surefoot robot new` and `surefoot robot check`: a robot from a file, and the checks of it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from processes import refused, surefoot
+from processes import surefoot
 
 from surefoot.cli import robot as robot_command
 from surefoot.robot import RobotDescription
@@ -117,26 +117,3 @@ def test_knees_are_asked_for_on_a_terminal_where_the_file_does_not_show_them(
     capsys.readouterr()
     assert robot_command.find_knees(go2) is None
     assert capsys.readouterr().out == "knees point backward, by the knees' limits\n"
-
-
-BAD = [
-    ([], "usage"),
-    (["make"], "'make' is not an action; choices: new, check"),
-    (["new"], "FILE"),
-    (["new", "none.urdf"], "none.urdf: can't be read"),
-    (["new", "robot.urdf", "--forward", "up"], "forward"),
-    (["new", "robot.urdf", "--name", "a b"], "name is 'a b'"),
-    (["check", "none"], "robot 'none': no such robot"),
-]
-
-
-@pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words) for words, _ in BAD])
-def test_bad_input_gets_one_line_and_exit_code_2(words: list[str], message: str, tmp_path: Path) -> None:
-    (tmp_path / "robot.urdf").write_text(SOLO.urdf.path.read_text())
-    result = surefoot("robot", *words, cwd=tmp_path)
-    assert result.returncode == 2
-    if not words:
-        assert message in result.stderr
-        return
-    refused(result)
-    assert message in result.stderr

@@ -46,16 +46,3 @@ def test_one_motor_is_turned_without_a_servo(fault, code, text, capsys):
     output = capsys.readouterr().out
     assert text in output
     assert (robot.board.firmware.armed, robot.board.firmware.reason) == (False, Reason.HOST)
-
-
-def test_a_motor_that_is_none_and_a_missing_yes_are_refused(capsys):
-    for words, text in (("x --yes", "'x' is no motor of minitaur"), ("front_left_1_motor", "say so with --yes")):
-        assert main(["robot", "firmware", "motor", *words.split(), "--port", "/dev/null"]) == 2
-        assert text in capsys.readouterr().err
-
-
-def test_a_word_that_is_no_action_or_no_robot_is_refused(capsys):
-    assert main(["robot", "firmware", "old"]) == 2
-    assert "'old' is not an action" in capsys.readouterr().err
-    assert main(["robot", "firmware", "new", "no-such-robot"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1

@@ -1,4 +1,4 @@
-"""The page of recorded runs in a real browser, served and as one file; traces that it refuses."""
+"""The page of recorded runs in a real browser, served and as one file; policies and runs, told apart."""
 
 from __future__ import annotations
 
@@ -217,37 +217,11 @@ def test_page_for_other_machines_has_a_token(traces: list[Path]):
                 urllib.request.urlopen(inside)
 
 
-def test_show_refuses_invalid_traces_and_unknown_robots(
-    make_run: MakeRun, traces: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    foreign = make_run(robot="nemo/../evil").save(tmp_path / "foreign.npz")
-    renamed = make_run().save(tmp_path / "renamed.npz")
-    cut, arrays = tmp_path / "cut.npz", tmp_path / "arrays.npz"
-    cut.write_bytes(traces[0].read_bytes()[:1000])
-    np.savez(arrays, time=np.arange(3.0), command=np.zeros((3, 12)))
-    for words, message in (
-        ([], "no POLICY and no TRACE is given"),
-        ([foreign], "which does not ship; give its folder with --robot"),
-        ([renamed], "is of robot 'minitaur'"),
-        ([traces[0], cut], "cut.npz: is cut off, damaged"),
-        ([arrays], "arrays.npz: not an episode trace"),
-        ([tmp_path / "none.npz"], "does not exist"),
-        ([traces[0], "--out", "x.txt"], "must end in .html"),
-        ([*traces, "--out", "x.mp4"], "2 runs are given; a video shows one"),
-        ([traces[0]] * 17, "17 traces are given"),
-    ):
-        assert main(["show", "--out", str(tmp_path / "x.html"), *map(str, words)]) == 2
-        (line,) = capsys.readouterr().err.splitlines()
-        assert message in line
-        assert not (tmp_path / "x.html").exists()
-
-
 def test_show_draws_the_map_that_it_is_given(make_run: MakeRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     trace = swinging(make_run, terrain="hill.npz").trace.save(tmp_path / "run.npz")
     heights = np.zeros((41, 41))
     heights[30:] = 0.2
-    for name in ("hill.npz", "other.npz"):
-        np.savez(tmp_path / name, heights=heights, cell=0.1)
+    np.savez(tmp_path / "hill.npz", heights=heights, cell=0.1)
     show = ["show", str(trace), "--out", str(tmp_path / "x.html")]
     assert main(show) == 0
     assert "stood on the map 'hill.npz', which is not drawn: give its file with --terrain" in capsys.readouterr().out
@@ -255,9 +229,6 @@ def test_show_draws_the_map_that_it_is_given(make_run: MakeRun, tmp_path: Path, 
     assert main([*show, "--terrain", str(tmp_path / "hill.npz")]) == 0
     assert "stood" not in capsys.readouterr().out
     assert len((tmp_path / "x.html").read_text()) != level
-    for terrain, message in (("other.npz", "the traces' terrain is 'hill.npz'"), ("rough:0.1", "it must be a map")):
-        assert main([*show, "--terrain", str(tmp_path / terrain)]) == 2
-        assert message in capsys.readouterr().err
 
 
 def test_show_draws_a_log_with_the_robot_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -247,37 +247,3 @@ def test_a_missing_world_is_refused_before_training(
     assert main(["study", "gaps.yaml"]) == 2
     assert install_command("bullet") in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
-
-
-BAD = [
-    (["tiny.yaml", "--workers", "-1"], "workers is -1; it must be 0"),
-    (["tiny.yaml", "--only", "fast"], "group 'fast' is not in the study; choices: plain, drawn"),
-    (["tiny.yaml", "--seeds", "1", "1"], "seeds is .1, 1.; it takes 1 or more, none twice"),
-    (["tiny.yaml", "--train-only", "--report-only"], "--train-only and --report-only leave nothing to do"),
-    (["tiny.yaml", "--report-only"], "runs/tiny: no run of the study is finished and evaluated"),
-    (["tiny.yaml", "--ray", "nowhere"], "ray is 'nowhere'; it must be HOST:PORT"),
-    (["none.yaml"], "none.yaml: can't be read"),
-    (["kind.yaml"], "evaluate: 'luck' is no kind of evaluation; choices: nominal, table1, sensitivity, gap"),
-    (["primary.yaml"], "primary: 'gap' is no figure of its evaluations; choices: nominal_speed, nominal_return"),
-    (["gaps.yaml"], "evaluate: a study measures one reality gap; it has gap, gap_test"),
-    (["bars.yaml"], "bars: they show the reality gap; evaluate must name 'gap' or 'gap_test' for them"),
-    (["robot.yaml"], "group a: observation 'smell' does not exist"),
-    (["--report-only"], "FILE is missing"),
-    (["run"], "FILE is missing"),
-    (["run", "kind.yaml"], "evaluate: 'luck' is no kind of evaluation"),
-]
-
-
-@pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words) for words, _ in BAD])
-def test_study_refuses_bad_input_in_one_line(words: list[str], message: str, tmp_path: Path) -> None:
-    (tmp_path / "tiny.yaml").write_text(TINY)
-    (tmp_path / "kind.yaml").write_text("{groups: {a: {}}, evaluate: [luck]}")
-    (tmp_path / "gaps.yaml").write_text("{groups: {a: {}}, evaluate: [gap, gap_test]}")
-    (tmp_path / "primary.yaml").write_text("{groups: {a: {}}, primary: gap}")
-    (tmp_path / "bars.yaml").write_text("{groups: {a: {}}, bars: {all: [a]}}")
-    (tmp_path / "robot.yaml").write_text("groups: {a: {train: {task: {observations: [smell]}}}}")
-    result = surefoot("study", *words, cwd=tmp_path)
-    refused(result)
-    assert re.search(message, result.stderr), result.stderr
-    assert not (tmp_path / "runs").exists()
-    assert not (tmp_path / "results").exists()

@@ -1,4 +1,4 @@
-"""`surefoot train`: errors in one line; Ctrl-C to a real process saves, resume finishes."""
+"""`surefoot train`: options of the reference; Ctrl-C to a real process saves, resume finishes."""
 
 from __future__ import annotations
 
@@ -24,38 +24,6 @@ TINY = (
     *("--num-envs", "16", "--steps-per-update", "16", "--evaluate-every", "100000"),
     *("--evaluation-episodes", "2", "--task.max-steps", "60"),
 )
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("speed: 3\n", "task.yaml: speed is not a key; choices: name, robot"),
-        (
-            "reference: {kind: sine, extension: {amplitude: 2.0, frequency: 2.0, offset: 1.6}}\n",
-            "a leg of minitaur allows 0.6 to 2.7",
-        ),
-    ],
-)
-def test_train_refuses_an_invalid_task_before_there_is_a_run(text: str, message: str, tmp_path: Path) -> None:
-    (tmp_path / "task.yaml").write_text(text)
-    refused(surefoot("train", "task.yaml", cwd=tmp_path), message)
-    assert not (tmp_path / "runs").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (
-            ("--task.reference.foot.height", "0.2"),
-            "--task.reference.foot.height is an option of references of kind foot, follow, and the task's is of kind "
-            "sine; to change the kind: --task.reference.kind foot",
-        ),
-        (("--task.reference.kind", "follow"), "reference.kind is follow; it needs commands"),
-        (("--task.reference.kind", "square"), "reference.kind is 'square'; choices: none, sine, table, foot, follow"),
-    ],
-)
-def test_options_of_another_kind_of_reference_are_refused(words: tuple[str, ...], message: str, tmp_path: Path) -> None:
-    refused(surefoot("train", "trot", *words, cwd=tmp_path), message)
 
 
 @pytest.mark.parametrize(

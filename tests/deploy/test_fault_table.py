@@ -219,20 +219,34 @@ def assert_sat_and_disarmed(record: Record) -> None:
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("how", ["killed", "hangs"])
-def test_row_1_a_host_that_dies_or_hangs(living_robot, tmp_path, how):
-    with deployed(living_robot, tmp_path, quick=False) as (cable, host):
-        wait_for(cable.moment(0.2), host)
-        host.popen.send_signal(signal.SIGKILL if how == "killed" else signal.SIGSTOP)
-        time.sleep(0.3)
-        assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
-        count = len(cable.record.from_robot)
-        if how == "hangs":
+def test_row_1_a_host_that_hangs_and_one_that_is_killed(living_robot, tmp_path):
+    for number in (signal.SIGSTOP, signal.SIGKILL):
+        with deployed(living_robot, tmp_path, quick=False) as (cable, host):
+            wait_for(cable.moment(0.2), host)
+            host.popen.send_signal(number)
+            time.sleep(0.3)
+            assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
+            if number == signal.SIGKILL:
+                break
+            count = len(cable.record.from_robot)
             host.popen.send_signal(signal.SIGCONT)
             assert host.end().code == 3
-        # Nothing that a host says when it wakes moves the robot.
-        modes = {frame.message.mode for frame in cable.record.from_robot[count:] if isinstance(frame.message, State)}
-        assert modes <= {Mode.FAULT, Mode.DISARMED}
+            # Nothing that a host says when it wakes moves the robot.
+            woken = [frame.message for frame in cable.record.from_robot[count:] if isinstance(frame.message, State)]
+            assert {state.mode for state in woken} <= {Mode.FAULT, Mode.DISARMED}
+
+
+@pytest.mark.realtime
+def test_row_1_a_cable_that_is_pulled_while_both_go_on(living_robot, tmp_path):
+    with deployed(living_robot, tmp_path) as (cable, host):
+        wait_for(cable.moment(RUNNING), host)
+        cable.pull()
+        ended = host.end()
+        assert ended.outcome == (3, "fault", "stale state")
+        assert ended.saved_trace.num_steps > 20
+        assert_damped_at_once(cable.record)  # which the robot does not hear
+        time.sleep(0.5)  # it sinks
+        assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
 
 
 @scenarios("unplug")
@@ -275,6 +289,24 @@ def test_row_2_states_that_are_old_repeated_or_backward(ended):
     assert 3 * STEP < damped - fresh <= 4 * STEP + 1e-6
     assert ended.record.reasons == [Reason.HOST]
     assert ended.record.robot_packets(Fault)[0].time == damped
+
+
+@pytest.mark.realtime
+def test_row_2_a_robot_that_stalls(living_robot, tmp_path):
+    with deployed(living_robot, tmp_path) as (cable, host):
+        wait_for(cable.moment(RUNNING), host)
+        living_robot.process.send_signal(signal.SIGSTOP)
+        ended = host.end()
+        assert ended.outcome == (3, "fault", "stale state")
+        assert ended.saved_trace.num_steps > 20
+        assert_damped_at_once(cable.record)
+        # When it wakes, it finds the order to damp before anything else.
+        count = len(cable.record.from_robot)
+        living_robot.process.send_signal(signal.SIGCONT)
+        time.sleep(0.3)
+        woken = [frame.message for frame in cable.record.from_robot[count:] if isinstance(frame.message, State)]
+        assert {state.mode for state in woken} <= {Mode.FAULT, Mode.DISARMED}
+        assert woken
 
 
 # 3: numbers that are none, exceptions, a contract that does not fit.
@@ -321,15 +353,12 @@ def test_row_3_a_robot_that_does_not_fit(ended, text):
     assert {frame.message.mode for frame in ended.record.robot_packets(State)} <= {Mode.DISARMED}
 
 
-@pytest.mark.realtime
-def test_row_3_a_robot_that_starts_anew(emulate, tmp_path):
-    robot = emulate("--fault", f"reboot={RUNNING}")
-    with deployed(robot, tmp_path) as (cable, host):
-        ended = host.end()
-        assert ended.outcome == (3, "fault", "stale state")
-        assert ended.saved_trace.num_steps > 20
-        assert_damped_at_once(cable.record)
-    assert "mode DISARMED, reason NONE" in robot.stop()[1]
+@scenarios("reboot")
+def test_row_3_a_robot_that_starts_anew(ended):
+    assert ended.outcome == (3, "fault", "link")
+    assert ended.saved_trace.num_steps > 20
+    assert_damped_at_once(ended.record)
+    assert "mode DISARMED, reason NONE" in ended.summary
 
 
 # 4: roll or pitch over the limit.

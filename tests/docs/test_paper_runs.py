@@ -10,7 +10,7 @@ from unittest import mock
 
 import pytest
 from paper_page import evaluations_on_page, load_content
-from processes import refused, surefoot
+from processes import surefoot
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("mujoco")
@@ -31,26 +31,6 @@ def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
     done = surefoot("study", "paper", "--root", repository, "--out", tmp_path / "page.html")
     assert (done.returncode, done.stdout) == (0, f"wrote {tmp_path / 'page.html'}\n")
     assert (tmp_path / "page.html").read_text(encoding="utf-8").endswith("</html>\n")
-
-
-@pytest.mark.parametrize(
-    ("words", "parts"),
-    [
-        (["--root", "."], ["root is .", "with docs/paper_runs.py"]),
-        (["--out", "page.pdf"], ["out page.pdf: the name must end in .html"]),
-        (["--root", "REPOSITORY", "--quick", "--full"], ["--quick and --full are given; give one of them"]),
-        (["--root", "REPOSITORY", "--workers", "2"], ["--workers", "go with --quick or --full"]),
-        (["--root", "REPOSITORY", "--quick", "--out", "file"], ["file; it must be a folder"]),
-    ],
-)
-def test_paper_refuses_options_that_do_not_go_together(
-    words: list[str], parts: list[str], repository: Path, tmp_path: Path
-):
-    (tmp_path / "file").touch()
-    refused(
-        surefoot("study", "paper", *(word.replace("REPOSITORY", str(repository)) for word in words), cwd=tmp_path),
-        *parts,
-    )
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import pytest
 
@@ -19,8 +18,7 @@ from surefoot.robot import RobotDescription
 pytest.importorskip("cyclonedds")
 from go2_robot import Go2, worker_domain
 
-from surefoot.deploy.dds.dds_link import FIRST_TORQUE, DdsLink, check_priority, make_config
-from surefoot.deploy.dds.keeper import WATCHER_SILENCE
+from surefoot.deploy.dds.dds_link import DdsLink, check_priority, make_config
 from surefoot.deploy.pacer import undisturbed
 
 DOMAIN = worker_domain(60)
@@ -88,40 +86,13 @@ class Operator:
         self.link.close()
 
 
-@pytest.fixture(scope="module")
-def shared(body: Go2) -> Iterator[list[Operator]]:
-    """Keep the one operator that several tests use, if it has been started."""
-    shared: list[Operator] = []
-    yield shared
-    for operator in shared:
-        operator.link.close()
-
-
 @pytest.fixture
-def operator(shared: list[Operator], go2: RobotDescription, body: Go2) -> Iterator[Operator]:
-    """Start an operator whose processes a test ends; there is no other one meanwhile."""
-    while shared:
-        shared.pop().end()
+def operator(go2: RobotDescription, body: Go2) -> Iterator[Operator]:
+    """Start an operator whose processes end with the test."""
     body.reset()
     operator = Operator(go2)
     yield operator
     operator.end()
-
-
-@pytest.fixture
-def again(shared: list[Operator], go2: RobotDescription, body: Go2) -> Operator:
-    """Return the operator of earlier tests, disarmed, and a robot that is whole again."""
-    if shared:
-        link = shared[0].link
-        link.disarm()
-        link.wait_for(lambda: link.last_state().mode != Mode.POSITION, 1.0)
-        if link.last_state().reason == Reason.WATCHER:  # this computer held the keeper up, and the watcher took over
-            shared.pop().end()
-    if not shared:
-        shared.append(Operator(go2))
-    shared[0].link.faults.clear()
-    body.reset()
-    return shared[0]
 
 
 @pytest.mark.realtime
@@ -137,6 +108,10 @@ def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, 
     assert max(frame.jump for frame in frames) < 0.1
     rate = len(frames) / (frames[-1].time - frames[0].time)
     assert 450 < rate < 550
+    pids = [operator.watcher, operator.keeper]
+    real_time = all(os.sched_getscheduler(pid) == os.SCHED_FIFO for pid in pids)
+    assert check_priority(pids).passed is (True if real_time else None)
+    assert check_priority([os.getppid()]).passed is None
     operator.link.disarm()
     body.wait_for(lambda frame: frame.damps)
     operator.link.close()
@@ -149,132 +124,40 @@ def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, 
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("which", ["keeper", "watcher"])
-def test_a_process_that_is_killed(operator: Operator, body: Go2, which: str) -> None:
-    operator.arm()
-    operator.hold(lambda: False, 0.1)
-    killed = time.monotonic()
-    os.kill(getattr(operator, which), signal.SIGKILL)
-    if which == "watcher":
-        assert operator.hold(lambda: operator.link.last_state().mode == Mode.FAULT)
-    frame = body.wait_for(lambda frame: frame.damps, killed)
-    assert frame.time - killed < REACTION
-    time.sleep(0.2)
-    frames = [frame for frame in body.read() if frame.time >= killed]
-    first = next(k for k, frame in enumerate(frames) if frame.damps)
-    assert all(frame.damps for frame in frames[first:])
-    assert max(b.time - a.time for a, b in itertools.pairwise(frames)) < REACTION
-    if which == "watcher":
-        operator.link.update()
-        assert operator.link.last_state().reason == Reason.WATCHER
-
-
-@pytest.mark.realtime
-def test_a_keeper_that_stands_still(operator: Operator, body: Go2) -> None:
+@pytest.mark.parametrize("how", ["killed", "stands still"])
+def test_a_keeper_that_ends_or_stands_still(operator: Operator, body: Go2, how: str) -> None:
+    """`test_keeper.py` has what the keeper does when others end."""
     operator.arm()
     operator.hold(lambda: False, 0.1)
     # Just after a command: stopped while it writes one, it would send that as soon as it goes on.
     while time.monotonic() - body.read()[-1].time > 0.0007:
         pass
-    stopped = time.monotonic()
-    os.kill(operator.keeper, signal.SIGSTOP)
-    frame = body.wait_for(lambda frame: frame.damps, stopped)
-    assert frame.time - stopped < REACTION
-    os.kill(operator.keeper, signal.SIGCONT)
+    ended = time.monotonic()
+    os.kill(operator.keeper, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+    first = body.wait_for(lambda frame: frame.damps, ended)
+    assert first.time - ended < REACTION
+    if how == "stands still":
+        os.kill(operator.keeper, signal.SIGCONT)
     time.sleep(0.2)
-    assert all(later.damps for later in body.read() if later.time > frame.time)
+    frames = [frame for frame in body.read() if frame.time >= ended]
+    assert all(frame.damps for frame in frames if frame.time >= first.time)
+    assert max(b.time - a.time for a, b in itertools.pairwise(frames)) < REACTION
 
 
 @pytest.mark.realtime
-def test_a_watcher_that_stands_still(operator: Operator, body: Go2) -> None:
-    operator.arm()
-    stopped = time.monotonic()
-    os.kill(operator.watcher, signal.SIGSTOP)
-    assert operator.hold(lambda: operator.link.last_state().mode == Mode.FAULT, 4.0)
-    frame = body.wait_for(lambda frame: frame.damps, stopped)
-    os.kill(operator.watcher, signal.SIGCONT)
-    assert frame.time - stopped < 1e-6 * WATCHER_SILENCE + REACTION
-    assert operator.link.last_state().reason == Reason.WATCHER
-
-
-@pytest.mark.realtime
-def test_duties_and_a_first_command_that_jumps_are_refused(again: Operator, body: Go2) -> None:
-    again.link.arm(Mode.PWM, STEP)
-    assert again.link.wait_for(lambda: bool(again.link.faults), 1.0)
-    assert again.link.faults[0].reason == Reason.MODE
-    again.link.arm(Mode.POSITION, STEP)
-    assert again.link.wait_for(lambda: again.link.last_state().mode == Mode.POSITION, 1.0)
-    again.link.command(Mode.POSITION, again.link.last_state().motor_angle + 1.1 * FIRST_TORQUE / KP)
-    assert again.link.wait_for(lambda: again.link.last_state().mode == Mode.FAULT, 1.0)
-    assert "the first command would give 5.5 N m at once; at most 5" in again.link.fault_text(Reason.COMMAND)
-    assert max(frame.jump for frame in body.read()) < 0.1
-
-
-@pytest.mark.realtime
-def test_a_loop_that_falls_silent(again: Operator, body: Go2) -> None:
-    again.arm()
-    again.hold(lambda: False, 0.1)
-    silent = time.monotonic()
-    frame = body.wait_for(lambda frame: frame.damps, silent)
-    # The last message was up to a control step before; the sheet's timeout is 55 ms.
-    assert 0.03 < frame.time - silent < REACTION + 0.01
-    again.link.update()
-    assert again.link.last_state().reason == Reason.TIMEOUT
-
-
-@pytest.mark.realtime
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"silent": True}, Reason.STATES_LATE),
-        ({"roll": 1.2}, Reason.TILT),
-        ({"sport": True}, Reason.OWN_CONTROLLER),
-    ],
-    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
-)
-def test_a_fault_damps(again: Operator, body: Go2, change: dict[str, Any], reason: Reason) -> None:
-    """`test_state_monitor.py` has all other faults."""
-    again.arm()
-    again.hold(lambda: False, 0.1)
-    before = body.set(**change)
-    assert again.hold(lambda: again.link.last_state().mode == Mode.FAULT)
-    frame = body.wait_for(lambda frame: frame.damps, before)
-    assert frame.time - before < REACTION
-    assert again.link.last_state().reason == reason
-    assert again.link.fault_text(reason)
-
-
-@pytest.mark.realtime
-def test_another_program_that_commands_the_motors(again: Operator, body: Go2) -> None:
+def test_another_program_that_commands_the_motors(operator: Operator, body: Go2) -> None:
     from surefoot.deploy.dds import bus, types
     from surefoot.deploy.dds.low_level import encode, new_command
 
     writer = bus.Bus("lo", DOMAIN).writer(bus.LOW_COMMAND_TOPIC, types.LowCmd)
     time.sleep(0.3)
-    again.arm()
-    again.hold(lambda: False, 0.1)
+    operator.arm()
+    operator.hold(lambda: False, 0.1)
     before = time.monotonic()
     writer.write(encode(new_command()))
-    assert again.hold(lambda: again.link.last_state().mode == Mode.FAULT)
+    assert operator.hold(lambda: operator.link.last_state().mode == Mode.FAULT)
     assert body.wait_for(lambda frame: frame.damps, before).time - before < REACTION
-    assert again.link.last_state().reason == Reason.OTHER_PROGRAM
-
-
-@pytest.mark.realtime
-def test_a_stick_of_the_remote_control_asks_to_sit_and_a_controller_that_the_robot_names_damps(
-    again: Operator, body: Go2
-) -> None:
-    again.arm()
-    body.set(stick=0.8)
-    assert again.hold(lambda: again.link.last_state().reason == Reason.REMOTE)
-    assert again.link.last_state().mode == Mode.POSITION
-    body.set(controller="mcf")
-    assert again.hold(lambda: again.link.last_state().mode == Mode.FAULT)
-    assert again.link.fault_text(Reason.OWN_CONTROLLER) == "the robot's own controller 'mcf' is active"
-    pids = [again.watcher, again.keeper]
-    real_time = all(os.sched_getscheduler(pid) == os.SCHED_FIFO for pid in pids)
-    assert check_priority(pids).passed is (True if real_time else None)
-    assert check_priority([os.getppid()]).passed is None
+    assert operator.link.last_state().reason == Reason.OTHER_PROGRAM
 
 
 def test_the_keeper_waits_for_three_steps_of_a_slow_policy(go2: RobotDescription) -> None:

@@ -164,7 +164,6 @@ def test_a_robot_that_is_ready_also_for_a_computer_that_is_late(
     assert inspection.check_states(seen).passed, inspection.check_states(seen).message
 
 
-@pytest.mark.realtime
 def test_the_own_controller_is_released_and_gets_the_robot_back(listener: Inspection, body: Go2) -> None:
     body.reset()
     body.set(controller="mcf", sport=True)
@@ -176,7 +175,6 @@ def test_the_own_controller_is_released_and_gets_the_robot_back(listener: Inspec
     assert body.settings.controller == "mcf"
 
 
-@pytest.mark.realtime
 def test_a_robot_that_stands_is_not_released(listener: Inspection, body: Go2, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(motion_service, "LIE_DOWN", 0.1)
     body.reset()
@@ -186,7 +184,6 @@ def test_a_robot_that_stands_is_not_released(listener: Inspection, body: Go2, mo
     assert body.settings.controller == "mcf"
 
 
-@pytest.mark.realtime
 def test_another_program_and_another_layout(listener: Inspection, body: Go2, monkeypatch: pytest.MonkeyPatch) -> None:
     body.reset()
     observe = Inspection.observe
@@ -204,7 +201,6 @@ def test_another_program_and_another_layout(listener: Inspection, body: Go2, mon
         inspect(listener)
 
 
-@pytest.mark.realtime
 def test_commands_of_another_program_are_counted(listener: Inspection, body: Go2) -> None:
     script = """
 import sys, time

@@ -6,6 +6,7 @@ import functools
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,9 @@ from surefoot.deploy.doctor.rack_check import MotorStep, check_motors, check_res
 from surefoot.deploy.doctor.rest_check import TimedState, check_rest
 from surefoot.deploy.doctor.step_response import fit_response
 from surefoot.deploy.doctor.tilt_check import TiltReading, check_tilts, read_tilt
-from surefoot.deploy.messages import Mode, State
+from surefoot.deploy.messages import Mode, Packet, Pong, State
 from surefoot.deploy.poses import sitting_pose
-from surefoot.deploy.robot_link import RobotLink
+from surefoot.deploy.robot_link import Arrival, RobotLink
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -124,6 +125,42 @@ def test_lost_pings_are_counted(link: RobotLink, toy: Any):
     # In lockstep the clock waits for answers: let it run without them.
     link.clock.wait_until = lambda moment: setattr(link.clock, "_now", moment)  # type: ignore[method-assign]
     assert measure_link(link, 20).lost == 20
+
+
+class Gathering:
+    """A link in real time on a clock of its own, whose adapter hands the answers on every 16 ms."""
+
+    lockstep, every = False, 0.016
+
+    def __init__(self) -> None:
+        self.clock, self.time = self, 0.0
+        self.statistics = SimpleNamespace(damaged=0, missing=0, unsent=0)
+        self.pongs: dict[int, Arrival] = {}
+        self._sent: dict[int, Arrival] = {}
+
+    def now(self) -> float:
+        return self.time
+
+    def ping(self) -> int:
+        token = len(self._sent) + 1
+        handed_on = self.every * np.ceil(self.time / self.every + 1e-9)
+        self._sent[token] = Arrival(Packet(Pong(token), token, self.time), handed_on)
+        return token
+
+    def wait(self, seconds: float) -> None:
+        due = [arrival.time for arrival in self._sent.values() if arrival.time > self.time]
+        self.time = min([self.time + seconds, *due])
+
+    def update(self) -> None:
+        self.pongs |= {token: arrival for token, arrival in self._sent.items() if arrival.time <= self.time}
+
+
+def test_an_adapter_that_gathers_bytes_fails() -> None:
+    measured = measure_link(Gathering(), 160)  # type: ignore[arg-type]
+    assert (measured.lost, measured.burst, measured.gap) == (0, pytest.approx(16 / 5), pytest.approx(0.016))
+    assert measured.round_trips.max() == pytest.approx(0.016)
+    failed = link_failures(measured)
+    assert "latency_timer" in failed["link, bursts"].remedy
 
 
 # At rest.

@@ -14,7 +14,7 @@ from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.traces import deployed_motion, motion_from_trace, read_motion, trace_from_motion
 from surefoot.robot import RobotDescription
 
-DATA = Path(__file__).parents[2] / "data" / "pupper_v2"
+DATA = Path(__file__).parents[3] / "data" / "pupper_v2"
 
 
 def arrays(rows: int = 50, motors: int = 12) -> dict[str, np.ndarray]:

@@ -26,7 +26,7 @@ from surefoot.identify.motion.recorded import common_gains
 from surefoot.identify.motion.traces import motion_from_trace, trace_from_motion
 from surefoot.task.trace import EpisodeTrace
 
-RECORDED = Path(__file__).parents[1] / "deploy" / "dds" / "recorded_messages.json"
+RECORDED = Path(__file__).parents[2] / "deploy" / "dds" / "recorded_messages.json"
 KP, KD = 60.0, 5.0
 Messages = list[tuple[str, int, bytes]]
 
