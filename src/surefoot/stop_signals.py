@@ -9,6 +9,8 @@ from types import FrameType
 from typing import Any, Self
 
 ALL = ("SIGINT", "SIGTERM", "SIGHUP")
+SIT, DAMP = 1, 2
+"""Requests to a robot, see `StopSignals.stops`."""
 
 
 _interrupted = threading.Event()
@@ -55,6 +57,8 @@ class StopSignals:
     ) -> None:
         self.count = 0
         """Signals so far."""
+        self.sources: list[Callable[[], int]] = []
+        """Other places from which the operator may stop a robot. Each returns its request, as `stops`, at once."""
         self._names, self._on_signal, self._respect_nohup = names, on_signal, respect_nohup
         self._interrupts = 0
         self._before: dict[int, Any] = {}
@@ -63,9 +67,11 @@ class StopSignals:
     def stops(self) -> int:
         """Request to a robot. 0: go on; 1: sit down; 2, after Ctrl-C twice: damp at once.
 
-        A closing terminal sends several signals, which count once.
+        A closing terminal sends several signals, which count once. The most urgent request holds: one that comes again
+        from another place changes nothing.
         """
-        return min(max(self._interrupts, int(self.count > 0)), 2)
+        signals = min(self._interrupts, DAMP) or (SIT if self.count else 0)
+        return max([signals, *(source() for source in self.sources)])
 
     def _count(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
