@@ -28,6 +28,8 @@ _NODES = 200_000
 """Values that a file of YAML may have, each as often as an alias repeats it."""
 _TEXT = 4096
 """Characters that a text may have."""
+_KEY = 100
+"""Characters of an unknown key that messages show."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,6 +106,12 @@ def field_bounds(kind: type) -> dict[str, Within]:
     """Return the bounds of a dataclass's fields, by name."""
     hints = typing.get_type_hints(kind, include_extras=True)
     return {item.name: _within(hints[item.name]) or _ANY for item in dataclasses.fields(kind)}
+
+
+@functools.cache
+def _field_types(kind: type) -> dict[str, Any]:
+    """Return the types of a dataclass's fields, by name."""
+    return typing.get_type_hints(kind)
 
 
 def _within(hint: Any) -> Within | None:
@@ -195,7 +203,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     Raises:
         SurefootError: an unknown key, a missing one, or a value of the wrong type.
     """
-    hints = typing.get_type_hints(kind)
+    hints = _field_types(kind)  # type: ignore[arg-type]
     fields = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
     if not isinstance(data, Mapping):
         raise SurefootError(
@@ -204,7 +212,8 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     prefix = f"{where}." if where else ""
     for key in data:
         if key not in fields:
-            raise SurefootError(f"{prefix}{key} is not a key; {suggest(str(key), fields)}")
+            name = str(key) if len(str(key)) <= _KEY and str(key).isprintable() else quote(key)
+            raise SurefootError(f"{prefix}{name} is not a key; {suggest(str(key), fields)}")
     values = {} if base is None else {name: getattr(base, name) for name in fields}
     for name, item in fields.items():
         if name in data:
@@ -247,7 +256,7 @@ def from_tagged(options: Sequence[type[T]], data: Any, where: str = "", base: T 
     for key in [key for key in given if key not in kept]:
         others = {kind: other for kind, other in kinds.items() if key in field_bounds(other)}
         other = next(iter(others.values()))
-        value = _convert(typing.get_type_hints(other)[key], given[key], f"{prefix}{key}", None)
+        value = _convert(_field_types(other)[key], given[key], f"{prefix}{key}", None)
         if value != getattr(other(), key):
             raise SurefootError(
                 f"{prefix}{key} is not a key of kind {tag}, but of {choices(others)}; keys of kind {tag}: "
@@ -285,7 +294,7 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
     if hint is Any:
         return value
     if origin is typing.Literal:
-        if value not in args:
+        if value not in [option for option in args if isinstance(option, bool) == is_bool]:  # 1 equals true
             raise SurefootError(f"{where} is {quote(value)}; {suggest(value, args)}")
         return value
     if origin in (typing.Union, types.UnionType):
@@ -322,7 +331,11 @@ def _name(hint: Any) -> str:
     if origin in (typing.Union, types.UnionType):
         return " or ".join(map(_name, args))
     if origin is tuple:
+        if len({*args} - {Ellipsis}) > 1:
+            return f"a list of {len(args)} values: {', '.join(map(_name, args))}"
         return f"a list of {'' if args[-1] is Ellipsis else f'{len(args)} '}values, each {_name(args[0])}"
+    if origin is typing.Literal:
+        return choices(args)
     if origin is dict:
         return f"a table of values, each {_name(args[1])}"
     if dataclasses.is_dataclass(hint):

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+import _thread
+import atexit
+import os
 import signal
 import threading
+import time
 from collections.abc import Callable
 from types import FrameType
 from typing import Any, Self
 
 ALL = ("SIGINT", "SIGTERM", "SIGHUP")
+SIT, DAMP = 1, 2
+"""Requests to a robot, see `StopSignals.stops`."""
 
 
-_interrupted = threading.Event()
+INTERRUPTED = 130
+"""Exit code of a command that Ctrl-C ended."""
+_PATIENCE = 3.0
+"""Time [s] that a process has to end after a second Ctrl-C."""
+
+_interrupted, _insisted, _own_process = threading.Event(), threading.Event(), threading.Event()
+
+
+class Interrupt(KeyboardInterrupt):
+    """Ctrl-C. CPython kills a process in which a plain `KeyboardInterrupt` has left `eval`, even one that caught it."""
 
 
 def enable_interrupt() -> None:
-    """Let Ctrl-C raise `KeyboardInterrupt`, also if this process was started with SIGINT ignored.
+    """Let Ctrl-C raise a `KeyboardInterrupt`, also if this process was started with SIGINT ignored.
 
     Shells do so for jobs in the background, and many runners of tests for everything.
     """
@@ -23,6 +38,17 @@ def enable_interrupt() -> None:
     default = (signal.SIG_IGN, signal.default_int_handler)
     if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) in default:
         signal.signal(signal.SIGINT, _interrupt)
+
+
+def end_when_interrupted() -> None:
+    """Let this process end with an exit code however often Ctrl-C comes: a second one does not interrupt the end.
+
+    Nor does it wait for the end: libraries may have lost the first `KeyboardInterrupt`, or hold the process.
+    """
+    _own_process.set()
+    enable_interrupt()
+    # At the interpreter's end, signals with a handler get the system's own again, which kills.
+    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
 
 
 def was_interrupted() -> bool:
@@ -34,8 +60,18 @@ def was_interrupted() -> bool:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    _interrupted.set()
-    signal.default_int_handler(number, frame)
+    if not (_interrupted.is_set() and _own_process.is_set()):
+        _interrupted.set()
+        raise Interrupt
+    elif not _insisted.is_set():
+        _insisted.set()
+        # `threading` may be at work in what this interrupts, and hold a lock.
+        _thread.start_new_thread(_end_soon, ())
+
+
+def _end_soon() -> None:
+    time.sleep(_PATIENCE)
+    os._exit(INTERRUPTED)
 
 
 class StopSignals:
@@ -55,6 +91,8 @@ class StopSignals:
     ) -> None:
         self.count = 0
         """Signals so far."""
+        self.sources: list[Callable[[], int]] = []
+        """Other places from which the operator may stop a robot. Each returns its request, as `stops`, at once."""
         self._names, self._on_signal, self._respect_nohup = names, on_signal, respect_nohup
         self._interrupts = 0
         self._before: dict[int, Any] = {}
@@ -63,9 +101,11 @@ class StopSignals:
     def stops(self) -> int:
         """Request to a robot. 0: go on; 1: sit down; 2, after Ctrl-C twice: damp at once.
 
-        A closing terminal sends several signals, which count once.
+        A closing terminal sends several signals, which count once. The most urgent request holds: one that comes again
+        from another place changes nothing.
         """
-        return min(max(self._interrupts, int(self.count > 0)), 2)
+        signals = min(self._interrupts, DAMP) or (SIT if self.count else 0)
+        return max([signals, *(source() for source in self.sources)])
 
     def _count(self, number: int, frame: FrameType | None) -> None:
         self.count += 1

@@ -25,6 +25,7 @@ from surefoot.world.terrain import KINDS, check_size, is_map
 if TYPE_CHECKING:
     from surefoot.deploy.command_sources import CommandSource
     from surefoot.evaluation.driven import DrivenRobot
+    from surefoot.report.pages.messages import DriveMessage
     from surefoot.report.pages.server import PageServer
     from surefoot.report.pages.view import RobotView
     from surefoot.task.config import TaskConfig
@@ -272,48 +273,50 @@ class DrivePage:
                 message = self._page.inbox.get_nowait()
             except queue.Empty:
                 return
-            for name, value in message.items():
-                try:
-                    self._handle(name, value)
-                except SurefootError as error:
-                    self._page.send(error=str(error))
-                    if name == "set":
-                        self._send_options()
-                except (TypeError, ValueError, OverflowError):
-                    self._page.send(error=f"message refused: {name}"[:100])
+            try:
+                self._handle(message)
+            except (SurefootError, OSError) as error:
+                self._page.send(error=str(error))
+                if message is not None and message.set is not None:
+                    self._send_options()
 
-    def _handle(self, name: str, value: Any) -> None:
-        if name == "command":
-            self._command(finite_numbers(value[:3], 3))
-            if len(value) == 4:
-                self.delays.append(time.time() - finite_numbers(value[3:], 1)[0] / 1e3)
-        elif name == "left":
+    def _handle(self, message: DriveMessage | None) -> None:
+        """Do what a message asks for; None: the tab that drives was closed."""
+        if message is None:
             self._command(STAND)
-        elif name == "set":
-            self._set(str(value[0]), *finite_numbers(value[1:], 1))
-        elif name == "push":
-            force, degrees, duration = finite_numbers(value, 3)
-            if duration not in _PUSH_DURATIONS:
-                raise SurefootError(f"a push lasts {choices(map(str, _PUSH_DURATIONS))} s")
-            direction = np.radians(degrees)
-            for robot in self._robots:
-                robot.push([force * np.cos(direction), force * np.sin(direction), 0.0], duration)
-        elif name == "pause":
-            self.paused = bool(value)
-        elif name == "restart":
+            return
+        if message.command is not None:
+            self._command(message.command)
+        if message.moved is not None:
+            self.delays.append(time.time() - message.moved / 1e3)
+        if message.set is not None:
+            self._set(*message.set)
+        if message.push is not None:
+            self._push(*message.push)
+        if message.pause is not None:
+            self.paused = message.pause
+        if message.restart is not None:
             self._restart()
-        elif name == "speed":
-            if value not in SPEEDS:
+        if message.speed is not None:
+            if message.speed not in SPEEDS:
                 raise SurefootError(f"speed must be {choices(map(str, SPEEDS))}")
-            self.speed = float(value)
-        elif name == "record":
-            self._record(bool(value))
-        elif name == "export":
-            self.recordings.export(str(value))
-        elif name == "terrain":
-            self._choose_terrain(*value)
-        elif name in ("policy", "world", "ghost"):
-            self._choose(name, value)
+            self.speed = message.speed
+        if message.record is not None:
+            self._record(message.record)
+        if message.export is not None:
+            self.recordings.export(message.export)
+        if message.terrain is not None:
+            self._choose_terrain(*message.terrain)
+        for what in ("policy", "world", "ghost"):
+            if (name := getattr(message, what)) is not None:
+                self._choose(what, name)
+
+    def _push(self, force: float, degrees: float, duration: float) -> None:
+        if duration not in _PUSH_DURATIONS:
+            raise SurefootError(f"a push lasts {choices(map(str, _PUSH_DURATIONS))} s")
+        direction = np.radians(degrees)
+        for robot in self._robots:
+            robot.push([force * np.cos(direction), force * np.sin(direction), 0.0], duration)
 
     def _set(self, name: str, value: float) -> None:
         for robot in reversed(self._robots):  # what the ghost refuses is not set at all
@@ -328,22 +331,22 @@ class DrivePage:
         elif not on and self.recordings.is_recording:
             self.recordings.stop()
 
-    def _choose_terrain(self, kind: Any, *size: Any) -> None:
+    def _choose_terrain(self, kind: str, size: float | None = None) -> None:
         names = ["flat", *KINDS, *self._maps]
         if kind not in names:
             raise SurefootError(f"terrain must be one of {choices(names)}")
         if kind not in KINDS:
             self._load_chosen("terrain", kind)
             return
-        (number,) = finite_numbers([*size] or [_FIRST_SIZES[kind]], 1)
-        check_size(kind, number)
-        self._load_chosen("terrain", f"{kind}:{number:g}")
+        size = _FIRST_SIZES[kind] if size is None else size
+        check_size(kind, size)
+        self._load_chosen("terrain", f"{kind}:{size:g}")
 
-    def _choose(self, what: str, value: Any) -> None:
+    def _choose(self, what: str, value: str) -> None:
         names = self.worlds if what == "world" else [entry.name for entry in self.policies]
         if value not in names and (what, value) != ("ghost", ""):
             raise SurefootError(f"{what} must be one of {choices(names)}")
-        self._load_chosen(what, str(value))
+        self._load_chosen(what, value)
 
     def _load_chosen(self, what: str, value: str) -> None:
         """Load another policy, world, terrain or ghost; commands and what the sliders set stay."""
@@ -397,13 +400,3 @@ def _figures(robot: DrivenRobot) -> dict[str, Any]:
         "heat": round(float(np.mean([row.heat for row in recent])), 2),
         "falls": robot.falls,
     }
-
-
-def finite_numbers(values: Any, count: int) -> list[float]:
-    """Return the finite numbers of a browser's message; refuse what is none with `ValueError`."""
-    if not isinstance(values, list) or len(values) != count or not all(type(x) in (int, float) for x in values):
-        raise ValueError("not numbers")
-    numbers = [float(x) for x in values]
-    if not np.isfinite(numbers).all():
-        raise ValueError("not finite")
-    return numbers

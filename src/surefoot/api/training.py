@@ -162,9 +162,10 @@ def run_training(
     folder, config = RunFolder.open(folder.path)
 
     def stop(count: int) -> None:
-        if count > 1:
+        if count == 2:
             raise KeyboardInterrupt
-        console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
+        if count == 1:
+            console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
 
     with folder_lock(folder.path):
         make_loop = TrainingLoop.resume if resume else TrainingLoop.create

@@ -68,7 +68,8 @@ class DeployCommand(LinkOptions):
     """UDP port of this computer at which a program sends the heights of the ground, for a policy that sees them."""
     browser: bool = False
     """Show the robot on a page in the browser, and take commands from there. The run lasts ten minutes, if no
-    --duration is given."""
+    --duration is given. Without commands for a second, as when the tab is closed, the robot stands; if the page's
+    process ends, the robot sits down and is disarmed."""
     page_port: PagePort = PAGE_PORT
     motion_capture: Path | None = None
     """Motion capture of the run (.csv), with times on the robot's clock; read when a run is over."""
@@ -129,6 +130,7 @@ def main(argv: list[str]) -> int:
             monitor = page = DeployPage(
                 title, str(robot.folder), contract.name, contract.commands, command.page_port, channel.port
             )
+            stop.sources.append(page.stops)
             print(f"{page.address}   (Ctrl-C: the robot sits)", file=sys.stderr, flush=True)
             commands = channel if contract.commands is not None else None
         else:

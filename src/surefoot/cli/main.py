@@ -12,7 +12,7 @@ from surefoot import __version__
 from surefoot.api.extras import describe_missing
 from surefoot.cli.helpers.output import table_lines
 from surefoot.errors import SurefootError, suggest
-from surefoot.stop_signals import enable_interrupt, was_interrupted
+from surefoot.stop_signals import INTERRUPTED, enable_interrupt, end_when_interrupted, was_interrupted
 
 GROUPS = {
     "make a gait": {
@@ -67,6 +67,7 @@ def program() -> int:
     """Run the process's own command, as `main`; imported libraries cost less time."""
     # They make some hundred thousand objects, which stay: searched for garbage less often, and not at the end.
     gc.set_threshold(100_000, 20, 20)
+    end_when_interrupted()
     try:
         return main()
     finally:
@@ -122,7 +123,7 @@ def _run(words: list[str]) -> int:
 
 def _interrupted() -> int:
     print("surefoot: interrupted", file=sys.stderr)
-    return 130
+    return INTERRUPTED
 
 
 def _fail(message: str) -> int:

@@ -2,7 +2,8 @@
 
 The page runs in a process of its own, so that it never makes the control loop wait. It receives the robot's state by
 the pipe of the live display and sends commands by the command channel (`deploy.command_sources`). So the robot stands
-when the page is closed, hangs or ends.
+when the page is closed or hangs. Its buttons are lines in the pipe of its standard output, which the loop reads in each
+control step without waiting. That pipe ends with the process: then the robot sits down, as when a terminal is closed.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ import json
 import math
 import os
 import queue
-import signal
+import select
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,9 +30,11 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
 from surefoot.rotations import rpy_quat
+from surefoot.stop_signals import DAMP, SIT
 from surefoot.world.ground import FLAT
 
 if TYPE_CHECKING:
+    from surefoot.report.pages.messages import DeployMessage
     from surefoot.report.pages.server import PageServer
     from surefoot.report.pages.view import RobotView
 
@@ -40,6 +44,8 @@ _SILENCE = 1.0
 """Time after which a command that the browser does not repeat ends [s]."""
 _PATIENCE = 30.0
 """Time that the page's process may take to start [s]."""
+_MAX_BYTES = 4096
+"""Bytes of the page's process that are read at a time."""
 
 
 class DeployPage(PlainLines, LiveDisplay):
@@ -56,23 +62,47 @@ class DeployPage(PlainLines, LiveDisplay):
     def __init__(
         self, title: str, robot: str, policy: str, limits: CommandLimits | None, port: int, channel: int
     ) -> None:
+        self._rest, self._answer, self._stops, self._ended = b"", dict[str, Any](), 0, False
         super().__init__(title, __name__, stdout=subprocess.PIPE)
+        assert self._process.stdout is not None
+        self._output = self._process.stdout.fileno()
+        os.set_blocking(self._output, False)
         ranges = None if limits is None else [[*getattr(limits, name)] for name in COMMANDS]
         self._send(robot=robot, policy=policy, limits=ranges, port=port, channel=channel)
-        answer = self._first_line()
-        if "address" not in answer:
+        self._await_answer()
+        if "address" not in self._answer:
             self.close()
-            raise SurefootError(str(answer.get("error", "the page's process has ended")))
-        self.address = str(answer["address"])
+            raise SurefootError(str(self._answer.get("error", "the page's process has ended")))
+        self.address = str(self._answer["address"])
 
-    def _first_line(self) -> dict[str, Any]:
-        stdout, lines = self._process.stdout, queue.Queue[str]()
-        assert stdout is not None
-        threading.Thread(target=lambda: lines.put(stdout.readline().decode()), daemon=True).start()
+    def _await_answer(self) -> None:
+        """Wait until the page's process says where the page is, or why there is none."""
+        end = time.monotonic() + _PATIENCE
+        while not self._answer and not self._ended:
+            if not select.select([self._output], [], [], max(end - time.monotonic(), 0.0))[0]:
+                self._answer = {"error": f"the page did not start within {_PATIENCE:g} s"}
+            self._receive()
+
+    def _receive(self) -> None:
+        """Take what the page's process has written, at once."""
         try:
-            return dict(json.loads(lines.get(timeout=_PATIENCE) or "{}"))
-        except queue.Empty:
-            return {"error": f"the page did not start within {_PATIENCE:g} s"}
+            data = os.read(self._output, _MAX_BYTES)
+        except BlockingIOError:
+            return
+        self._ended = not data
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for message in read_messages(line.decode() for line in lines):
+            self._stops = max(self._stops, message.pop("stop", 0))
+            self._answer |= message
+
+    def stops(self) -> int:
+        """Return the request of the page's buttons, as `StopSignals.stops`: to sit, if its process has ended."""
+        if not self._ended:
+            self._receive()
+            if self._ended:
+                self._stops = max(self._stops, SIT)
+                self.warn("the page's process has ended; the robot sits down and is disarmed")
+        return self._stops
 
     def _message(self, snapshot: Snapshot) -> dict[str, Any]:
         state = snapshot.state
@@ -84,10 +114,17 @@ class DeployPage(PlainLines, LiveDisplay):
 
 
 class Page:
-    """The page in its process; `setup` is the first message, with robot, policy, limits, and the channel's port."""
+    """The page in its process.
 
-    def __init__(self, setup: dict[str, Any], server: PageServer, view: RobotView) -> None:
-        self._setup, self._server, self._view = setup, server, view
+    Args:
+        setup: the first message, with robot, policy, limits, and the channel's port.
+        server: serves the page.
+        view: draws the robot.
+        send: writes a message to the control loop's process.
+    """
+
+    def __init__(self, setup: dict[str, Any], server: PageServer, view: RobotView, send: Callable[..., None]) -> None:
+        self._setup, self._server, self._view, self._send = setup, server, view, send
         robot = RobotDescription.load(setup["robot"])
         self._height = -float(robot.foot_positions(robot.resting_angles)[:, 2].min())
         self._start, self._reported, self._sent, self._received = time.monotonic(), 0.0, 0.0, -math.inf
@@ -127,7 +164,7 @@ class Page:
         now, channel = time.monotonic(), self._setup["channel"]
         with contextlib.suppress(queue.Empty):
             while True:
-                self._receive(self._server.inbox.get_nowait(), now)
+                self._take(self._server.inbox.get_nowait(), now)
         drives = self._server.tabs > 0 and now - self._received < _SILENCE
         if drives and channel and now - self._sent >= _COMMAND_PERIOD:
             self._sent = now
@@ -137,20 +174,15 @@ class Page:
             self._reported = now
             self._server.send(report=self._report(drives))
 
-    def _receive(self, message: dict[str, Any], now: float) -> None:
-        from surefoot.api.drive_page import finite_numbers
-
-        try:
-            if "command" in message and self._setup["limits"]:
-                self._command = finite_numbers(message["command"][:3], 3)
-                self._received = now
-            elif "left" in message:
-                self._received = -math.inf
-            elif "stop" in message:
-                # As Ctrl-C in the terminal: the robot sits and is disarmed.
-                os.kill(os.getppid(), signal.SIGINT)
-        except (TypeError, ValueError):
-            self._server.send(error="message refused")
+    def _take(self, message: DeployMessage | None, now: float) -> None:
+        """Do what a message of a tab asks for; None: the tab that drives was closed."""
+        if message is None:
+            self._received = -math.inf
+            return
+        if message.command is not None and self._setup["limits"]:
+            self._command, self._received = list(message.command), now
+        if message.damp or message.stop:
+            self._send(stop=DAMP if message.damp else SIT)
 
     def _report(self, drives: bool) -> dict[str, Any]:
         values = self._values
@@ -172,18 +204,26 @@ class Page:
 def main() -> None:
     """Run the page's process."""
     run_in_background()
+    # What libraries print must not be taken for a button.
+    output = os.fdopen(os.dup(sys.stdout.fileno()), "w")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    from surefoot.report.pages.messages import DeployMessage
     from surefoot.report.pages.server import robot_page
+
+    def send(**message: Any) -> None:
+        with contextlib.suppress(OSError):  # that process has ended, so that the input of this one ends too
+            print(json.dumps(message), file=output, flush=True)
 
     messages, inbox = read_messages(sys.stdin), queue.Queue[dict[str, Any] | None]()
     setup = next(message for message in messages if "robot" in message)
     with contextlib.ExitStack() as stack:
         try:
-            server, view = stack.enter_context(robot_page(None, setup["port"]))
+            server, view = stack.enter_context(robot_page(None, setup["port"], messages=DeployMessage))
         except SurefootError as error:
-            print(json.dumps({"error": str(error)}), flush=True)
+            send(error=str(error))
             return
-        print(json.dumps({"address": server.address}), flush=True)
-        page = Page(setup, server, view)
+        send(address=server.address)
+        page = Page(setup, server, view, send)
 
         def read() -> None:
             for message in messages:

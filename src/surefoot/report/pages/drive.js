@@ -203,7 +203,7 @@ function steer() {
   const text = command.join(), now = performance.now(), moves = command.some(v => v !== 0);
   if (text === last && !(moves && now - lastSent > 300)) return;
   if (moves && text !== last && now - lastSent < 8) return;  // the timer sends it
-  last = text; lastSent = now; send({ command: [...command, performance.timeOrigin + now] });
+  last = text; lastSent = now; send({ command, moved: performance.timeOrigin + now });
 }
 setInterval(steer, 16);
 // Pushes.
@@ -233,7 +233,10 @@ function showRecording(now) {
 }
 $("record").onclick = () => send({ record: !shownRecording.on });
 $("pause").onclick = () => send({ pause: $("pause").textContent === "Pause" });
-$("stop").onclick = () => send({ stop: true });
+for (const name of ["stop", "damp"]) $(name).onclick = () => {
+  send({ [name]: true });
+  if (socket.readyState !== 1) showError("Not sent: the connection has ended. Press Ctrl-C in the terminal of surefoot deploy.");
+};
 $("restart").onclick = () => send({ restart: true });
 $("speed").onchange = event => send({ speed: +event.target.value });
 for (const name of ["policy", "world", "ghost"]) $(name).onchange = event => { send({ [name]: event.target.value }); event.target.blur(); };

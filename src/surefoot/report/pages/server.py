@@ -1,7 +1,8 @@
 """Server of a page in the browser: the page, its messages and the 3D view, on one port.
 
 Messages are JSON over a web socket. The first tab drives; others watch until it leaves. Messages come from browsers
-and are hostile until checked. The 3D view is forwarded from a port of this machine.
+and are hostile until `messages.read_message` has read them; what it refuses is answered with a line. The 3D view is
+forwarded from a port of this machine.
 """
 
 from __future__ import annotations
@@ -28,12 +29,15 @@ from websockets.http11 import Request, Response
 
 from surefoot.errors import SurefootError
 from surefoot.report.pages.html import document
+from surefoot.report.pages.messages import DriveMessage, TabMessage, read_message
 from surefoot.report.pages.view import RobotView, bare_viewer
 
 LOCAL = ("localhost", "127.0.0.1", "[::1]")
 _MAX_MESSAGE_BYTES = 2000
 _MAX_MESSAGE_RATE = 400
 """Messages that a tab may send in a second; one that sends more is closed."""
+_MAX_ERROR = 300
+"""Characters of the answer to a message that is refused."""
 _MAX_TABS = 16
 _TYPES = {".html": "text/html; charset=utf-8", ".mp4": "video/mp4"}
 """Types of files to download; others are `application/octet-stream`."""
@@ -64,21 +68,29 @@ class PageServer:
         view_port: port of the 3D view on this machine; None for a page with a scene of its own.
         page: HTML; the drive page, if None.
         in_notebook: let pages that this machine serves, such as notebooks, show the page in a frame.
+        messages: dataclass of the messages that tabs may send.
 
     Raises:
         SurefootError: a port that can't be opened.
     """
 
     def __init__(
-        self, host: str | None, port: int, view_port: int | None, page: str | None = None, in_notebook: bool = False
+        self,
+        host: str | None,
+        port: int,
+        view_port: int | None,
+        page: str | None = None,
+        in_notebook: bool = False,
+        messages: type[TabMessage] = DriveMessage,
     ) -> None:
         self._page = (page or document("page.html")).encode()
         self._token = "" if host is None else secrets.token_urlsafe(16)
         self._prefix = f"/{self._token}" if self._token else ""
         self._view_port = view_port
         self._frames = "http://localhost:* http://127.0.0.1:*" if in_notebook else ""
-        self.inbox: queue.Queue[dict[str, Any]] = queue.Queue(maxsize=1000)
-        """Messages of the tab that drives; `{"left": true}` when it is closed."""
+        self._messages = messages
+        self.inbox: queue.Queue[Any] = queue.Queue(maxsize=1000)
+        """Messages of the tab that drives, of the class `messages`; None when the tab is closed."""
         self.files: dict[str, Path] = {}
         """Files that tabs may download, by name."""
         self._options: dict[str, Any] = {}
@@ -241,22 +253,19 @@ class PageServer:
             was_driver = self._tabs[0] is connection
             self._tabs.remove(connection)
             if was_driver:
-                self._put({"left": True})
+                self._put(None)
                 self._send_options()
 
     def _receive(self, connection: ServerConnection, text: str | bytes) -> None:
         try:
-            message = json.loads(text, parse_constant=_refuse_constant)
-            error = "" if self._tabs[0] is connection else "you watch; another browser drives"
-        except (ValueError, RecursionError) as refused:
-            error = f"message refused: {refused}"[:200]
-        if error:
+            if self._tabs[0] is not connection:
+                raise SurefootError("you watch; another browser drives")
+            self._put(read_message(self._messages, text))
+        except SurefootError as error:
             # Not awaited: a tab that does not read would hold up the count of its messages.
-            broadcast([connection], json.dumps({"error": error}))
-        elif isinstance(message, dict):
-            self._put(message)
+            broadcast([connection], json.dumps({"error": str(error)[:_MAX_ERROR]}))
 
-    def _put(self, message: dict[str, Any]) -> None:
+    def _put(self, message: TabMessage | None) -> None:
         with contextlib.suppress(queue.Full):
             self.inbox.put_nowait(message)
 
@@ -266,15 +275,13 @@ class PageServer:
 
 
 @contextlib.contextmanager
-def robot_page(host: str | None, port: int, in_notebook: bool = False) -> Iterator[tuple[PageServer, RobotView]]:
+def robot_page(
+    host: str | None, port: int, in_notebook: bool = False, messages: type[TabMessage] = DriveMessage
+) -> Iterator[tuple[PageServer, RobotView]]:
     """Serve a page with robots in 3D while entered; yield page and view. The arguments are those of `PageServer`."""
     view = RobotView()
     try:
-        with PageServer(host, port, view.port, in_notebook=in_notebook) as page:
+        with PageServer(host, port, view.port, in_notebook=in_notebook, messages=messages) as page:
             yield page, view
     finally:
         view.stop()
-
-
-def _refuse_constant(word: str) -> float:
-    raise ValueError(f"{word} is not a number")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -53,10 +54,36 @@ def bare_viewer() -> str:
     return (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8") + _STYLE
 
 
+class _GarbageFilter(logging.Filter):
+    """Replaces tracebacks about what viser's servers can't read by one line per process; browsers cause none."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ports: set[int] = set()
+        """Ports of viser's servers."""
+        self._said = False
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether a record of websockets' servers is printed."""
+        connection = getattr(record, "websocket", None)
+        if not record.exc_info or connection is None or connection.local_address[1] not in self.ports:
+            return True
+        first, self._said = not self._said, True
+        record.msg, record.args, record.exc_info = "surefoot: %s", (_GARBAGE,), None
+        return first
+
+
+_GARBAGE = "the port of the 3D view received what no browser sends; it is ignored, and so is any more of it"
+_garbage_filter = _GarbageFilter()
+
+
 def quiet_server() -> viser.ViserServer:
-    """Start viser's server on a free port of this machine, without its banner."""
+    """Start viser's server on a free port of this machine, without its banner and tracebacks."""
     with contextlib.redirect_stdout(io.StringIO()):
-        return viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    _garbage_filter.ports.add(server.get_port())
+    logging.getLogger("websockets.server").addFilter(_garbage_filter)
+    return server
 
 
 def add_world(scene: viser.SceneApi) -> viser.FrameHandle:
