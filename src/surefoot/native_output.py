@@ -51,8 +51,8 @@ def mujoco_errors(path: Path, explain: Callable[[str, Path], SurefootError] = _r
     try:
         with quiet():
             yield
-    except ValueError as error:
-        raise explain(str(error), path) from error
+    except (ValueError, MemoryError, RecursionError, mujoco.FatalError) as error:
+        raise explain(str(error) or type(error).__name__, path) from error
 
 
 @contextmanager

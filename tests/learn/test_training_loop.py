@@ -14,6 +14,7 @@ import torch
 from edited import maxitaur
 from trained import TINY
 
+from surefoot.cli.main import main
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
@@ -292,3 +293,97 @@ def test_a_steered_run_logs_errors_and_terms_to_either_logger(tmp_path: Path, mo
         events.Reload()
         names.append(set(events.Tags()["scalars"]))
     assert {f"train/reward/{term}" for term in config.task.reward} | {"evaluation/rmse/forward"} <= names[0] == names[1]
+
+
+def nothing(state: dict) -> None:
+    state.clear()
+
+
+def put(value: object, *keys: object):
+    """Return a change of a state: a value at a place of it; `...` takes the entry out."""
+
+    def change(state: dict) -> None:
+        for key in keys[:-1]:
+            state = state[key]
+        if value is ...:
+            del state[keys[-1]]
+        else:
+            state[keys[-1]] = value
+
+    change.__name__ = f"{'.'.join(map(str, keys))} is {str(value)[:20]}"
+    return change
+
+
+def spoil(*keys: object):
+    """Return a change of a state: the first number of an array or tensor becomes NaN."""
+
+    def change(state: dict) -> None:
+        for key in keys:
+            state = state[key]
+        state.reshape(-1)[0] = float("nan")  # type: ignore[attr-defined]
+
+    change.__name__ = f"NaN in {'.'.join(map(str, keys))}"
+    return change
+
+
+ALGORITHM = ("learner", "algorithm")
+MOMENTS = (*ALGORITHM, "optimizer_state_dict", "state")
+CHANGES = [
+    *(nothing, put(..., "steps"), put(None, "steps"), put("x", "steps"), put(-1, "steps"), put(2.5, "steps")),
+    *(put(..., "learner"), put(None, "learner"), put([], "learner"), put(7, "learner", "env")),
+    *(put(..., "best"), put("x", "best"), put({"steps": 1}, "best"), put(None, "best", "falls")),
+    *(put(torch.zeros(2), "best", "rmse"), put({}, "best_actor"), put(torch.zeros(3), "best_actor")),
+    *(put(None, "seconds"), put(float("nan"), "seconds"), put([1], "seconds")),
+    *(put("x", "learner", "learning_rate"), put(float("inf"), "learner", "learning_rate")),
+    *(put(None, "learner", "torch"), put(torch.zeros(3), "learner", "torch"), put("x", "learner", "update_count")),
+    *(put(10**30, "learner", "update_count"), put({}, *ALGORITHM), put(None, *ALGORITHM, "actor_state_dict")),
+    *(put([], *ALGORITHM, "optimizer_state_dict"), put({}, *ALGORITHM, "optimizer_state_dict", "param_groups")),
+    *(put(None, *MOMENTS, 0), put(torch.zeros(2), *MOMENTS, 0, "exp_avg"), put({}, *MOMENTS, 99)),
+    *(put(None, "learner", "observation"), put(np.zeros((16, 1), np.float32), "learner", "observation", "policy")),
+    *(put(..., "learner", "env", "history"), put(np.zeros(3), "learner", "env", "history")),
+    *(put(None, "learner", "env", "world"), put("x", "learner", "env", "world", "engine")),
+    *(put([], "learner", "env", "world", "streams"), put("x", "learner", "env", "world", "streams", 0, "state")),
+    *(put(-5, "learner", "env", "world", "streams", 0, "state", "state"), spoil(*MOMENTS, 0, "exp_avg")),
+    *(put(10**60, "learner", "env", "world", "streams", 0, "state", "inc"), spoil("best_actor", "mlp.0.weight")),
+    *(spoil(*ALGORITHM, "actor_state_dict", "mlp.0.weight"), spoil(*ALGORITHM, "critic_state_dict", "mlp.0.bias")),
+    *(spoil("learner", "observation", "policy"), spoil("learner", "env", "history")),
+]
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+def test_a_checkpoint_with_other_content_is_refused_in_one_line(
+    change, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its digest matches: whoever writes such a file writes that too."""
+    folder = RunFolder(shutil.copytree(trained, tmp_path / "run"))
+    state = folder.load()
+    change(state)
+    write_checkpoint(folder.latest, state)
+    before = folder.figures_log.read_bytes()
+    assert main(["train", "--resume", str(folder.path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"surefoot: error: {folder.latest}: ")
+    assert error.count("\n") == 1
+    assert folder.figures_log.read_bytes() == before
+
+
+@pytest.mark.parametrize("state", [None, [1], {"steps": None}, {}])
+def test_more_steps_are_refused_where_a_checkpoint_does_not_say_how_many_it_has(
+    state: object, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = RunFolder(shutil.copytree(trained, tmp_path / "run"))
+    write_checkpoint(folder.latest, state)  # type: ignore[arg-type]
+    write_checkpoint(folder.previous, state)  # type: ignore[arg-type]
+    assert main(["train", "--resume", str(folder.path), "--steps", "100000"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_no_training_starts_from_weights_that_are_no_numbers(trained: Path, tmp_path: Path) -> None:
+    for number, change in enumerate((spoil(*ALGORITHM, "actor_state_dict", "mlp.0.weight"), put(None, "learner"))):
+        folder = RunFolder(shutil.copytree(trained, tmp_path / str(number)))
+        state = folder.load()
+        change(state)
+        write_checkpoint(folder.latest, state)
+        config = tiny_config(start_from=str(folder.path), steps=256)
+        with pytest.raises(SurefootError, match="start_from"):
+            TrainingLoop.create(config, RunFolder.create(config, tmp_path / "runs"), SimWorld)

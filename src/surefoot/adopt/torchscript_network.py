@@ -7,22 +7,20 @@ inputs and outputs. What comes back is read as any other ONNX file: as data that
 from __future__ import annotations
 
 import io
-import os
-import subprocess
+import signal
 import sys
-import tempfile
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
-from surefoot.adopt import sandbox
+from surefoot import sandbox
 from surefoot.adopt.onnx_network import OnnxNetwork, check_translation, run_model
 from surefoot.errors import SurefootError
 from surefoot.policy.network import MAX_BYTES
 
-_TIMEOUT = 180
-"""Longest time of the process [s]; torch takes some seconds to load."""
+_LIMITS = sandbox.Limits(memory=16 * 2**30, time=60.0, patience=180.0)
+"""Of the process: torch reserves some 5 GiB of addresses, and takes some seconds to load."""
 _SAMPLES = 16
 _TRUSTED = "trusted"
 
@@ -49,22 +47,12 @@ def load(data: bytes, width: int, trusted: bool = False) -> OnnxNetwork:
         )
     if find_spec("torch") is None:
         raise SurefootError("is TorchScript, which needs torch; export the policy to ONNX, or install torch")
-    words = [sys.executable, "-m", __name__, str(width), *([_TRUSTED] if trusted else [])]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"}
-    # What it writes goes to files, whose size is limited.
-    with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
-        try:
-            process = subprocess.run(
-                words, input=data, stdout=output, stderr=errors, timeout=_TIMEOUT, env=environment, check=False
-            )
-        except subprocess.TimeoutExpired:
-            raise SurefootError(f"torch did not load it within {_TIMEOUT} s") from None
-        errors.seek(max(errors.seek(0, os.SEEK_END) - 2000, 0))
-        message = errors.read().decode(errors="replace").strip().splitlines()
-        output.seek(0)
-        result = output.read()
-    if process.returncode:
-        raise SurefootError(message[-1] if message else f"torch ended with code {process.returncode} as it loaded it")
+    ending = sandbox.run_module(__name__, [str(width), *([_TRUSTED] if trusted else [])], _LIMITS, data)
+    if ending.code == -signal.SIGKILL:
+        raise SurefootError(f"torch did not load it within {_LIMITS.patience:g} s")
+    if ending.code:
+        raise SurefootError(ending.message or f"torch ended with code {ending.code} as it loaded it")
+    result = ending.output
     sizes = np.frombuffer(result[:16], "<u8").tolist()
     if len(sizes) != 2 or sum(sizes) + 16 != len(result):
         raise SurefootError("torch gave no network")
@@ -90,19 +78,18 @@ def main(words: list[str]) -> int:
     from surefoot.adopt.torchscript_tracing import trace, warm_up
 
     data, width = sys.stdin.buffer.read(), int(words[0])
-    output = os.dup(1)
-    os.dup2(2, 1)  # what torch prints is no result
+    output = sandbox.take_output()
     warm_up()
     try:
         if _TRUSTED not in words:
-            sandbox.enter()
+            sandbox.enter(_LIMITS)
         model, samples = trace(io.BytesIO(data), width, _SAMPLES)
     except SurefootError as error:
         print(error, file=sys.stderr)
         return 2
     sizes = np.array([len(model), len(samples)], "<u8").tobytes()
-    with os.fdopen(output, "wb") as file:
-        file.write(sizes + model + samples)
+    with output:
+        output.write(sizes + model + samples)
     return 0
 
 

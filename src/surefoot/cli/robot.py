@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
@@ -15,10 +17,12 @@ from surefoot.cli.doctor import FAILED, print_result
 from surefoot.cli.helpers.options import Json, check_folder
 from surefoot.cli.helpers.output import Actions, make_console, next_command, print_json, run_action
 from surefoot.cli.helpers.parsing import parse
-from surefoot.errors import check_name
+from surefoot.errors import SurefootError, check_name
 from surefoot.robot import RobotDescription
+from surefoot.robot.appearance import LOOKS
+from surefoot.robot.archive import SHEET
 from surefoot.robot.importing.imported import KNEE_SIGNS, ImportedRobot, Knees
-from surefoot.robot.importing.writer import set_servo_step, write_robot
+from surefoot.robot.importing.writer import URDF, set_servo_step, write_robot
 
 PICTURE = "robot.png"
 """File of a robot's folder: the robot in its resting pose, axes and legs named."""
@@ -66,7 +70,7 @@ def main(argv: list[str]) -> int:
 def _new(argv: list[str]) -> int:
     command = parse(NewCommand, argv, "surefoot robot new")
     from surefoot.report.drawing.robot_picture import save_robot_picture
-    from surefoot.robot.importing.reader import read_robot
+    from surefoot.robot.importing.confined import read_robot
     from surefoot.world.description_checks import longest_servo_step
 
     imported = read_robot(command.file, command.forward, command.meshes)
@@ -78,19 +82,46 @@ def _new(argv: list[str]) -> int:
         f"{name}: {imported.mass:.2f} kg, {imported.torque.size} motors, legs of {imported.length:.3f} m, "
         f"forward is {imported.forward} of the file"
     )
-    guesses = write_robot(imported, folder, name, command.knees or find_knees(imported))
-    robot = RobotDescription.load(folder)
-    if (step := longest_servo_step(robot)) < robot.timing.servo_step:
-        guesses = [line for line in guesses if not line.startswith("servo_step")] + [set_servo_step(folder, step)]
+    knees = command.knees or find_knees(imported)
+    with _whole_or_nothing(folder, (SHEET, URDF, LOOKS, PICTURE)):
+        guesses = write_robot(imported, folder, name, knees)
         robot = RobotDescription.load(folder)
-    for line in guesses:
-        print(f"guessed  {line}")
-    save_robot_picture(robot, folder / PICTURE)
-    print(f"wrote {folder}: robot.toml, robot.urdf, {PICTURE}")
-    code = _run_checks(robot)
+        if (step := longest_servo_step(robot)) < robot.timing.servo_step:
+            guesses = [line for line in guesses if not line.startswith("servo_step")] + [set_servo_step(folder, step)]
+            robot = RobotDescription.load(folder)
+        for line in guesses:
+            print(f"guessed  {line}")
+        save_robot_picture(robot, folder / PICTURE)
+        print(f"wrote {folder}: robot.toml, robot.urdf, {PICTURE}")
+        code = _run_checks(robot)
     if code == 0:
         print(next_command("train it", "train", "trot", "--robot", folder))
     return code
+
+
+@contextmanager
+def _whole_or_nothing(folder: Path, names: Sequence[str]) -> Iterator[None]:
+    """Remove files of a robot's folder that are made inside, and the folder, where something fails.
+
+    A folder that `robot check` can't read is of no use to anybody.
+    """
+    if (folder / SHEET).exists():  # a robot that was there before
+        yield
+        return
+    was_there = folder.exists()
+    before = {name for name in names if (folder / name).exists()}
+    try:
+        yield
+    except BaseException as error:
+        for name in set(names) - before:
+            with suppress(OSError):
+                (folder / name).unlink(missing_ok=True)
+        if not was_there:
+            with suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, SurefootError):
+            raise SurefootError(f"{error}; {folder} was not written") from error
+        raise
 
 
 def find_knees(robot: ImportedRobot) -> Knees | None:

@@ -16,7 +16,7 @@ from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, 
 from surefoot.cli.helpers.parsing import options, parse, positional_words
 from surefoot.cli.helpers.simulator import RunOptions
 from surefoot.configuration import Duration
-from surefoot.errors import SurefootError, choices, quote
+from surefoot.errors import SurefootError, choices, prefix_errors, quote
 from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import schedule_duration
@@ -197,7 +197,11 @@ def _load_traces(command: ShowRunsCommand) -> list[ShownTrace]:
     robot = None if command.robot is None else RobotDescription.load(command.robot)
     traces = []
     for path in command.trace:
-        if robot is not None and path.is_file() and path.suffix == ".npz" and "meta" not in read_npz(path):
+        is_log = robot is not None and path.is_file() and path.suffix == ".npz"
+        if is_log:
+            with prefix_errors(path):
+                is_log = "meta" not in read_npz(path)
+        if robot is not None and is_log:
             traces.append((path, trace_from_motion(import_log(path, robot), robot)))
         else:
             traces += find_traces(path)

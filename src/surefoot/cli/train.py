@@ -162,7 +162,7 @@ def _resume(command: ResumeCommand) -> int:
     options = command.page, command.logger_name
     if command.steps is not None:
         with folder_lock(folder.path):
-            if command.steps <= (done := folder.load()["steps"]):
+            if command.steps <= (done := folder.saved_steps(folder.load())):
                 raise SurefootError(f"steps is {command.steps}, and {folder.path} has done {done}; give more")
             set_steps(folder.path, command.steps)
     return _train(folder, True, *options)

@@ -18,6 +18,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from surefoot.errors import SurefootError
+from surefoot.learn.checkpoint_state import check_finite, check_like, check_optimizer
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.networks import load_parameters, make_algorithm
 from surefoot.learn.rollout_statistics import RolloutStatistics, UpdateFigures
@@ -152,12 +153,16 @@ class PpoLearner:
         """Continue from `get_state`, exactly.
 
         Raises:
-            SurefootError: the state of another number of robots, or of networks of other shapes.
+            SurefootError: the state of another number of robots, of networks of other shapes or of numbers that are not
+                finite, or something else than such a state.
         """
         num_envs = len(state["observation"]["policy"])
         if num_envs != self.config.num_envs:
             raise SurefootError(f"it has the states of {num_envs} robots; num_envs is {self.config.num_envs}")
-        load_parameters(self.algorithm, state["algorithm"], None, "its networks do not fit the configuration")
+        message = "its networks do not fit the configuration"
+        load_parameters(self.algorithm, state["algorithm"], {"actor": True, "critic": True}, message)
+        self._check_state(state)
+        load_parameters(self.algorithm, state["algorithm"], None, message)
         self.algorithm.learning_rate = state["learning_rate"]
         self.env.set_state(state["env"])
         self.observation = TensorDict(
@@ -165,3 +170,18 @@ class PpoLearner:
         )
         self.update_count = state["update_count"]
         torch.set_rng_state(state["torch"])
+
+    def _check_state(self, state: dict[str, Any]) -> None:
+        """Refuse what `get_state` does not return; shapes of networks are left to their loader."""
+        own = self.get_state()
+        algorithm, optimizer = own.pop("algorithm"), "optimizer_state_dict"
+        check_like({key: value for key, value in state.items() if key != "algorithm"}, own, "learner")
+        check_finite({key: state[key] for key in ("observation", "learning_rate")}, "learner")
+        check_finite(state["env"]["history"], "learner.env.history")
+        found = state["algorithm"]
+        check_like(dict.fromkeys(found), dict.fromkeys(algorithm), "learner.algorithm")
+        check_finite(found, "learner.algorithm")
+        parameters = [one for group in self.algorithm.optimizer.param_groups for one in group["params"]]
+        where = f"learner.algorithm.{optimizer}"
+        check_like(found[optimizer]["param_groups"], algorithm[optimizer]["param_groups"], f"{where}.param_groups")
+        check_optimizer(found[optimizer]["state"], parameters, f"{where}.state")

@@ -24,6 +24,7 @@ from surefoot import __version__
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors, quote
 from surefoot.files import atomic_write, read_configuration, read_json_lines
+from surefoot.learn.checkpoint_state import check_count
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.run_config import read_run_config, write_run_config
 from surefoot.policy.contract import PluginRecord
@@ -84,6 +85,8 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         raise SurefootError(
             f"{path}: is not a checkpoint that surefoot wrote: it holds more than numbers, arrays and tables of them"
         ) from error
+    if not isinstance(state, dict):
+        raise SurefootError(f"{path}: is not a checkpoint that surefoot wrote: it holds {quote(state)}, no table")
     return state
 
 
@@ -221,13 +224,22 @@ class RunFolder:
             return read_checkpoint(self.latest)
         except SurefootError as error:
             try:
-                steps = read_checkpoint(self.previous)["steps"]
+                steps = self.saved_steps(read_checkpoint(self.previous))
             except SurefootError:
                 raise SurefootError(f"{error}; there is no older checkpoint to resume from") from None
             raise SurefootError(
                 f"{error}; {self.previous.name} beside it is whole, at {steps} steps: "
                 f"rename it to {self.latest.name} to resume"
             ) from None
+
+    def saved_steps(self, state: dict[str, Any]) -> int:
+        """Return how many control steps were done in a checkpoint's state.
+
+        Raises:
+            SurefootError: it does not say.
+        """
+        with prefix_errors(self.latest):
+            return check_count(state.get("steps"), "steps")
 
     def log(self, row: dict[str, Any]) -> None:
         """Append a row of figures.

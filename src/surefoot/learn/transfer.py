@@ -13,6 +13,7 @@ import torch
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
+from surefoot.learn.checkpoint_state import check_finite
 from surefoot.learn.networks import find_architecture, load_parameters
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.learn.run_folder import RunFolder
@@ -79,6 +80,7 @@ def warm_start(learner: PpoLearner, path: Path, make_world: SimulationFactory) -
     for part in ("actor", "critic"):
         key = f"{part}_state_dict"
         networks[key] = move_inputs(Network(networks[key], old[part]), Network(fresh[key], new[part]), critic)
+        check_finite(networks[key], f"start_from: the other run's {key}")
     message = "start_from: the other run's networks do not fit this run"
     load_parameters(algorithm, networks, {"actor": True, "critic": True}, message)
     if config.ppo.start_std:

@@ -39,16 +39,20 @@ _NAME = re.compile(r"(?:\w[\w .+-]*/)?\w[\w .+-]*\.(?:toml|urdf|xml|npz|yaml|csv
 def robot_files(folder: Path) -> dict[str, bytes]:
     """Return the files of a robot's folder by name, in order.
 
+    Links are followed only to files that are in the folder too: a stranger's folder must not put other files of this
+    computer into a policy.
+
     Raises:
-        SurefootError: a file that can't be read, too many or too large files, or a name that an archive can't hold.
+        SurefootError: a file that can't be read, a link that leads out of the folder, too many or too large files, or
+            a name that an archive can't hold.
     """
     data, _ = read_toml(folder / SHEET)
     named = [name for key in ("urdf", "looks") if isinstance(name := data.get(key), str)]
     own = (path.relative_to(folder).as_posix() for pattern in _OWN for path in folder.glob(pattern))
     files: dict[str, bytes] = {}
     for name in sorted({*named, *filter(_NAME.fullmatch, own)}):
-        path = folder / name
-        with describe_os_errors(path):
+        path = _inside(folder, name)
+        with describe_os_errors(folder / name):
             check_readable(path, MAX_BYTES)
             files[name] = path.read_bytes()
     try:
@@ -132,6 +136,21 @@ def copy_robot(folder: Path, target: Path) -> None:
     for name, content in robot_files(folder).items():
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         atomic_write(target / name, content)
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """Return the path of a folder's file without links; refuse one that is not in the folder."""
+    # RuntimeError: a circle of links, before Python 3.13.
+    try:
+        path, top = (folder / name).resolve(), folder.resolve()
+    except RuntimeError:
+        raise SurefootError(f"{folder / name}: is a link to itself; remove it") from None
+    if not path.is_relative_to(top):
+        raise SurefootError(
+            f"{folder / name}: leads out of the robot's folder, to {path}; a policy carries files of the folder only: "
+            "put a copy of the file there, or remove the link"
+        )
+    return path
 
 
 def _check(files: Mapping[str, bytes], count: int | None = None) -> None:

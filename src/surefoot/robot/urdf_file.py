@@ -23,20 +23,28 @@ from surefoot.rotations import matrix_rpy, rpy_matrix
 
 KINDS = ("fixed", "revolute", "continuous")
 """Types of joints that robots have here."""
+_MAX_DEPTH = 200
+"""Elements in each other that are read: writers of XML end at Python's own limit."""
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root element of an XML file; refuse one that can't be read, and entities."""
+    """Return the root element of an XML file; refuse one that can't be read, entities, and deep nesting."""
     with describe_os_errors(path):
         content = read_configuration(path)
     if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
         raise SurefootError(f"{path}: declares XML entities; a robot's description has none")
     try:
-        return ElementTree.fromstring(content)
+        root = ElementTree.fromstring(content)
     except ElementTree.ParseError as error:
         line, column = error.position
         reason = ErrorString(error.code)
         raise SurefootError(f"{path}: is not well-formed XML in line {line}, column {column + 1}: {reason}") from error
+    level, depth = [root], 0
+    while level:
+        level, depth = [child for element in level for child in element], depth + 1
+        if depth > _MAX_DEPTH:
+            raise SurefootError(f"{path}: has over {_MAX_DEPTH} elements in each other; a robot's description has few")
+    return root
 
 
 def attribute(element: ElementTree.Element | None, key: str, default: str = "") -> str:

@@ -17,6 +17,7 @@ from surefoot.robot.self_collision import collision_pairs
 from surefoot.world.actuation import RACK_HEIGHT
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
+from surefoot.world.urdf_probe import check_urdf
 
 LOOP_SOLREF = (0.004, 1.0)
 LOOP_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
@@ -42,6 +43,7 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
     other collision shapes of the URDF meet the ground by MuJoCo's own contacts, and each other in the
     pairs of `collision_pairs`.
     """
+    check_urdf(robot.urdf.path)
     with mujoco_errors(robot.urdf.path):
         spec = mujoco.MjSpec.from_file(str(robot.urdf.path))
     spec.compiler.discardvisual = True

@@ -6,6 +6,7 @@ so that they are met whichever way the robot goes.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -269,7 +270,8 @@ def _read_picture(path: Path) -> Array:
     with describe_os_errors(path):
         check_readable(path)
     try:
-        with Image.open(path) as picture:
+        # PIL warns of large pictures and odd properties; what matters is checked here.
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as picture:
             if picture.width * picture.height > MAX_POINTS:
                 raise SurefootError(
                     f"{path}: it has {picture.width} x {picture.height} pixels; at most {MAX_POINTS} in all"

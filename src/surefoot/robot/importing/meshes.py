@@ -21,15 +21,16 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import check_readable
+from surefoot.robot.importing.named_files import MAX_MESH_BYTES
 
 SUFFIXES = (".stl", ".obj", ".dae")
 """Kinds of mesh that are read."""
-MAX_MESH_BYTES = 100_000_000
-"""Size of the largest mesh, or file that a mesh names, that is read."""
 _MAX_COORDINATE = 1e6
 _MAX_TRIANGLES = 10_000_000
 _MAX_INSTANCES = 2000
 """Placed copies of geometries in a COLLADA file."""
+_MAX_NODES = 20_000
+"""Nodes of a scene in a COLLADA file, each as often as it is placed."""
 _MIN_TRIANGLES = 24
 """What decimation leaves of the smallest parts."""
 _TOLERANCE = 0.01
@@ -124,17 +125,28 @@ def read_mesh(path: Path) -> list[Surface]:
 
 
 def _check_instances(content: bytes) -> None:
-    """Refuse a COLLADA file whose nodes, which may hold each other many times, hold too many geometries."""
-    nodes = [element for element in ElementTree.fromstring(content).iter() if element.tag.endswith("}node")]
-    by_url = {f"#{node.get('id')}": node for node in nodes}
+    """Refuse a COLLADA file whose nodes, which may hold each other many times, come to too many, or geometries do."""
+    root = ElementTree.fromstring(content)
+    nodes = [element for element in root.iter() if element.tag.endswith(("}node", "}visual_scene"))]
+    by_url: dict[str, list[ElementTree.Element]] = {}
+    for node in nodes:
+        by_url.setdefault(f"#{node.get('id')}", []).append(node)
 
     @functools.cache
-    def count(node: ElementTree.Element) -> int:
+    def count(node: ElementTree.Element) -> tuple[int, int]:
+        """Return how many nodes there are from a node on, and how many geometries they place."""
         children = [*node.findall("{*}node")]
-        children += [by_url[url] for item in node.findall("{*}instance_node") if (url := item.get("url", "")) in by_url]
-        return len(node.findall("{*}instance_geometry")) + sum(map(count, children))
+        for item in node.findall("{*}instance_node"):
+            children += by_url.get(item.get("url", ""), [])
+        counts = [count(child) for child in children]
+        geometries = len(node.findall("{*}instance_geometry"))
+        return 1 + sum(one for one, _ in counts), geometries + sum(one for _, one in counts)
 
-    if (most := max(map(count, nodes), default=0)) > _MAX_INSTANCES:
+    most_nodes = max((count(node)[0] for node in nodes), default=0)
+    most = max((count(node)[1] for node in nodes if node.tag.endswith("}node")), default=0)
+    if most_nodes > _MAX_NODES:
+        raise ValueError(f"its nodes, which hold each other, come to {most_nodes}; at most {_MAX_NODES} are read")
+    if most > _MAX_INSTANCES:
         raise ValueError(f"a node places {most} geometries; at most {_MAX_INSTANCES} are read")
 
 

@@ -1,4 +1,7 @@
-"""Reader of any quadruped's URDF or MJCF with MuJoCo's parsers; the one module of this package that needs MuJoCo."""
+"""Reader of any quadruped's URDF or MJCF with MuJoCo's parsers.
+
+It sets no limits: what a stranger's file asks for is done. `confined.py` runs it in a process of its own.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,8 @@ from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, Part
 from surefoot.robot.importing.foot import fit_sphere
 from surefoot.robot.importing.imported import ImportedRobot
-from surefoot.robot.importing.meshes import MAX_MESH_BYTES, Color, Surface, merge_surfaces
+from surefoot.robot.importing.meshes import Color, Surface, merge_surfaces
+from surefoot.robot.importing.named_files import find_mesh
 from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
@@ -43,12 +47,14 @@ _FRONT = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IG
 _FOOT = re.compile(r"foot|toe|tip|sole|ankle", re.IGNORECASE)
 _AXIS_TOLERANCE = 1e-3
 """How far an axis may be from the base's, as a cosine: files write pi/2 with five digits."""
+_MAX_CHAIN = 100
+"""Joints in a row that are looked at."""
 _MESH_SUFFIXES = (".stl", ".obj", ".msh")
 """Kinds of mesh that MuJoCo reads."""
 
 
 def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> ImportedRobot:
-    """Read a quadruped from a URDF or MJCF.
+    """Read a quadruped from a URDF or MJCF, in this process.
 
     Args:
         path: the file.
@@ -65,7 +71,7 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
     visuals: list[Visual] = []
     if meshes:
         is_urdf = root.tag == "robot"
-        visuals = read_urdf_visuals(root, path, _find_mesh, notes) if is_urdf else read_mjcf_visuals(path, notes)
+        visuals = read_urdf_visuals(root, path, find_mesh, notes) if is_urdf else read_mjcf_visuals(path, notes)
     speeds = _prepare_urdf(root, path, meshes, notes) if root.tag == "robot" else {}
     with mujoco_errors(path, explain_mujoco):
         if root.tag == "mujoco":
@@ -104,7 +110,7 @@ def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: li
             if (mesh := shape.find("geometry/mesh")) is None:
                 continue
             try:
-                file = _find_mesh(mesh.get("filename", ""), path)
+                file = find_mesh(mesh.get("filename", ""), path)
             except SurefootError as error:
                 file = None
                 problems |= {str(error).removeprefix(f"{path}: "): None} if meshes else {}
@@ -151,21 +157,6 @@ def _prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -
         raise SurefootError(f"{path}: no link has an <inertial> with a mass; masses and inertias are needed")
     if odd:
         notes.append(f"inertias that no rigid body has, balanced: {choices(odd)}")
-
-
-def _find_mesh(name: str, path: Path) -> Path:
-    """Return the file of a mesh, beside the description or in a folder above it, as packages have it."""
-    inside = Path(name.split("://", 1)[-1])
-    # package://NAME/rest: the package's folder may have another name.
-    parts = (inside, Path(*inside.parts[1:])) if len(inside.parts) > 1 else (inside,)
-    for folder in path.resolve().parents[:6]:
-        for part in parts:
-            if (file := folder / part).is_file():
-                if (size := file.stat().st_size) > MAX_MESH_BYTES:
-                    limit = f"at most {MAX_MESH_BYTES // 10**6} MB are read"
-                    raise SurefootError(f"{path}: mesh '{name}' has {size // 10**6} MB; {limit}")
-                return file
-    raise SurefootError(f"{path}: mesh '{name}' is not there; put it where the file names it")
 
 
 _SPHERE = "the last link's sphere"
@@ -299,8 +290,13 @@ class _Reader:
             raise self._error(f"is an object or a scene: nothing in it turns on a hinge; {QUADRUPED}")
         movers = np.unique(self.group[1:]).tolist()
         children: dict[int, list[int]] = {body: [] for body in (0, *movers)}
-        for body in movers:
-            children[int(self.group[model.body_parentid[body]])].append(body)
+        depth = dict.fromkeys(children, 0)
+        for body in movers:  # parents come first
+            parent = int(self.group[model.body_parentid[body]])
+            children[parent].append(body)
+            depth[body] = depth[parent] + 1
+        if max(depth.values()) > _MAX_CHAIN:
+            raise self._error(f"has a chain of {max(depth.values())} joints; {QUADRUPED}")
 
         def longest(body: int) -> list[int]:
             return [body, *max(map(longest, children[body]), key=len, default=[])]

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from surefoot.errors import SurefootError, choices
+from surefoot.files import check_readable
 
 QUADRUPED = "robot new reads quadrupeds: four legs of two or three hinges"
 _MESHES = (".stl", ".obj", ".dae", ".ply", ".msh", ".glb", ".gltf", ".fbx", ".3mf", ".step", ".stp")
@@ -35,6 +36,7 @@ def check_suffix(path: Path) -> None:
     if path.suffix.lower() in _MESHES:
         raise SurefootError(f"{path}: is a mesh; give the URDF or MJCF that names it")
     try:
+        check_readable(path)  # a pipe would not open
         with path.open("rb") as file:
             start = file.read(1024)
     except OSError:

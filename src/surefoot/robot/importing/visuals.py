@@ -16,7 +16,8 @@ from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import check_readable
 from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import triangulate
-from surefoot.robot.importing.meshes import MAX_MESH_BYTES, Color, Surface, decimate, read_mesh
+from surefoot.robot.importing.meshes import Color, Surface, decimate, read_mesh
+from surefoot.robot.importing.named_files import MAX_MESH_BYTES
 from surefoot.robot.urdf_file import read_colors, read_frame, read_material, read_numbers, read_shape
 from surefoot.rotations import quat_matrix
 

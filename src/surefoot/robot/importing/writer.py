@@ -23,6 +23,7 @@ from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
 from surefoot.rotations import rpy_matrix
 
+URDF = "robot.urdf"
 _PLACEHOLDER_SPEED = 100.0
 """A speed limit [rad/s] from which on it is a placeholder."""
 _GUESSED = "  # guessed: "
@@ -50,7 +51,7 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
     sheet = _sheet(robot, name, knees)
     with describe_os_errors(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
-    _write(folder / "robot.urdf", format_urdf(_urdf(robot), name))
+    _write(folder / URDF, format_urdf(_urdf(robot), name))
     if robot.parts:
         Appearance(robot.parts).save(folder / LOOKS)
     _write(folder / "robot.toml", sheet)

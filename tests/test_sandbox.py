@@ -1,0 +1,89 @@
+"""Processes with limits or without rights: what they can't do, and how their ends are told."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from surefoot import sandbox
+from surefoot.sandbox import Ending, Limits, run_module
+
+LIMITS = "sandbox.Limits(memory=16 << 30, time=60, patience=60)"
+
+
+@pytest.mark.skipif(not sandbox.is_supported(), reason="this machine has no filter of system calls that surefoot knows")
+@pytest.mark.parametrize(
+    "deed",
+    [
+        "open('/etc/passwd')",
+        "open('/tmp/surefoot-was-here', 'w')",
+        "__import__('socket').socket()",
+        "__import__('os').fork()",
+        "__import__('os').execv('/bin/true', ['true'])",
+        "__import__('os').kill(__import__('os').getppid(), 0)",
+        "bytearray(64 << 30)",
+    ],
+)
+def test_a_process_without_rights_can_only_compute(deed: str):
+    script = f"import socket, os\nfrom surefoot import sandbox\nsandbox.enter({LIMITS})\nprint(sum(range(9)))\n{deed}"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.stdout == "36\n"
+    assert done.returncode != 0
+    assert done.stderr.rstrip().splitlines()[-1].startswith(("PermissionError", "MemoryError"))
+
+
+@pytest.fixture
+def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A function that runs Python text as a module within limits."""
+
+    def run(text: str, limits: Limits, data: bytes = b"") -> Ending:
+        start = f"from surefoot import sandbox\nsandbox.limit_resources(sandbox.{limits})\n"
+        (tmp_path / "stranger_program.py").write_text(start + text)
+        monkeypatch.syspath_prepend(tmp_path)
+        return run_module("stranger_program", ["a word"], limits, data)
+
+    return run
+
+
+QUICK = Limits(memory=1 << 30, time=1.0, patience=20.0)
+
+
+def test_output_and_messages_are_told_apart(program):
+    text = "import sys\nfile = sandbox.take_output()\nprint('noise')\nfile.write(sys.stdin.buffer.read() * 2)"
+    assert program(text, QUICK, b"\0x") == Ending(0, b"\0x\0x", "noise")
+    assert program("import sys\nprint(sys.argv[1], file=sys.stderr)\nsys.exit(2)", QUICK) == Ending(2, b"", "a word")
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("while True: pass", "its time was over"),
+        ("x = bytearray(2 << 30)", "MemoryError"),
+        ("import os\nos.kill(os.getpid(), 11)", "SIGSEGV ended it"),
+        ("import os\nos._exit(7)", "it ended with code 7"),
+    ],
+)
+def test_a_process_that_fails_says_why(program, text: str, reason: str):
+    ending = program(text, QUICK)
+    assert ending.code != 0
+    assert ending.reason == reason
+
+
+def test_a_process_that_waits_is_killed_by_the_clock(program):
+    start = time.monotonic()
+    ending = program("import time\ntime.sleep(60)", Limits(memory=1 << 30, time=1.0, patience=0.5))
+    assert (ending.code, ending.reason) == (-signal.SIGKILL, "its time was over")
+    assert time.monotonic() - start < 30
+
+
+def test_modules_of_the_present_folder_are_not_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "platform.py").write_text("open('was here', 'w')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["", *sys.path])
+    run_module("surefoot.sandbox", [], QUICK)
+    assert not (tmp_path / "was here").exists()
