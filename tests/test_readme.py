@@ -22,8 +22,6 @@ from processes import Emulator, emulators, served, surefoot
 from surefoot.cli.main import COMMANDS
 
 README = ROOT / "README.md"
-PLAIN_LINKS = ("README.md", "CONTRIBUTING.md", "why.md")
-"""Names of pages that do not link what the site alone has, such as reference/."""
 NO_COMMANDS = ("needs", "COMMAND", "1")
 """Second words of messages and of examples of a protocol that begin with the program's name."""
 TINY = (
@@ -65,8 +63,6 @@ def dead_links(page: Path) -> list[str]:
     for link in links(page.read_text(encoding="utf-8")):
         place, _, anchor = link.partition("#")
         target = (page.parent / place).resolve() if place else page
-        if target.is_relative_to(ROOT / "docs" / "reference") and page.name not in PLAIN_LINKS:
-            continue  # made with the site
         named = anchors(target.read_text(encoding="utf-8")) if target.suffix == ".md" and target.is_file() else {anchor}
         if not target.exists() or (anchor and anchor not in named):
             dead.append(link)
