@@ -35,11 +35,13 @@ settings.register_profile("surefoot", deadline=None, derandomize=True)
 settings.load_profile("surefoot")
 
 LONG = (
-    *("cli/test_study_cli", "cli/test_search_cli", "test_newcomer", "cli/test_drive_cli", "deploy/test_fault_table"),
-    *("cli/test_identify_cli", "adopt/test_arithmetic", "identify/test_fits", "cli/test_gap_cli", "test_examples"),
-    *("cli/test_train_page_cli", "cli/test_deploy_cli", "cli/test_paper_cli", "cli/test_params_option", "test_robots"),
-    *("cli/test_printed_commands", "adopt/test_networks", "identify/test_from_trace", "cli/test_doctor_cli"),
-    *("world/test_agreement", "world/test_process_world", "cli/test_train_cli", "learn/test_training_loop"),
+    *("cli/test_study_cli", "cli/test_study_search_cli", "test_newcomer", "cli/test_drive_cli", "identify/test_fits"),
+    *("test_examples", "cli/test_train_page_cli", "deploy/test_fault_table", "cli/test_identify_cli"),
+    *("cli/test_deploy_cli", "world/test_agreement", "adopt/test_arithmetic", "cli/test_evaluate_cli"),
+    *("cli/test_gap_cli", "adopt/test_networks", "cli/test_robot_firmware_cli", "cli/test_refusals"),
+    *("cli/test_printed_commands", "cli/test_doctor_cli", "studies/test_study_report", "learn/test_training_loop"),
+    *("identify/test_experiment_runner", "world/test_engines", "identify/motion/test_torque_fit"),
+    *("world/test_process_world", "cli/test_params_option", "cli/test_train_cli", "adopt/test_rl_sar", "test_robots"),
 )
 """Files that take longest, of all parts."""
 REALTIME = "surefoot/realtime"
@@ -80,6 +82,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     pytest-xdist (`--dist loadfile`) takes units of work in this order.
     """
     first = {Path(__file__).parent / f"{name}.py": rank for rank, name in enumerate(LONG)}
+    assert all(path.exists() for path in first), "LONG names files that have moved"
     items.sort(key=lambda item: (item.get_closest_marker("realtime") is not None, first.get(item.path, len(LONG))))
     if cache := getattr(config, "cache", None):  # none with `-p no:cacheprovider`
         cache.set(REALTIME, [item.nodeid for item in items if item.get_closest_marker("realtime")])

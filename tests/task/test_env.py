@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -12,14 +11,11 @@ from gymnasium.vector import AutoresetMode
 from scripted import ScriptedWorld
 
 from surefoot.errors import SurefootError
-from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.leg_config import WaveConfig
 from surefoot.task.pushes import PushConfig
 from surefoot.task.reference_config import SineReferenceConfig
-from surefoot.task.terminations import is_low, is_tilted
-from surefoot.world.ground import FLAT
 from surefoot.world.sim_world import SimWorld
 
 FEEDBACK = FeedbackConfig(swing=(-0.5, 0.5), extension=(1.0, 2.0))
@@ -240,24 +236,6 @@ def test_the_first_observation_is_of_a_standing_robot():
 
 
 # --- ends of an episode ------------------------------------------------------------------------------------
-
-
-def at(angles: list[tuple[float, float, float]], height: float = 0.2) -> SimpleNamespace:
-    """State on flat ground of robots with roll, pitch and yaw [rad] and a base at a height [m]."""
-    robot = RobotDescription.load("minitaur")
-    world = ScriptedWorld(robot, len(angles), PhysicalParams.nominal(robot))
-    position = np.tile([0.0, 0.0, height], (len(angles), 1))
-    truth = replace(world.truth(), roll_pitch_yaw=np.array(angles), base_position_world=position)
-    return SimpleNamespace(truth=truth, ground=FLAT)
-
-
-def test_a_fall_is_a_tilt_or_a_low_base():
-    upright = [(0.0, 0.0, 0.0), (0.499, -0.499, 0.0), (0.5, 0.5, 0.0), (0.0, 0.0, 3.0)]
-    fallen = [(0.501, 0.0, 0.0), (0.0, 0.501, 0.0), (-0.501, 0.0, 0.0), (0.0, -0.501, 0.0)]
-    assert is_tilted(at(upright + fallen), 0.5).tolist() == [False] * 4 + [True] * 4
-    assert is_tilted(at(upright), 0.4).tolist() == [False, True, True, False]
-    assert is_low(at(upright, 0.081), 0.08).tolist() == [False] * 4
-    assert is_low(at(upright, 0.079), 0.08).tolist() == [True] * 4
 
 
 @pytest.mark.parametrize(("height", "fallen"), [(0.0, False), (0.19, False), (0.21, True)])

@@ -11,8 +11,6 @@ from references import read_reference
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.task.foot_paths import FootPaths
-from surefoot.task.periodic_references import FootReference
 from surefoot.task.reference import Feedforward, Reference
 
 ROBOT = RobotDescription.load("minitaur")
@@ -154,67 +152,6 @@ def test_a_foot_reference_may_count_lengths_and_natural_frequencies_of_the_leg()
     np.testing.assert_allclose(*poses, atol=1e-6)
     again = read_reference(read_reference(relative | {"relative": True}, ROBOT).to_dict(), ROBOT)
     np.testing.assert_array_equal(again.pose(time), poses[0])
-
-
-def foot_paths(**other: Any) -> FootPaths:
-    """Return foot trajectories without differences between the legs."""
-    reference = read_reference(foot(**{"phase": 0.0, **other}), ROBOT)
-    assert isinstance(reference, FootReference)
-    return reference.feet
-
-
-# Touchdown at .01 + .05 m in front of the motors; stance ends after 60 % of the cycle, .05 m behind .01 m.
-@pytest.mark.parametrize(
-    ("cycle", "x", "z"),
-    [
-        (0.0, 0.06, -0.2),
-        (0.15, 0.035, -0.2025),
-        (0.3, 0.01, -0.205),
-        (0.6, -0.04, -0.2),
-        (0.8, 0.01, -0.17),
-        (1.0, 0.06, -0.2),
-    ],
-)
-def test_a_foot_at_known_parts_of_its_cycle(cycle: float, x: float, z: float):
-    np.testing.assert_allclose(foot_paths().path([cycle]), np.tile([x, z], (1, 4, 1)), atol=1e-12)
-
-
-def test_a_foot_is_as_fast_at_both_ends_of_its_swing_as_in_stance():
-    reference = foot_paths()
-    assert reference.speed[0] == pytest.approx(0.1 * 2.0 / 0.6)
-    for cycle in (0.3, 0.6 - 1e-6, 0.6 + 1e-6, 1.0 - 1e-6):
-        ahead, behind = reference.path([cycle + 1e-7])[0, 0, 0], reference.path([cycle - 1e-7])[0, 0, 0]
-        assert 2.0 * (ahead - behind) / 2e-7 == pytest.approx(-reference.speed[0], rel=1e-3)
-
-
-def test_each_leg_begins_its_cycle_at_its_own_phase():
-    phase = dict(zip(ROBOT.leg_names, (0.0, 0.25, 0.5, 1.75), strict=True))
-    path, unshifted = foot_paths(phase=phase).path([0.3])[0], foot_paths()
-    for leg, shift in enumerate(phase.values()):
-        np.testing.assert_allclose(path[leg], unshifted.path([0.3 - shift])[0, 0], atol=1e-12)
-
-
-def test_legs_bring_the_feet_to_their_paths():
-    reference, time = foot_paths(), np.linspace(0.0, 0.7, 50)
-    pose = reference.pose(time)
-    assert pose.shape == (50, 2, 4)
-    np.testing.assert_allclose(
-        ROBOT.leg_geometry.foot_in_plane(ROBOT.leg_geometry.to_motors(pose)), reference.path(2.0 * time), atol=1e-12
-    )
-    swing, extension = pose[:, 0], pose[:, 1]
-    (s_low, s_high), (e_low, e_high) = reference.extent
-    assert s_low <= swing.min() <= swing.max() <= s_high
-    assert e_low <= extension.min() <= extension.max() <= e_high
-    assert reference.period == 0.5
-
-
-def test_robots_may_have_paths_of_their_own():
-    one, other = foot_paths(), foot_paths(frequency=3.0, stroke=0.05, duty_factor=0.5)
-    both = FootPaths.stacked([one, other])
-    pose = both.pose([0.21, 0.21])
-    for row, single in enumerate((one, other)):
-        np.testing.assert_allclose(pose[row], single.pose([0.21])[0], atol=1e-12)
-    np.testing.assert_allclose(both.period, [0.5, 1 / 3])
 
 
 @pytest.mark.parametrize("data", [{}, TROT, ROWS, FOOT])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 from scripted import ScriptedWorld
@@ -10,7 +11,7 @@ from scripted import ScriptedWorld
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.state import EnvState
-from surefoot.task.terminations import TERMINATIONS, end_episodes
+from surefoot.task.terminations import TERMINATIONS, end_episodes, is_low, is_tilted
 from surefoot.world.ground import FLAT
 
 
@@ -39,3 +40,21 @@ def test_falls_divergence_and_length_end_episodes_and_a_fall_wins() -> None:
     now.over[1] = True
     end_episodes(now, replace(task, fall_height=0.0))
     assert now.terminated.tolist() == [False, False, False, True, True, False]
+
+
+def at(angles: list[tuple[float, float, float]], height: float = 0.2) -> SimpleNamespace:
+    """State on flat ground of robots with roll, pitch and yaw [rad] and a base at a height [m]."""
+    robot = RobotDescription.load("minitaur")
+    world = ScriptedWorld(robot, len(angles), PhysicalParams.nominal(robot))
+    position = np.tile([0.0, 0.0, height], (len(angles), 1))
+    truth = replace(world.truth(), roll_pitch_yaw=np.array(angles), base_position_world=position)
+    return SimpleNamespace(truth=truth, ground=FLAT)
+
+
+def test_a_fall_is_a_tilt_or_a_low_base():
+    upright = [(0.0, 0.0, 0.0), (0.499, -0.499, 0.0), (0.5, 0.5, 0.0), (0.0, 0.0, 3.0)]
+    fallen = [(0.501, 0.0, 0.0), (0.0, 0.501, 0.0), (-0.501, 0.0, 0.0), (0.0, -0.501, 0.0)]
+    assert is_tilted(at(upright + fallen), 0.5).tolist() == [False] * 4 + [True] * 4
+    assert is_tilted(at(upright), 0.4).tolist() == [False, True, True, False]
+    assert is_low(at(upright, 0.081), 0.08).tolist() == [False] * 4
+    assert is_low(at(upright, 0.079), 0.08).tolist() == [True] * 4
