@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from types import SimpleNamespace
 
 import pytest
 
 from surefoot.cli import main
-from surefoot.stop_signals import StopSignals
+from surefoot.stop_signals import DAMP, SIT, StopSignals
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -33,6 +36,23 @@ def test_only_ctrl_c_again_damps_at_once():
         assert stop.stops == 2
         os.kill(os.getpid(), signal.SIGINT)
         assert stop.stops == 2
+
+
+def test_another_place_stops_too_and_the_most_urgent_request_holds():
+    page = 0
+    with StopSignals() as stop:
+        stop.sources.append(lambda: page)
+        assert stop.stops == 0
+        page = SIT
+        assert stop.stops == SIT
+        # The page's button, and then Ctrl-C: both ask to sit.
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.stops == SIT
+        page = DAMP
+        assert stop.stops == DAMP
+        page = 0
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.stops == DAMP
 
 
 def test_signal_handlers_are_restored():
@@ -83,3 +103,51 @@ def test_ctrl_c_that_a_library_makes_another_error(monkeypatch: pytest.MonkeyPat
     assert main.main(["show", "it"]) == 130
     with pytest.raises(TypeError, match="a defect"):
         main.main(["show"])
+
+
+CLEANUP = """
+import sys, time
+from surefoot.cli import main
+
+class Command:
+    def main(words):
+        try:
+            print("ready", flush=True)
+            time.sleep(60)
+        finally:
+            time.sleep({cleanup})
+            print("cleaned", flush=True)
+
+main.importlib.import_module = lambda name: Command
+sys.argv = ["surefoot", "drive"]
+sys.exit(main.program())
+"""
+
+
+@pytest.mark.parametrize(("cleanup", "cleaned"), [(0.5, "cleaned\n"), (60.0, "")])
+def test_twelve_ctrl_c_end_with_an_exit_code_and_the_first_alone_interrupts(cleanup: float, cleaned: str):
+    command = [sys.executable, "-c", CLEANUP.format(cleanup=cleanup)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    begin = time.monotonic()
+    for _ in range(12):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.02)
+    output, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert output == cleaned
+    assert errors == ("surefoot: interrupted\n" if cleaned else "")
+    assert time.monotonic() - begin < 30.0
+
+
+def test_ctrl_c_inside_eval_ends_with_an_exit_code():
+    # CPython ends the process by the signal if a plain KeyboardInterrupt has left `eval`.
+    code = CLEANUP.format(cleanup=0).replace("time.sleep(60)", "eval('time.sleep(60)')")
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    process.stdout.readline()
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (130, "surefoot: interrupted\n")

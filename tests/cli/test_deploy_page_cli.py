@@ -1,9 +1,15 @@
-"""`surefoot deploy --browser`: the robot's own state on a page in a real browser, and commands from there."""
+"""`surefoot deploy --browser`: the robot's own state on a page in a real browser, and commands from there.
+
+Also its buttons, from a web socket, and what happens to the robot when the page's process is killed.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +25,12 @@ pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
 from chromium import errors_of, hold_stick, in_browser, new_page, running_browser
+from websockets.sync.client import ClientConnection, connect
+
+from surefoot.cli.helpers.deploy_page import DeployPage
+from surefoot.robot import RobotDescription
+from surefoot.robot.commands import CommandLimits
+from surefoot.stop_signals import DAMP, SIT
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -70,6 +82,107 @@ def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
     assert len(forward[stood]) > 50
     assert speeds[stood].mean() < 0.1 * speeds[driven].mean()
     assert wrong == []
+
+
+def open_tab(address: str) -> ClientConnection:
+    """Return a tab that drives."""
+    host = address.split("/")[2]
+    tab = connect(f"ws://{host}/socket", origin=f"http://{host}", close_timeout=0.2)  # type: ignore[arg-type]
+    while not json.loads(tab.recv(timeout=10)).get("driver"):
+        pass
+    return tab
+
+
+@pytest.fixture
+def deploy_page() -> Iterator[DeployPage]:
+    """Return the real page of a robot, in its process."""
+    limits = CommandLimits((-1.0, 1.0), (-0.5, 0.5), (-1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    page = DeployPage("title", str(RobotDescription.load("go2").folder), "go2-steer", limits, 0, 0)
+    yield page
+    page.close()
+
+
+def wait_for(page: DeployPage, stops: int) -> None:
+    """Wait until the page requests so."""
+    end = time.monotonic() + 30.0
+    while page.stops() != stops:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_a_second_press_of_sit_changes_nothing_and_damp_is_a_button_of_its_own(deploy_page: DeployPage):
+    assert deploy_page.stops() == 0
+    with open_tab(deploy_page.address) as tab:
+        tab.send('{"stop": true}')
+        wait_for(deploy_page, SIT)
+        tab.send('{"stop": true}')
+        tab.send('{"stop": 1}')
+        while "error" not in json.loads(tab.recv(timeout=10)):
+            pass
+        time.sleep(0.2)
+        assert deploy_page.stops() == SIT
+        tab.send('{"damp": true}')
+        wait_for(deploy_page, DAMP)
+
+
+def test_the_robot_is_to_sit_when_the_pages_process_is_killed(
+    deploy_page: DeployPage, capsys: pytest.CaptureFixture[str]
+):
+    assert deploy_page.stops() == 0
+    os.kill(deploy_page._process.pid, signal.SIGKILL)
+    wait_for(deploy_page, SIT)
+    assert deploy_page.stops() == SIT
+    assert capsys.readouterr().err.count("the page's process has ended; the robot sits down and is disarmed") == 1
+
+
+def press(address: str, button: str) -> None:
+    """Press a button of the page twice."""
+    with open_tab(address) as tab:
+        for _ in range(2):
+            tab.send(f'{{"{button}": true}}')
+        time.sleep(0.5)
+
+
+def kill_page(process: subprocess.Popen[str]) -> None:
+    """Kill the page's process of a deployment."""
+    words = ["pgrep", "--parent", str(process.pid), "--full", "deploy_page"]
+    (page,) = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
+    os.kill(int(page), signal.SIGKILL)
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("what", "code", "text", "sits"),
+    [
+        ("stop", 0, "stopped by the operator", True),
+        ("damp", 3, "stopped at once by the operator", False),
+        ("kill", 0, "stopped by the operator", True),
+    ],
+)
+def test_buttons_and_a_killed_page_stop_the_robot(
+    emulate: Callable[..., Emulator], tmp_path: Path, what: str, code: int, text: str, sits: bool
+):
+    robot = emulate("--robot", "go2", "--ideal-sensors", "--set", "servo_kp=40", "servo_kd=1")
+    words = ("--port", robot.port, "--browser", "--page-port", "0", "--out", str(tmp_path), "--json")
+    deploy = subprocess.Popen([*SUREFOOT, "deploy", "go2-steer", *words], stdout=-1, stderr=-1, text=True)
+    try:
+        assert deploy.stderr is not None
+        address = deploy.stderr.readline().split()[0]
+        while "surefoot: run (" not in (line := deploy.stderr.readline()):
+            assert line
+        time.sleep(0.5)
+        if what == "kill":
+            kill_page(deploy)
+        else:
+            press(address, what)
+        output, errors = deploy.communicate(timeout=30)
+    finally:
+        deploy.kill()
+    (run,) = json.loads(output)["runs"]
+    assert (deploy.returncode, run["ended"], run["what"]) == (code, "stopped", text)
+    assert EpisodeTrace.load(run["trace"]).num_steps > 10
+    assert ("surefoot: disarm" in errors) == sits
+    assert ("page's process has ended" in errors) == (what == "kill")
 
 
 def test_drive_page_refuses_incompatible_options():

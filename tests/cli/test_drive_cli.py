@@ -121,7 +121,9 @@ BAD = [
     *('{"ghost": "../../etc/passwd"}', '{"ghost": 1}', '{"ghost": ["x"]}', '{"record": {}, "export": []}'),
     *('{"policy": "../../etc/passwd"}', '{"policy": []}', '{"speed": 1e9}', '{"speed": {}}', '{"command": 3}'),
     *('{"terrain": ["lava"]}', '{"terrain": ["stairs", 9]}', '{"terrain": ["slope", "x"]}', '{"terrain": []}'),
-    *("{", "[" * 999),
+    *('{"set": []}', '{"set": {}}', '{"set": ""}', '{"set": {"a": 1}}', '{"command": {}}', '{"stop": true}', "{}", "3"),
+    *(f'{{"command": [{"9" * 400}, 0, 0]}}', f'{{"set": ["motor_strength", {"9" * 400}]}}', '{"restart": null}'),
+    *("{", "[" * 999, "[" * 900 + "]" * 900, "\0"),
 ]
 
 

@@ -1,0 +1,174 @@
+"""Two hundred messages drawn from a grammar of the pages' keys, to each page that takes messages: it goes on."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("viser")
+
+import websockets
+from websockets.sync.client import ClientConnection, connect
+
+from surefoot.api.drive_page import DrivePage
+from surefoot.cli.helpers.deploy_page import Page
+from surefoot.cli.helpers.train_page import NewestPolicy
+from surefoot.errors import SurefootError
+from surefoot.report.pages.messages import DeployMessage, DriveMessage, TabMessage, read_message
+from surefoot.report.pages.server import PageServer, robot_page
+from surefoot.robot import RobotDescription
+
+MESSAGES = 200
+SEED = 66
+LIMIT = 2000
+"""Bytes of the longest message; the connection of a tab that sends a longer one is closed, with that reason."""
+ATOMS = (
+    *("null", "true", "false", "0", "-1", "1", "0.5", "1e308", "-1e308", "1e999", "NaN", "-Infinity", "9" * 400),
+    *('""', '"x"', '"\\u0000"', '"\\ud800"', '"../../etc/passwd"', '"flat"', '"stairs"', '"html"', '"motor_strength"'),
+    *(
+        f'"{"a" * 1500}"',
+        "[]",
+        "{}",
+        "[[]]",
+        "[{}]",
+        '{"a": 1}',
+        "[" * 300 + "]" * 300,
+        '{"a":' * 200 + "1" + "}" * 200,
+    ),
+)
+"""Values, as JSON has them and as it does not."""
+FOREIGN = ('""', '"left"', '"__class__"', '"\\u0000"', '"\\ud800"', f'"{"k" * 1000}"', "1")
+BROKEN = ("", "{", "\0", '{"set": [', b"\xff\xfe", b"\x00" * 50, "9" * 1900, "[" * 1900, "x" * 1_000_000)
+"""Messages that are no JSON."""
+
+
+def draw_value(rng: random.Random, depth: int = 0) -> str:
+    """Return a value of any type and size: an atom, a list or an object of values."""
+    kind = rng.random()
+    if kind < 0.5 or depth > 2:
+        return rng.choice(ATOMS)
+    values = [draw_value(rng, depth + 1) for _ in range(rng.randrange(6))]
+    if kind < 0.85:
+        return f"[{','.join(values)}]"
+    return "{" + ",".join(f'"{k}": {value}' for k, value in enumerate(values)) + "}"
+
+
+def draw_message(rng: random.Random, kind: type[TabMessage]) -> str | bytes:
+    """Return a message with keys of a page, or of none."""
+    if rng.random() < 0.1:
+        return rng.choice(BROKEN)
+    keys = [f'"{item.name}"' for item in fields(kind)]
+    names = rng.choices([*keys, *keys, *FOREIGN], k=rng.choice((1, 1, 1, 2, 3)))
+    return "{" + ",".join(f"{name}: {draw_value(rng)}" for name in names) + "}"
+
+
+@dataclass
+class Running:
+    """A page whose handlers run in a thread."""
+
+    kind: type[TabMessage]
+    server: PageServer
+    thread: threading.Thread
+    command: Callable[[], Any]
+    """Returns the command that the page has."""
+
+
+@contextmanager
+def running(run: Callable[[threading.Event], None]) -> Iterator[threading.Thread]:
+    stop = threading.Event()
+    thread = threading.Thread(target=run, args=(stop,))
+    thread.start()
+    try:
+        yield thread
+    finally:
+        stop.set()
+        thread.join()
+
+
+@pytest.fixture(params=["drive", "train", "deploy"])
+def page(request: pytest.FixtureRequest, repository: Path, tmp_path: Path) -> Iterator[Running]:
+    with ExitStack() as stack:
+        if request.param == "deploy":
+            server, view = stack.enter_context(robot_page(None, 0, messages=DeployMessage))
+            limits = [[-1.0, 1.0]] * 3
+            setup = {"robot": str(RobotDescription.load("go2").folder), "policy": "p", "limits": limits, "channel": 0}
+            real = Page(setup, server, view, lambda **message: None)
+
+            def serve(stop: threading.Event) -> None:
+                while not stop.is_set():
+                    real.step()
+                    time.sleep(0.002)
+
+            thread = stack.enter_context(running(serve))
+            yield Running(DeployMessage, server, thread, lambda: real._command)
+            return
+        server, view = stack.enter_context(robot_page(None, 0))
+        drive = DrivePage("go2-steer", "mujoco", recordings=tmp_path)
+        if request.param == "train":
+            newest = Path(shutil.copy(repository / "policies" / "go2-steer.onnx", tmp_path / "newest.onnx"))
+            drive = NewestPolicy(newest, "mujoco")
+        thread = stack.enter_context(running(lambda stop: drive.run(server, view, stop)))
+        yield Running(DriveMessage, server, thread, lambda: drive.robot.commanded)
+
+
+def open_tab(server: PageServer) -> ClientConnection:
+    """Return a tab that drives."""
+    host = f"localhost:{server.port}"
+    tab = connect(f"ws://{host}/socket", origin=f"http://{host}", close_timeout=0.2)  # type: ignore[arg-type]
+    while not json.loads(tab.recv(timeout=10)).get("driver"):
+        pass
+    return tab
+
+
+def refusal(kind: type[TabMessage], text: str | bytes) -> str:
+    """Return why the schema refuses a message; empty if it does not."""
+    try:
+        read_message(kind, text)
+    except SurefootError as error:
+        return str(error)
+    return ""
+
+
+def read_error(tab: ClientConnection, start: str) -> None:
+    """Read up to the answer of a refused message that starts so."""
+    while not (error := json.loads(tab.recv(timeout=20)).get("error", "")).startswith(start):
+        pass
+    assert len(error) <= 300
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+def test_no_message_ends_a_page(page: Running):
+    rng, refused = random.Random(SEED), 0
+    tab = open_tab(page.server)
+    for number in range(MESSAGES):
+        text = draw_message(rng, page.kind)
+        tab.send(text)
+        if len(text) > LIMIT:
+            with pytest.raises(websockets.ConnectionClosed, match="2000"):  # noqa: PT012
+                while True:
+                    tab.recv(timeout=20)
+            tab = open_tab(page.server)
+        elif why := refusal(page.kind, text):
+            refused += 1
+            read_error(tab, why[:100])
+        # The next good message acts.
+        speed = 0.1 + 0.4 * number / MESSAGES
+        tab.send(json.dumps({"command": [speed, 0, 0]}))
+        end = time.monotonic() + 20.0
+        while page.command()[0] != pytest.approx(speed):
+            assert page.thread.is_alive(), text
+            assert time.monotonic() < end, text
+            time.sleep(0.001)
+    tab.close()
+    assert MESSAGES / 2 < refused < MESSAGES
