@@ -54,8 +54,8 @@ LIMITED = {
         '<worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>'
     ),
     "flex grid": (
-        '<mujoco><worldbody><flexcomp name="f" type="grid" count="1000 1000 1000" spacing=".1 .1 .1" mass="1" dim="3"/>'
-        "</worldbody></mujoco>"
+        '<mujoco><worldbody><flexcomp name="f" type="grid" count="1000 1000 1000" spacing=".1 .1 .1" mass="1" '
+        'dim="3"/></worldbody></mujoco>'
     ),
     "nested replicates": nested_replicates(),
 }
@@ -67,7 +67,9 @@ def test_a_model_that_expands_ends_within_limits(text: str, tmp_path: Path):
     path = tmp_path / "dog.xml"
     path.write_text(text)
     start = time.monotonic()
-    with pytest.raises(SurefootError, match=r"dog\.xml: can't be read within 1 GiB and 3 s \(its (time|memory)") as error:
+    with pytest.raises(
+        SurefootError, match=r"dog\.xml: can't be read within 1 GiB and 3 s \(its (time|memory)"
+    ) as error:
         read_robot(path, limits=QUICK)
     assert "\n" not in str(error.value)
     assert time.monotonic() - start < 30  # most of it is the start of Python on a busy computer
@@ -92,13 +94,19 @@ REFUSED = {
         f"<mujoco>{''.join(f'<include file={chr(34)}part{k}.xml{chr(34)}/>' for k in range(5))}</mujoco>",
         "includes and attaches files that are too large: at most 256 KiB in all",
     ),
-    "include of a pipe": ('<mujoco><include file="pipe"/></mujoco>', "'pipe' that it names: can't be read: not a regular"),
+    "include of a pipe": (
+        '<mujoco><include file="pipe"/></mujoco>',
+        "'pipe' that it names: can't be read: not a regular",
+    ),
     "pipe in meshdir": (
         '<mujoco><compiler meshdir="sub"/><asset><mesh name="m" file="pipe.stl"/></asset></mujoco>',
         r"'pipe\.stl' that it names: can't be read: not a regular file",
     ),
     "device": (mesh('file="/dev/zero"'), "'/dev/zero' that it names: can't be read: not a regular file"),
-    "long row of includes": ('<mujoco><include file="row0.xml"/></mujoco>', "over 20 files include or attach each other"),
+    "long row of includes": (
+        '<mujoco><include file="row0.xml"/></mujoco>',
+        "over 20 files include or attach each other",
+    ),
 }
 
 
