@@ -165,7 +165,8 @@ def _change(value: Any, rng: random.Random) -> Any:
             array = array.astype(rng.choice(("f4", "f8", "i8", "?")))
         elif array.size:
             array = array.copy()
-            numbers = (np.nan, np.inf, -1e30, 1e30, -1, 0) if array.dtype.kind == "f" else (0, 1)
+            whole = (0, 1, -1, 2**62) if array.dtype.kind == "i" else (0, 1)
+            numbers = (np.nan, np.inf, -1e30, 1e30, -1, 0) if array.dtype.kind == "f" else whole
             array.reshape(-1)[rng.randrange(array.size)] = rng.choice(numbers)
         return torch.from_numpy(array) if isinstance(value, torch.Tensor) else array
     return rng.choice(JUNK)
