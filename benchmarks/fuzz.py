@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hostile_files import EXPANSIONS, make_models
 
 import surefoot
 
@@ -56,7 +57,7 @@ TINY = (
 RUN = "--threads 1 --out out"
 OUT = ("--out", "--symlink", "--params")
 """Options that name files to be written."""
-CODES = {"study": {1, 130}, "train": {130}, "deploy": {3}, "doctor": {3}, "identify": {3}}
+CODES = {"study": {1, 130}, "train": {130}, "deploy": {3}, "doctor": {3}, "identify": {3}, "robot": {3}}
 """Exit codes that are documented besides 0 and 2."""
 COMMANDS = {
     "train options": f"train trot {TINY} --out out",
@@ -91,6 +92,9 @@ COMMANDS = {
     "run folder": "train --resume @@run/config.yaml",
     "run's papers": "train --resume @@run/run.json",
     "checkpoint": "train --resume @@run/checkpoints/latest.ckpt",
+    "mjcf": "robot new @@dog.xml --out out --name dog",
+    "collada": "robot new @@meshed/body.dae --out out --name dog",
+    "foreign urdf": "robot new @@meshed/dog.urdf --out out --name dog",
 }
 """Commands that work, by kind of case; `@file` is a file of the seeds as it is, `@@file` one that is damaged."""
 OPTIONS = {
@@ -109,8 +113,8 @@ OPTIONS = {
     "emulate options": ("cli.emulate:EmulateCommand", 3),
 }
 """Kinds whose words are changed: where the options are declared, and how many words at the beginning stay."""
-WHOLE_FOLDERS = {"robot", "run"}
-"""Folders of seeds that commands take whole."""
+WHOLE_FOLDERS = {"robot": "robot", "run": "run", "meshed": "meshed/dog.urdf"}
+"""Folders of seeds that commands take whole, and what they are given of each."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +178,7 @@ class Fuzz:
         if top in WHOLE_FOLDERS:
             shutil.copytree(self.seeds / top, self.place / top)
         damage(self.seeds / name, self.place / name, rng)
-        return top if top in WHOLE_FOLDERS else name
+        return WHOLE_FOLDERS.get(top, name)
 
     def _change_words(self, words: list[str], kind: str, rng: random.Random) -> list[str]:
         """Return words with up to three changes."""
@@ -220,6 +224,8 @@ class Fuzz:
         lines = [line for line in case.output.splitlines() if line.startswith("surefoot: error: ")]
         if case.code == 2 and len(lines) != 1:
             return f"exit code 2 with {len(lines)} lines that say why"
+        if case.words[0] == "robot" and case.code == 2 and (self.place / "out" / "robot.toml").exists():
+            return "exit code 2 and a robot's folder"
         after = _state(self.root)
         if self._seeds_state != _state(self.seeds):
             return "a file that is read was written"
@@ -310,7 +316,8 @@ def _child(words: Sequence[str], place: Path, output: int) -> None:
 def damage(source: Path, target: Path, rng: random.Random) -> None:
     """Write a damaged copy of a file: bytes, words and numbers, or what stands in it, changed one to four times."""
     content = source.read_bytes()
-    inside: Callable[[bytes, random.Random], bytes] | None = {".npz": _archive, ".onnx": _policy}.get(source.suffix)
+    kinds: dict[str, Callable[[bytes, random.Random], bytes]] = {".npz": _archive, ".onnx": _policy, **EXPANSIONS}
+    inside = kinds.get(source.suffix)
     if inside is not None and rng.random() < 0.7:
         content = inside(content, rng)
     elif source.suffix in (".npz", ".onnx", ".ckpt"):
@@ -503,6 +510,8 @@ def make_seeds(folder: Path, names: set[str]) -> None:
     if "trace.npz" in names:
         _work(folder, "evaluate", "policy.onnx", "--episodes", "1", "--out", "made", "--threads", "1")
         (folder / "made" / "episode_000.npz").rename(folder / "trace.npz")
+    if names & {"dog.xml", "meshed/body.dae", "meshed/dog.urdf"}:
+        make_models(folder)
     if any(name.startswith("run/") for name in names):
         _work(folder, "train", "task.yaml", *TINY.split(), "--out", "made")
         (run,) = (path.parent for path in folder.glob("made/*/*/run.json"))

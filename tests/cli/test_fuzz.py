@@ -12,7 +12,7 @@ for module in ("mujoco", "torch", "onnx", "matplotlib", "imageio_ffmpeg"):
     pytest.importorskip(module)
 
 QUICK = ("study", "study options", "space", "params", "policy to deploy", "recording", "deploy options",
-         "doctor options", "identify options")  # fmt: skip
+         "doctor options", "identify options", "mjcf", "collada", "foreign urdf")  # fmt: skip
 """Kinds of cases that hardly ever simulate anything."""
 
 

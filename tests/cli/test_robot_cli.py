@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from PIL import Image
 from processes import surefoot
 
 from surefoot.cli import robot as robot_command
+from surefoot.cli.main import main
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.reader import read_robot
 
@@ -117,3 +119,45 @@ def test_knees_are_asked_for_on_a_terminal_where_the_file_does_not_show_them(
     capsys.readouterr()
     assert robot_command.find_knees(go2) is None
     assert capsys.readouterr().out == "knees point backward, by the knees' limits\n"
+
+
+def solo8_with(pattern: str, text: str) -> str:
+    """Return the URDF of a robot that ships with another text wherever a pattern is."""
+    changed = re.sub(pattern, text, RobotDescription.load("solo8").urdf.path.read_text(), flags=re.DOTALL)
+    assert changed != RobotDescription.load("solo8").urdf.path.read_text()
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("pattern", "text", "message"),
+    [
+        (
+            r'(<joint name="[A-Z]*_KFE".*?<limit) lower="[^"]*" upper="[^"]*"',
+            r'\1 lower="0" upper="0.01"',
+            "extension is",
+        ),
+        (r'effort="[^"]*"', 'effort="1e-12"', "torque_limit is 1e-12"),
+    ],
+)
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_folder_that_can_not_be_read_is_not_written(
+    pattern: str,
+    text: str,
+    message: str,
+    exists: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "dog.urdf").write_text(solo8_with(pattern, text))
+    if exists:
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "notes.txt").write_text("mine")
+    assert main(["robot", "new", "dog.urdf", "--out", "out", "--name", "dog", "--knees", "inward"]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.endswith("; out was not written\n")
+    assert error.count("\n") == 1
+    assert [path.name for path in tmp_path.glob("out/*")] == (["notes.txt"] if exists else [])
+    assert (tmp_path / "out").exists() == exists

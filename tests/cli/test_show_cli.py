@@ -281,3 +281,11 @@ def test_the_help_of_show_has_the_options_of_policies_and_of_runs(capsys: pytest
     output = capsys.readouterr().out
     assert output.startswith("usage: surefoot show POLICY ...")
     assert all(option in output for option in ("--push-force", "--layout", "--page-port"))
+
+
+def test_a_broken_file_beside_a_robot_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 and no more")
+    assert main(["show", str(tmp_path / "broken.npz"), "--robot", "minitaur"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"surefoot: error: {tmp_path / 'broken.npz'}: is cut off, damaged or no file of arrays")
+    assert error.count("\n") == 1

@@ -16,7 +16,7 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot import archive as module
-from surefoot.robot.archive import pack_robot, read_archive, unpack_robot
+from surefoot.robot.archive import copy_robot, pack_robot, read_archive, unpack_robot
 
 MINITAUR = RobotDescription.load("minitaur").folder
 
@@ -157,3 +157,96 @@ def test_a_sheet_that_names_a_file_elsewhere_is_refused(mine: Path):
         (mine / "robot.toml").write_text(sheet.replace('"minitaur.urdf"', f'"{name}"'))
         with pytest.raises(SurefootError, match="it must be a file in the robot's folder"):
             RobotDescription.load(mine)
+
+
+def secret(tmp_path: Path) -> Path:
+    """Return a file outside of the robot's folder, which nobody meant to give away."""
+    folder = tmp_path / "private"
+    folder.mkdir(exist_ok=True)
+    (folder / "notes.csv").write_text("a secret")
+    return folder / "notes.csv"
+
+
+def link_file(mine: Path, file: Path) -> None:
+    (mine / "tasks").mkdir(exist_ok=True)
+    (mine / "tasks" / "notes.csv").symlink_to(file)
+
+
+def link_over_the_parent(mine: Path, file: Path) -> None:
+    link_file(mine, Path("../../../private") / file.name)
+
+
+def link_chain(mine: Path, file: Path) -> None:
+    (mine / "tasks").mkdir(exist_ok=True)
+    (mine / "tasks" / "more.csv").symlink_to(file)
+    link_file(mine, Path("more.csv"))
+
+
+def link_folder(mine: Path, file: Path) -> None:
+    shutil.rmtree(mine / "tasks", ignore_errors=True)
+    (mine / "tasks").symlink_to(file.parent)
+
+
+def link_sheet(mine: Path, file: Path) -> None:
+    (mine / "robot.toml").rename(file.parent / "robot.toml")
+    (mine / "robot.toml").symlink_to(file.parent / "robot.toml")
+
+
+def link_description(mine: Path, file: Path) -> None:
+    (mine / "minitaur.urdf").rename(file.parent / "minitaur.urdf")
+    (mine / "minitaur.urdf").symlink_to(file.parent / "minitaur.urdf")
+
+
+def link_to_a_like_name(mine: Path, file: Path) -> None:
+    other = mine.with_name(f"{mine.name}-other")
+    other.mkdir()
+    file.rename(other / file.name)
+    link_file(mine, other / file.name)
+
+
+LEAKS = [
+    *(link_file, link_over_the_parent, link_chain, link_folder),
+    *(link_sheet, link_description, link_to_a_like_name),
+]
+
+
+@pytest.mark.parametrize("leak", LEAKS, ids=lambda leak: leak.__name__)
+def test_a_link_that_leaves_the_folder_is_not_followed(leak, mine: Path, tmp_path: Path):
+    leak(mine, secret(tmp_path))
+    for archive in (pack_robot, lambda folder: copy_robot(folder, tmp_path / "copy")):
+        with pytest.raises(SurefootError, match=r"leads out of the robot's folder, to /.*; a policy carries") as error:
+            archive(mine)
+        assert "\n" not in str(error.value)
+        assert not (tmp_path / "copy").exists()
+
+
+def test_links_within_the_folder_are_followed(mine: Path, tmp_path: Path):
+    (mine / "tasks" / "kept").mkdir(parents=True)
+    (mine / "tasks" / "kept" / "one.yaml").write_text("name: one")
+    (mine / "tasks" / "two.yaml").symlink_to("kept/one.yaml")
+    (mine / "ranges" / "back.yaml").symlink_to(mine.resolve() / "tasks" / "two.yaml")
+    folder = tmp_path / "a link to the folder"
+    folder.symlink_to(mine)
+    for place in (mine, folder):
+        files = read_archive(pack_robot(place))
+        assert files["tasks/two.yaml"] == files["ranges/back.yaml"] == b"name: one"
+
+
+def test_links_in_a_circle_are_refused(mine: Path):
+    (mine / "tasks").mkdir(exist_ok=True)
+    (mine / "tasks" / "a.yaml").symlink_to("b.yaml")
+    (mine / "tasks" / "b.yaml").symlink_to("a.yaml")
+    with pytest.raises(SurefootError, match=r"is a link to itself|can't be read: Too many levels"):
+        pack_robot(mine)
+
+
+@pytest.mark.timeout(20)
+def test_pipes_and_devices_are_refused_and_never_opened(mine: Path):
+    (mine / "tasks").mkdir(exist_ok=True)
+    os.mkfifo(mine / "tasks" / "pipe.csv")
+    with pytest.raises(SurefootError, match=r"pipe\.csv: can't be read: not a regular file"):
+        pack_robot(mine)
+    (mine / "tasks" / "pipe.csv").unlink()
+    (mine / "tasks" / "zero.csv").symlink_to("/dev/zero")
+    with pytest.raises(SurefootError, match="leads out of the robot's folder, to /dev/zero"):
+        pack_robot(mine)

@@ -132,6 +132,28 @@ def test_nodes_and_units_without_bounds_are_refused_in_one_line(old: str, new: s
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.timeout(20)
+def test_nodes_without_geometries_are_counted_too(tmp_path: Path) -> None:
+    """Three kilobytes of nodes, each of which holds the one before ten times, come to 10^11 nodes."""
+    nodes = '<node id="b0"/>'
+    for k in range(1, 12):
+        nodes += f'<node id="b{k}">{10 * f"""<instance_node url="#b{k - 1}"/>"""}</node>'
+    path = write_dae(tmp_path)
+    text = path.read_text().replace("<library_visual", f"<library_nodes>{nodes}</library_nodes><library_visual", 1)
+    path.write_text(text.replace("<rotate>0 0 1 90</rotate>", '<instance_node url="#b11"/>'))
+    with pytest.raises(SurefootError, match=r"solid\.dae can't be read as DAE: its nodes.* at most 20000 are read"):
+        read_mesh(path)
+
+
+def test_nodes_of_one_name_are_all_counted(tmp_path: Path) -> None:
+    path = write_dae(tmp_path)
+    double = f'<node id="b40"/>{doubling(40).removeprefix("<library_nodes>")}'
+    text = path.read_text().replace("<library_visual", f"<library_nodes>{double}<library_visual", 1)
+    path.write_text(text.replace("</library_nodes>", '<node id="b40"/></library_nodes>', 1))
+    with pytest.raises(SurefootError, match="at most 20000 are read"):
+        read_mesh(path)
+
+
 def test_decimation_keeps_the_shape_within_about_its_budget() -> None:
     ball, dot = trimesh.creation.icosphere(5, 0.5), trimesh.creation.icosphere(1, 0.01)
     surfaces = [Surface(np.array(mesh.vertices), np.array(mesh.faces)) for mesh in (ball, dot)]

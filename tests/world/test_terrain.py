@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
+
 import numpy as np
 import pytest
 
@@ -151,3 +154,15 @@ def test_every_kind_makes_its_least_and_greatest_size():
         for size in kind.range:
             assert np.isfinite(make_terrain(f"{name}:{size:g}").corners).all()
     assert make_terrain("flat") is FLAT
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_picture_with_too_many_pixels_is_refused_without_a_warning_of_pil(tmp_path):
+    """PIL warns from 90 million pixels on, before anything else is printed."""
+    path = tmp_path / "map.png"
+    chunk = b"IHDR" + struct.pack(">IIBBBBB", 10_000, 10_000, 8, 0, 0, 0, 0)
+    data = [b"\x89PNG\r\n\x1a\n", struct.pack(">I", 13), chunk, struct.pack(">I", zlib.crc32(chunk))]
+    data += [struct.pack(">I", 0), b"IDAT", struct.pack(">I", zlib.crc32(b"IDAT"))]
+    path.write_bytes(b"".join(data))
+    with pytest.raises(SurefootError, match=r"map\.png: it has 10000 x 10000 pixels"):
+        make_terrain(str(path))

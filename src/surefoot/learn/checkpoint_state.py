@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -65,9 +66,13 @@ def check_count(value: Any, where: str) -> int:
 
 def check_real(value: Any, where: str) -> float:
     """Return a finite number; refuse anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not abs(value) < math.inf:
+    number = math.nan
+    if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
+        with contextlib.suppress(OverflowError):
+            number = float(value)
+    if not math.isfinite(number):
         raise SurefootError(f"{where} is {quote(value)}; it must be a finite number")
-    return float(value)
+    return number
 
 
 def check_finite(state: Any, where: str) -> None:

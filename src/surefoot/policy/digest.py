@@ -8,7 +8,9 @@ An export writes the SHA-256 of both, and of the robot if the file carries one, 
 `graph` are the bytes of field 7 of the ONNX file's `ModelProto`: operators, normalizer, weights, bounds. The robot's
 computer has no `onnx` package and onnxruntime does not expose these bytes, so the top level of the protobuf message is
 read here. Whatever else a model could have there (functions, other properties, another version of the operators) is
-refused, so that nothing beside these decides what is computed.
+refused, so that nothing beside these decides what is computed. The digest does not cover the fields that say who made
+the file (`producer_name`, `producer_version`) and in which version of the format (`ir_version`): they can be changed
+without notice, and surefoot reads none of them.
 
 Whoever changes a file can write a new digest too: it detects damage and stale exports, and is not a signature.
 """

@@ -1,0 +1,239 @@
+"""Descriptions that crash a parser, fill the memory or never end: one line within limits, and nothing is written."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surefoot.cli.main import main
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.robot.importing import reader
+from surefoot.robot.importing.confined import decode, encode, read_robot
+from surefoot.sandbox import Limits
+from surefoot.world import urdf_probe
+from surefoot.world.mujoco_model import build_model
+
+QUICK = Limits(memory=1 << 30, time=3.0, patience=60.0)
+BODY = '<body><freejoint/><geom size=".1"/></body>'
+WORLD = f"<worldbody>{BODY}</worldbody>"
+
+
+def attach(file: str, times: int = 1) -> str:
+    bodies = "".join(f'<body><attach model="m" prefix="p{k}"/></body>' for k in range(times))
+    return f'<mujoco><asset><model name="m" file="{file}"/></asset><worldbody>{bodies}</worldbody></mujoco>'
+
+
+def nested_replicates() -> str:
+    text = '<geom size=".1"/>'
+    for level in range(12):
+        text = f'<replicate count="100" offset="1 0 0" sep="s{level}">{text}</replicate>'
+    return f"<mujoco><worldbody>{text}</worldbody></mujoco>"
+
+
+def mesh(attributes: str) -> str:
+    asset = f'<asset><mesh name="m" {attributes}/></asset>'
+    return f'<mujoco>{asset}<worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
+
+
+LIMITED = {
+    "nuser_geom": f'<mujoco><size nuser_geom="2000000000"/>{WORLD}</mujoco>',
+    "nkey": f'<mujoco><size nkey="2000000000"/>{WORLD}</mujoco>',
+    "supersphere": mesh('builtin="supersphere" params="100000 1 1"'),
+    "height field": (
+        '<mujoco><asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>'
+        '<worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>'
+    ),
+    "flex grid": (
+        '<mujoco><worldbody><flexcomp name="f" type="grid" count="1000 1000 1000" spacing=".1 .1 .1" mass="1" '
+        'dim="3"/></worldbody></mujoco>'
+    ),
+    "nested replicates": nested_replicates(),
+}
+"""Models of a few hundred bytes that MuJoCo expands."""
+
+
+@pytest.mark.parametrize("text", LIMITED.values(), ids=LIMITED)
+def test_a_model_that_expands_ends_within_limits(text: str, tmp_path: Path):
+    path = tmp_path / "dog.xml"
+    path.write_text(text)
+    start = time.monotonic()
+    with pytest.raises(
+        SurefootError, match=r"dog\.xml: can't be read within 1 GiB and 3 s \(its (time|memory)"
+    ) as error:
+        read_robot(path, limits=QUICK)
+    assert "\n" not in str(error.value)
+    assert time.monotonic() - start < 30  # most of it is the start of Python on a busy computer
+
+
+def test_attachments_that_double_end_within_limits(tmp_path: Path):
+    for level in range(15):
+        (tmp_path / f"{level}.xml").write_text(attach(f"{level + 1}.xml", 3))
+    (tmp_path / "15.xml").write_text(f"<mujoco>{WORLD}</mujoco>")
+    with pytest.raises(SurefootError, match=r"can't be read within"):
+        read_robot(tmp_path / "0.xml", limits=QUICK)
+
+
+LARGE = "<mujoco><worldbody>" + 20_000 * '<geom size=".1"/>' + "</worldbody></mujoco>"
+REFUSED = {
+    "attaches itself": (attach("dog.xml"), r"'dog\.xml' includes or attaches itself"),
+    "includes itself": ('<mujoco><include file="dog.xml"/></mujoco>', r"'dog\.xml' includes or attaches itself"),
+    "attach in a circle": (attach("circle.xml"), r"'circle\.xml' includes or attaches itself"),
+    "large include": ('<mujoco><include file="large.xml"/></mujoco>', r"large\.xml.*at most 262144 are read"),
+    "large attachment": (attach("large.xml"), r"large\.xml.*at most 262144 are read"),
+    "many includes": (
+        f"<mujoco>{''.join(f'<include file={chr(34)}part{k}.xml{chr(34)}/>' for k in range(5))}</mujoco>",
+        "includes and attaches files that are too large: at most 256 KiB in all",
+    ),
+    "include of a pipe": (
+        '<mujoco><include file="pipe"/></mujoco>',
+        "'pipe' that it names: can't be read: not a regular",
+    ),
+    "pipe in meshdir": (
+        '<mujoco><compiler meshdir="sub"/><asset><mesh name="m" file="pipe.stl"/></asset></mujoco>',
+        r"'pipe\.stl' that it names: can't be read: not a regular file",
+    ),
+    "device": (mesh('file="/dev/zero"'), "'/dev/zero' that it names: can't be read: not a regular file"),
+    "long row of includes": (
+        '<mujoco><include file="row0.xml"/></mujoco>',
+        "over 20 files include or attach each other",
+    ),
+}
+
+
+@pytest.mark.timeout(30)
+@pytest.mark.parametrize(("text", "message"), REFUSED.values(), ids=REFUSED)
+def test_files_that_a_model_names_are_refused_before_a_parser_opens_them(text: str, message: str, tmp_path: Path):
+    (tmp_path / "dog.xml").write_text(text)
+    (tmp_path / "large.xml").write_text(LARGE)
+    (tmp_path / "circle.xml").write_text(attach("back.xml"))
+    (tmp_path / "back.xml").write_text(attach("circle.xml"))
+    for k in range(5):
+        (tmp_path / f"part{k}.xml").write_text("<mujoco>" + 60_000 * " " + "</mujoco>")
+    for k in range(30):
+        (tmp_path / f"row{k}.xml").write_text(f'<mujoco><include file="row{k + 1}.xml"/></mujoco>')
+    (tmp_path / "sub").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    os.mkfifo(tmp_path / "sub" / "pipe.stl")
+    with pytest.raises(SurefootError, match=message) as error:
+        read_robot(tmp_path / "dog.xml")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.timeout(30)
+def test_a_pipe_is_no_description(tmp_path: Path):
+    os.mkfifo(tmp_path / "dog.urdf")
+    with pytest.raises(SurefootError, match=r"dog\.urdf: can't be read: not a regular file"):
+        read_robot(tmp_path / "dog.urdf")
+
+
+def nested_urdf() -> str:
+    return f'<robot name="dog"><link name="a"/>{2000 * "<link>"}{2000 * "</link>"}</robot>'
+
+
+def chained_urdf(count: int) -> str:
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    links = "".join(f'<link name="l{k}">{inertial}</link>' for k in range(count + 1))
+    joints = "".join(
+        f'<joint name="j{k}" type="continuous"><parent link="l{k}"/><child link="l{k + 1}"/><axis xyz="0 1 0"/></joint>'
+        for k in range(count)
+    )
+    return f'<robot name="dog">{links}{joints}</robot>'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (nested_urdf(), "has over 200 elements in each other"),
+        (chained_urdf(400), "has a chain of 40. joints; robot new reads quadrupeds"),
+        (chained_urdf(1060), "depth limit exceeded|has a chain of"),
+    ],
+    ids=["elements", "chain of joints", "long chain of joints"],
+)
+def test_a_deep_urdf_is_refused_in_one_line(
+    text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "dog.urdf").write_text(text)
+    assert main(["robot", "new", "dog.urdf"]) == 2
+    output = capsys.readouterr()
+    assert output.err.startswith("surefoot: error: dog.urdf: ")
+    assert output.err.count("\n") == 1
+    assert re.search(message, output.err)
+    assert [path.name for path in tmp_path.iterdir()] == ["dog.urdf"]
+
+
+def test_ctrl_c_ends_a_compilation(tmp_path: Path):
+    (tmp_path / "dog.xml").write_text(LIMITED["nkey"])
+    command = [sys.executable, "-m", "surefoot", "robot", "new", "dog.xml"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 60
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        while not (child := children.read_text().split()) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    assert (process.returncode, errors) == (130, "surefoot: interrupted\n")
+    assert child
+    assert not Path(f"/proc/{child[0]}").exists()
+
+
+@pytest.mark.parametrize("name", ["go2", "pupper_v2", "solo8"])
+def test_the_process_gives_the_robot_that_the_reader_gives(name: str):
+    path = RobotDescription.load(name).urdf.path
+    expected = reader.read_robot(path)
+    for robot in (decode(encode(expected), path), read_robot(path)):
+        for item in fields(expected):
+            if item.name not in ("base", "base_box", "bodies", "parts", "poses"):
+                np.testing.assert_array_equal(getattr(robot, item.name), getattr(expected, item.name))
+        np.testing.assert_array_equal(robot.base_box, expected.base_box)
+        bodies = [[one.base, *sum(one.bodies, ())] for one in (robot, expected)]
+        for mine, theirs in zip(*bodies, strict=True):
+            assert mine.mass == theirs.mass
+            np.testing.assert_array_equal(mine.centre, theirs.centre)
+            np.testing.assert_array_equal(mine.inertia, theirs.inertia)
+        for mine, theirs in zip(robot.parts, expected.parts, strict=True):
+            assert (mine.link, mine.color) == (theirs.link, theirs.color)
+            np.testing.assert_array_equal(mine.vertices, theirs.vertices)
+            np.testing.assert_array_equal(mine.faces, theirs.faces)
+            assert (mine.vertices.dtype, mine.faces.dtype) == (theirs.vertices.dtype, theirs.faces.dtype)
+
+
+def own_robot(folder: Path, text: str) -> RobotDescription:
+    """Return a robot whose URDF has another text in it, as a stranger may write it."""
+    from shutil import copytree
+
+    copytree(RobotDescription.load("solo8").folder, folder)
+    path = folder / "solo8.urdf"
+    path.write_text(path.read_text().replace("</robot>", f"{text}</robot>"))
+    return RobotDescription.load(folder)
+
+
+def test_a_robots_urdf_that_surefoot_did_not_write_is_tried_within_limits(tmp_path: Path):
+    robot = own_robot(tmp_path / "dog", '<mujoco><size nuser_geom="2000000000"/></mujoco>')
+    with pytest.raises(SurefootError, match=r"solo8\.urdf: MuJoCo can't compile it within 1 GiB and 3 s") as error:
+        urdf_probe.check_urdf(robot.urdf.path, QUICK)
+    assert "\n" not in str(error.value)
+    with pytest.raises(SurefootError, match=r"solo8\.urdf: "):
+        build_model(robot)
+
+
+def test_robots_that_ship_need_no_trial_and_others_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    tried = []
+    run = urdf_probe.sandbox.run_module
+    monkeypatch.setattr(urdf_probe.sandbox, "run_module", lambda *words: tried.append(words) or run(*words))
+    for name in RobotDescription.available():
+        build_model(RobotDescription.load(name))
+    assert tried == []
+    robot = own_robot(tmp_path / "dog", "<gazebo/>")
+    assert build_model(robot).nbody == build_model(robot).nbody == build_model(RobotDescription.load("solo8")).nbody
+    assert len(tried) == 1
