@@ -113,6 +113,31 @@ def test_a_number_too_large_for_a_float_is_refused():
 
 
 @dataclass(frozen=True)
+class Choices:
+    """Fields of few values, and a list of values of different kinds."""
+
+    level: Literal[1, 2] = 1
+    on: Literal[True] | None = None
+    setting: tuple[str, float] = ("a", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"level": True}, "level is True; choices: 1, 2"),
+        ({"on": 1}, "on is 1; it must be True or nothing"),
+        ({"setting": []}, r"setting is \[\]; it must be a list of 2 values: text, a number"),
+        ({"x\0": 1}, r"'x\\x00' is not a key; choices: level, on, setting"),
+        ({"k" * 101: 1}, "'k+\\.\\.\\.k+' is not a key"),
+    ],
+)
+def test_choices_keys_and_lists_are_refused_with_the_rule(data: dict[str, Any], message: str):
+    with pytest.raises(SurefootError, match=f"^{message}"):
+        from_mapping(Choices, data)
+    assert from_mapping(Choices, {"level": 2, "on": True, "setting": ["b", 2]}) == Choices(2, True, ("b", 2.0))
+
+
+@dataclass(frozen=True)
 class Circle:
     """One of two shapes."""
 
