@@ -42,7 +42,11 @@ $(READY): pyproject.toml constraints.txt
 	@$(BIN)/python -m pip install -c constraints.txt --only-binary pybullet -e ".[bullet]" || \
 	  echo "surefoot: no PyBullet for this Python; the Bullet world and its tests are left out"
 	@# The link to a Go2, and the vendor's SDKs that test it. Their own requirements name versions that do not go together.
-	@for package in tensor-ipc-cyclonedds rich-click unitree-sdk2py-dimos far-unitree-sdk; do \
+	@# The first one is in the path of motor commands: by its hash (docs/dependencies.md).
+	@grep ^tensor-ipc-cyclonedds robot-requirements.txt | \
+	  $(BIN)/python -m pip install -q --no-deps --only-binary :all: --require-hashes -r /dev/stdin || \
+	  echo "surefoot: no tensor-ipc-cyclonedds for this Python; tests that need it are left out"
+	@for package in rich-click unitree-sdk2py-dimos far-unitree-sdk; do \
 	  $(BIN)/python -m pip install -q -c constraints.txt --no-deps --only-binary :all: $$package || \
 	  echo "surefoot: no $$package for this Python; tests that need it are left out"; \
 	done

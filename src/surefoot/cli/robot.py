@@ -112,7 +112,7 @@ def _whole_or_nothing(folder: Path, names: Sequence[str]) -> Iterator[None]:
     before = {name for name in names if (folder / name).exists()}
     try:
         yield
-    except BaseException as error:
+    except Exception as error:  # after Ctrl-C what is there can be read
         for name in set(names) - before:
             with suppress(OSError):
                 (folder / name).unlink(missing_ok=True)
