@@ -100,4 +100,4 @@ def test_what_is_republished_is_described_with_what_depends_on_it():
     page = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
     (row,) = [line for line in page.splitlines() if line.startswith(f"| `{DDS}` {entries()[DDS].version} ")]
     assert "every motor command" in row
-    assert "When `cyclonedds` has wheels of 0.10 of its own:" in page
+    assert "When `cyclonedds` has wheels of 0.10 for your Python:" in page

@@ -28,6 +28,8 @@ from surefoot.errors import SurefootError
 
 OUTPUT_BYTES = 128 * 2**20
 """Size of a file that such a process writes [byte]."""
+_PARENT = "SUREFOOT_PARENT"
+"""Variable of the environment with the number of the process that started this one."""
 _MESSAGE_BYTES = 4000
 """How much of the end of a process's messages is read."""
 _ARCHITECTURES = {
@@ -106,6 +108,7 @@ def run_module(module: str, words: Sequence[str], limits: Limits, data: bytes = 
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+        _PARENT: str(os.getpid()),
         # Threads reserve address space that they do not use.
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
@@ -150,6 +153,9 @@ def limit_resources(limits: Limits) -> None:
             resource.setrlimit(kind, (least, least))
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGKILL, 0, 0, 0)
+    # The parent may have ended before, for example by Ctrl-C.
+    if os.environ.get(_PARENT, parent := str(os.getppid())) != parent:
+        os._exit(1)
 
 
 def enter(limits: Limits) -> None:

@@ -184,6 +184,8 @@ def test_ctrl_c_ends_a_compilation(tmp_path: Path):
         _, errors = process.communicate(timeout=30)
     assert (process.returncode, errors) == (130, "surefoot: interrupted\n")
     assert child
+    while Path(f"/proc/{child[0]}").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)  # until its new parent has taken note of its end
     assert not Path(f"/proc/{child[0]}").exists()
 
 
