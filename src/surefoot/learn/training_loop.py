@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import torch
-
-from surefoot.errors import SurefootError, describe_os_errors, quote
-from surefoot.learn.checkpoint_state import check_count, check_finite, check_like, check_real
+from surefoot.errors import describe_os_errors
 from surefoot.learn.config import LoggerName, TrainConfig
 from surefoot.learn.evaluation import Evaluation, evaluate_policy
 from surefoot.learn.log_writer import close_writer, open_writer, write_scalars
 from surefoot.learn.ppo_learner import PpoLearner
+from surefoot.learn.resume import read_progress, refuse_strange_states
 from surefoot.learn.rollout_statistics import UpdateFigures
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
 from surefoot.learn.transfer import warm_start
@@ -25,15 +23,6 @@ from surefoot.task.env import SimulationFactory
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
-
-_STRANGE = (SurefootError, LookupError, TypeError, ValueError, AttributeError, RuntimeError, ArithmeticError)
-"""What loaders and simulations raise at states that surefoot did not write."""
-
-
-def _one_line(error: BaseException) -> str:
-    """Return what an error says, without line breaks and not too long."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    return f"it has no {text}" if isinstance(error, KeyError) else text[:300]
 
 
 class TrainingLoop:
@@ -48,8 +37,7 @@ class TrainingLoop:
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0
         self._saved_steps = -1
-        self._is_untried = False
-        """Whether no update was made since a checkpoint was read."""
+        self._is_untried = False  # whether no update was made since a checkpoint was read
 
     @classmethod
     def create(
@@ -68,14 +56,8 @@ class TrainingLoop:
         """
         learner = PpoLearner(config, make_world)
         if config.start_from is not None:
-            try:
+            with refuse_strange_states(f"start_from {config.start_from}: no training can start from it", own=False):
                 warm_start(learner, Path(config.start_from), make_world)
-            except _STRANGE as error:
-                if isinstance(error, SurefootError):
-                    raise
-                raise SurefootError(
-                    f"start_from {config.start_from}: no training can start from its checkpoint: {_one_line(error)}"
-                ) from error
         return cls(learner, folder, make_world, open_writer(logger, folder.path, config, None))
 
     @classmethod
@@ -88,42 +70,16 @@ class TrainingLoop:
             SurefootError: a checkpoint that can't be read or does not fit.
         """
         learner, state = PpoLearner(config, make_world), folder.load()
-        try:
+        hint = "; restore the file with which the run was started"
+        with refuse_strange_states(f"{folder.latest}: does not fit the run's config.yaml", hint):
             learner.set_state(state["learner"])
-        except _STRANGE as error:
-            raise SurefootError(
-                f"{folder.latest}: does not fit the run's config.yaml: {_one_line(error)}; restore the file with which "
-                "the run was started"
-            ) from error
-        try:
-            best, actor, seconds = cls._read_best(state, learner)
-        except _STRANGE as error:
-            raise SurefootError(f"{folder.latest}: {_one_line(error)}; no run can be resumed from it") from error
+        with refuse_strange_states(str(folder.latest), "; no run can be resumed from it"):
+            best, actor, seconds = read_progress(state, learner)
         folder.drop_rows_after(learner.steps)
         loop = cls(learner, folder, make_world, open_writer(logger, folder.path, config, learner.steps))
         loop.best, loop.best_actor, loop.seconds = best, actor, seconds
         loop._saved_steps, loop._is_untried = learner.steps, True
         return loop
-
-    @staticmethod
-    def _read_best(
-        state: dict[str, Any], learner: PpoLearner
-    ) -> tuple[Evaluation | None, dict[str, torch.Tensor], float]:
-        """Return a checkpoint's best evaluation, the policy's parameters then, and the duration so far [s]."""
-        if check_count(state["steps"], "steps") != learner.steps:
-            raise SurefootError(f"steps is {state['steps']}, and the learner has done {learner.steps}")
-        best = None
-        if state["best"] is not None:
-            json.dumps(state["best"])  # it goes into the policy's contract
-            best = Evaluation(**state["best"])
-            for name, value in state["best"].items():
-                if name != "rmse" and (isinstance(value, bool) or not isinstance(value, int | float)):
-                    raise SurefootError(f"best.{name} is {quote(value)}; it must be a number")
-        actor = state["best_actor"]
-        if actor or best is not None:
-            check_like(actor, learner.policy.state_dict(), "best_actor")
-            check_finite(actor, "best_actor")
-        return best, actor, check_real(state["seconds"], "seconds")
 
     def save(self) -> None:
         """Save everything that the run needs to continue."""
@@ -173,28 +129,19 @@ class TrainingLoop:
     def step(self) -> tuple[UpdateFigures, Evaluation | None]:
         """Do one update, the evaluation and the checkpoint that are due then, and log; returns the first two."""
         start = time.perf_counter()
-        figures = self._update()
+        # The first update after a checkpoint shows whether its numbers make sense.
+        untried = refuse_strange_states(f"{self.folder.latest}: no training can go on from it")
+        with untried if self._is_untried else nullcontext():
+            figures = self.learner.update()
+        self._is_untried = False
         evaluation = self._evaluate_if_due()
         self.seconds += time.perf_counter() - start
         self._log(figures, evaluation)
         if self._due(self.config.checkpoint_every):
             self.save()
-            write_checkpoint(
-                self.folder.checkpoints / f"steps_{self.learner.steps:09d}.ckpt",
-                {"steps": self.learner.steps, "actor": self.learner.policy.state_dict()},
-            )
+            state = {"steps": self.learner.steps, "actor": self.learner.policy.state_dict()}
+            write_checkpoint(self.folder.checkpoints / f"steps_{self.learner.steps:09d}.ckpt", state)
         return figures, evaluation
-
-    def _update(self) -> UpdateFigures:
-        """Run an update; the first one after a checkpoint shows whether its numbers make sense."""
-        try:
-            figures = self.learner.update()
-        except _STRANGE as error:
-            if not self._is_untried:
-                raise
-            raise SurefootError(f"{self.folder.latest}: no training can go on from it: {_one_line(error)}") from error
-        self._is_untried = False
-        return figures
 
     def export(self, path: str | Path, last: bool = False, present: bool = False) -> Path:
         """Write the best evaluated policy as a policy file with the figures of its training.
@@ -245,9 +192,8 @@ class TrainingLoop:
         return evaluation
 
     def _log(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:
-        row: dict[str, Any] = {key: plain_value(value) for key, value in asdict(figures).items()} | {
-            "seconds": self.seconds
-        }
+        row: dict[str, Any] = {key: plain_value(value) for key, value in asdict(figures).items()}
+        row["seconds"] = self.seconds
         if evaluation is not None:
             row["evaluation"] = asdict(evaluation)
         self.folder.log(row)
