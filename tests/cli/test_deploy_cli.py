@@ -151,6 +151,7 @@ def seeing(tmp_path: Path) -> Path:
     return export_policy(network, contract, tmp_path / "seeing.onnx", "feedback")
 
 
+@pytest.mark.slow
 def test_a_policy_sees_the_step_that_an_emulated_robot_stands_before(seeing: Path, tmp_path: Path) -> None:
     heights = np.where(np.arange(81)[:, None] * 0.05 - 2.0 > 0.52, 0.1, np.zeros((81, 81)))
     np.savez(tmp_path / "step.npz", heights=heights, cell=0.05)

@@ -21,6 +21,8 @@ from processes import EmulatorHere, emulators, printed_commands, served, surefoo
 from surefoot.cli.helpers.output import next_command
 from surefoot.robot import RobotDescription
 
+pytestmark = pytest.mark.slow
+
 TINY = (
     *("--steps", "512", "--num-envs", "8", "--steps-per-update", "16", "--evaluate-every", "256"),
     *("--evaluation-episodes", "2", "--task.max-steps", "40", "--threads", "1"),

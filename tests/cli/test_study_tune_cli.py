@@ -10,6 +10,8 @@ import pytest
 import yaml
 from processes import surefoot
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("cma")
 pytest.importorskip("mujoco")
 

@@ -44,6 +44,7 @@ def test_the_options_of_a_reference_are_those_of_its_kind(
     assert f"--task.reference.{other}" not in text
 
 
+@pytest.mark.slow
 def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
     host, terminal = pty.openpty()
     words = ["train", "trot", "--steps", "100000", "--seed", "3", *TINY]
