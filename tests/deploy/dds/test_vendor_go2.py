@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
@@ -17,13 +16,16 @@ from surefoot.deploy.dds.low_level import LOW_STATE
 pytest.importorskip("cyclonedds")
 pytest.importorskip("mujoco")
 pytest.importorskip("unitree_sdk2py.idl.default", exc_type=ImportError)
+from go2_robot import worker_domain
+
 from surefoot.deploy.dds import bus, services, types
 
 pytestmark = pytest.mark.sdk
-DOMAIN = 180 + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+DOMAIN = worker_domain(200)
 ROBOT = Path(__file__).parents[2] / "vendor_go2.py"
 
 
+@pytest.mark.realtime
 def test_a_robot_of_the_vendors_classes_reads_and_writes_the_same_messages() -> None:
     here = bus.Bus("lo", DOMAIN)
     states = here.reader(bus.LOW_STATE_TOPIC, types.LowState, 64)
