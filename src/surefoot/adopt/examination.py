@@ -29,7 +29,6 @@ from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.state import base_rates
 from surefoot.world.registry import find_world
 
 FIRST, DURATION = 2.0, 4.0
@@ -229,17 +228,13 @@ def examine(
     env.world.set_params(np.arange(robots), nominal.with_values(robot, control_step=steps, **changed))
     observation, _ = env.reset()
     sums, times = np.zeros((robots, 3)), np.zeros(robots)
-    before = env.state.truth
 
     def act(observation: NDArray[np.float32]) -> Array:
         return env.gait.action(corrected.feedback(observation, ~env.state.over))
 
     def record(start: Array, seen: NDArray[np.float32]) -> None:
-        nonlocal before
-        velocity, rates = base_rates(before, env.state.truth, steps[:, None])
-        before = env.state.truth
         counted = (start >= SETTLE * duration) & (env.state.readings.time > start)
-        sums[counted] += (np.column_stack([velocity[:, :2], rates[:, 2]]) * steps[:, None])[counted]
+        sums[counted] += (env.state.planar_velocity * steps[:, None])[counted]
         times[counted] += steps[counted]
 
     limit = np.round(duration / steps).astype(np.int64)

@@ -18,7 +18,6 @@ from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandGenerator
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.state import base_rates
 from surefoot.task.terrain import TerrainConfig
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world, is_modelled
@@ -276,7 +275,7 @@ class DrivenRobot:
         if self.time >= self._push_until:
             self._push(np.zeros((1, 3)))
             self._push_until = np.inf
-        before, observation = env.state.truth, self._observation
+        observation = self._observation
         self._observation, _, fell, over, _ = env.step(env.gait.action(self.policy.feedback(observation)))
         self.steps += 1
         if self._recording is not None:
@@ -284,9 +283,7 @@ class DrivenRobot:
         if fell[0] or over[0]:
             self.falls += int(fell[0])
             self._stand_at = self.time + _LIE_TIME
-        truth = env.state.truth
-        (velocity,), (turn,) = base_rates(before, truth, self.step_time)
-        velocity[2] = turn[2]
+        truth, velocity = env.state.truth, env.state.planar_velocity[0]
         state, torque = env.state.gait_state, truth.motor_torque[0]
         command = np.full(3, np.nan) if state is None else state.command[0]
         heat = float(truth.heat.sum()) / self.step_time

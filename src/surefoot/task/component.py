@@ -2,7 +2,8 @@
 
 `LocomotionEnv` calls the hooks of its components in the order of `components.make_components`. The control computer of
 a robot runs those of them that are a `RobotComponent`: commands, contact reflex and footholds. A hook that a component
-does not override does nothing. A capability that a task does not have is `Component()`.
+does not override does nothing. A capability that a task does not have is not in
+the list.
 """
 
 from __future__ import annotations
