@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 DOCS   := .venv-docs
 BROWSER := $(VENV)/.browser
-CODE   := src tests examples benchmarks docs
+CODE   := src tests examples benchmarks tools
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 REST   := realtime or browser or ray or sdk or qemu or wheel or notebook or slow
 

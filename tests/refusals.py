@@ -678,7 +678,7 @@ REFUSALS = [
     *of(
         "study paper",
         {
-            "--root .": ("root is .", "with docs/paper_runs.py"),
+            "--root .": ("root is .", "with tools/paper_runs.py"),
             "--out page.pdf": "out page.pdf: the name must end in .html",
             "--root REPOSITORY --quick --full": "--quick and --full are given; give one of them",
             "--root REPOSITORY --workers 2": ("--workers", "go with --quick or --full"),

@@ -82,8 +82,8 @@ def test_a_missing_file_and_a_missing_heading_are_dead_links(tmp_path: Path):
 
 @pytest.mark.parametrize("page", ["README.md", "docs/why.md"])
 def test_links_of_a_page_resolve_in_the_site(page: str):
-    """The site has docs/, README and the files that docs/hooks.py adds."""
-    tree = ast.parse((ROOT / "docs" / "hooks.py").read_text(encoding="utf-8"))
+    """The site has docs/, README and the files that tools/site_hooks.py adds."""
+    tree = ast.parse((ROOT / "tools" / "site_hooks.py").read_text(encoding="utf-8"))
     (outside,) = (
         ast.literal_eval(node.value)
         for node in tree.body

@@ -82,7 +82,7 @@ def test_hips_without_visuals_are_cylinders_between_the_joints(name: str):
 
 @pytest.mark.parametrize("name", RobotDescription.available())
 def test_looks_of_robots_that_ship_are_those_of_their_script(name: str, tmp_path: Path) -> None:
-    script = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "looks.py"))
+    script = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "visuals.py"))
     robot = RobotDescription.load(name)
     script["appearance"](script["ROBOTS"][name]).save(tmp_path / LOOKS)
     assert (tmp_path / LOOKS).read_bytes() == (robot.folder / LOOKS).read_bytes()

@@ -12,7 +12,7 @@ from surefoot.cli.helpers.options import Ray, Workers, check_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
 
-RUNS = Path("docs/paper_runs.py")
+RUNS = Path("tools/paper_runs.py")
 """Module of a clone that writes the page and makes what it shows."""
 
 
@@ -21,7 +21,7 @@ class PaperCommand:
     """Write one page with every table, figure and number of the paper, each beside surefoot's.
 
     The page is one HTML file that loads nothing from elsewhere. It reads the results that a clone of surefoot holds,
-    by the clone's own docs/paper_runs.py. With --quick or --full results are made anew, in a folder of their own:
+    by the clone's own tools/paper_runs.py. With --quick or --full results are made anew, in a folder of their own:
     every training, search and evaluation. Ctrl-C stops; the same command goes on.
     """
 

@@ -1,6 +1,6 @@
 """Make docs/gallery.html: policies that ship, for some seconds on flat ground, on one page that opens without surefoot.
 
-Run it when a policy changes: python docs/gallery.py
+Run it when a policy changes: python tools/gallery.py
 """
 
 from __future__ import annotations
@@ -37,6 +37,6 @@ def recorded(name: str, push_force: tuple[float, float] | None = None) -> ShownT
 if __name__ == "__main__":
     names = sorted({path.stem for path in SEARCH_PATHS[-1].glob("*.onnx")} - ELSEWHERE)
     page = recording_page([recorded(name) for name in names], "one")
-    path = Path(__file__).with_name("gallery.html")
+    path = Path(__file__).resolve().parents[1] / "docs" / "gallery.html"
     atomic_write(path, page)
     print(f"{path.name}: {len(names)} policies, {len(page) / 1e6:.2f} MB")

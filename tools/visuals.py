@@ -2,7 +2,7 @@
 
 Everything is a convex prism or a solid of revolution, drawn for the left side and mirrored to the right. Places are in
 the links' frames, x forward, y left, z up, in m. Lengths follow the robots' URDFs. Run it after a change:
-python docs/looks.py
+python tools/visuals.py
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ Several rows, `A; B; C`, give several numbers; or one, if COLUMN begins with sum
 `all COLUMN=VALUE,COLUMN=VALUE` are all rows with these values; without `all` there must be one.
 `count` is how many rows there are, and `count COLUMN` how often each value is in a column, such as `3 trot, 1 pace`.
 
-A format follows in braces of a text: `.2`, `0.2` (with a leading zero), `0` (an integer), `+.2` (with its sign);
-without one the file's text stands as it is, and - for an empty one.
+A format follows in braces of a text: `.2` (two decimals), `0` (an integer), `+.2` (with its sign); without one the
+file's text is printed as it is, and - for an empty one.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from typing import Any
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.files import check_readable
 
-FORM = re.compile(r"([+]?)(0?)(?:\.(\d))?")
+FORM = re.compile(r"([+]?)0?(?:\.(\d))?")
 BRACES = re.compile(r"\{([^{}]+)\}")
 _COMBINED: dict[str, Callable[[Iterable[float]], float]] = {
     **{"sum": sum, "mean": statistics.fmean, "sd": statistics.stdev},
@@ -126,9 +126,8 @@ def printed(value: Any, form: str, factor: float) -> str:
         number = float(value) * factor
     except ValueError:
         raise SurefootError(f"is no number: {value}") from None
-    digits = int(match[3] or 0)
-    text = f"{round(number, digits) + 0.0:{match[1]}.{digits}f}"
-    return text if match[2] else re.sub(r"^([+-]?)0\.", r"\1.", text)
+    digits = int(match[2] or 0)
+    return f"{round(number, digits) + 0.0:{match[1]}.{digits}f}"
 
 
 def find_file(root: Path, name: str, kinds: Iterable[str] = ("csv", "json")) -> Path:

@@ -1,4 +1,4 @@
-"""Draw the pictures of robots in the documentation: python docs/pictures.py [FOLDER ...].
+"""Draw the pictures of robots in the documentation: python tools/pictures.py [FOLDER ...].
 
 They are docs/gaits.webp, two gaits in motion; docs/gaits.png, moments of a stride; docs/leg-space.png, the coordinates
 of a leg; docs/robots.png, the robots that ship; docs/terrain.png and docs/terrain-seeing.png, policies on terrain; and,
@@ -25,7 +25,7 @@ from surefoot.report.drawing.video import write_label
 from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, new_figure
 from surefoot.robot import FiveBar, RobotDescription
 
-FOLDER = Path(__file__).parent
+FOLDER = Path(__file__).resolve().parents[1] / "docs"
 MOMENTS = 5
 GAP = 4
 """Between pictures [px]."""

@@ -35,7 +35,7 @@ def results(tmp_path: Path) -> Path:
         ("{groups group=a,world=away: mean [low, high] .2} m", "1.50 [1.10, 1.90] m"),
         # A single policy has no error.
         ("{groups b: mean [low, high] .2} m, {groups b: mean ± error .1} m", "1.00 m, 1.0 m"),
-        ("{groups group=a,world=home; b: mean ± error .1}", "2.0 ± .1, 1.0"),
+        ("{groups group=a,world=home; b: mean ± error .1}", "2.0 ± 0.1, 1.0"),
         ("{groups group=a,world=home; b: mean mean .1}", "1.5"),
         ("{run: calm.speed 0.2} m/s, {run: gait}", "0.66 m/s, trot"),
         ("{groups: count gait}; {groups group=b: count} of {groups: count}", "2 trot, 1 bound; 1 of 4"),
@@ -115,7 +115,7 @@ def shown(root: Path) -> int:
     [
         ("Section VI-A: gaits that emerge", "gaits, policies trained to the end", r"\d+ \w+(, \d+ \w+)*"),
         ("Section VI-A: from scratch", "improved: speed in simulation", r"\d?\.\d\d \[-?\d?\.\d\d, \d?\.\d\d\] m/s"),
-        ("Section VI-B: a hundred controllers", "top three: speed at home", r"\d\.\d\d ± \.\d\d m/s"),
+        ("Section VI-B: a hundred controllers", "top three: speed at home", r"\d\.\d\d ± \d\.\d\d m/s"),
     ],
 )
 def test_a_line_of_the_page_has_the_number_of_the_results(page: Path, section: str, line: str, number: str):

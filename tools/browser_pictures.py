@@ -1,4 +1,4 @@
-"""Take the pictures of surefoot's pages with a real browser: PYTHONPATH=tests python docs/pages.py."""
+"""Take the pictures of surefoot's pages with a real browser: PYTHONPATH=tests python tools/browser_pictures.py."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from chromium import hold_stick, running_browser
 
-FOLDER = Path(__file__).parent
+FOLDER = Path(__file__).resolve().parents[1] / "docs"
 SUREFOOT = (sys.executable, "-m", "surefoot")
 WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 400, "height": 800}
 

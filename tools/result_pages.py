@@ -1,0 +1,120 @@
+"""Write results/NAME/README.md from its template and the files of results that commands wrote.
+
+    python tools/result_pages.py [NAME ...]     # write the pages that are out of date
+    python tools/result_pages.py --check        # one line for each difference; exit code 1
+
+A template, results/NAME/README.template, is Markdown with sources in braces, as in tools/result_numbers.py:
+
+    `trot` walks {evaluations trot: speed_mean .2} m/s; {evaluations trot/table1: falls of episodes} episodes fall.
+
+A table has one row for each item of a list; {0} is the item, {1} the text behind its first ` = `, and so on:
+
+    :::table trot, solo8-trot = Solo 8
+    | policy | speed [m/s] | falls with table I |
+    |---|---:|---:|
+    | `{0}` | {evaluations {0}: speed_mean .2} | {evaluations {0}/table1: falls of episodes} |
+    :::
+
+Rows without {0} appear once. The list `all of FILE` is the first column of a CSV file. A backslash at the end of a line
+continues it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import re
+import sys
+from pathlib import Path
+
+from result_numbers import fill, find_file, first_column, substitute
+
+from surefoot.errors import SurefootError, prefix_errors
+from surefoot.files import atomic_write
+
+ROOT = Path(__file__).resolve().parents[1]
+TEMPLATES = ("results/*/README.template", "policies/README.template")
+TABLE = re.compile(r"^:::table +(?P<items>[^\n]+)\n(?P<rows>.+?)^:::\n", re.DOTALL | re.MULTILINE)
+CONTINUED = re.compile(r"\\\n *")
+
+
+def table_rows(root: Path, items: str, rows: str) -> str:
+    """Return the rows of a table with the item of each in place of {0}; their sources are not read yet."""
+    whole = re.fullmatch(r"all of (\S+)", items.strip())
+    listed = first_column(find_file(root, whole[1]))[1:] if whole else re.split(r",\s+", items.strip())
+    return "".join(
+        substitute(row, item) for row in rows.splitlines(keepends=True) for item in (listed if "{0}" in row else [""])
+    )
+
+
+def write_page(root: Path, template: str) -> str:
+    """Return the page that a template and the files of results make.
+
+    Raises:
+        SurefootError: a source that does not exist; the line of the template is named.
+    """
+    text = CONTINUED.sub("", template)
+    written, end = "", 0
+    for match in [*TABLE.finditer(text), None]:
+        between = text[end : match.start() if match else len(text)]
+        table = table_rows(root, match["items"], match["rows"]) if match else ""
+        for part in (between, table):
+            for line in part.splitlines(keepends=True):
+                with prefix_errors(line.strip()[:80]):
+                    written += fill(root, line)
+        end = match.end() if match else end
+    return written
+
+
+def changes(old: str, new: str) -> list[str]:
+    """Return a line for each line of a page that is out of date."""
+    matcher = difflib.SequenceMatcher(None, first := old.splitlines(), second := new.splitlines(), autojunk=False)
+    return [
+        f"{i + 1}: has {' / '.join(first[i:i_end])!r}, the results {' / '.join(second[j:j_end])!r}"
+        for kind, i, i_end, j, j_end in matcher.get_opcodes()
+        if kind != "equal"
+    ]
+
+
+def templates(names: list[str]) -> list[Path]:
+    """Return the templates of these folders of results; all of them without names.
+
+    Raises:
+        SurefootError: a folder without a template.
+    """
+    found = {path.parent.name: path for pattern in TEMPLATES for path in sorted(ROOT.glob(pattern))}
+    if unknown := [name for name in names if name not in found]:
+        raise SurefootError(f"{', '.join(unknown)}: no such template; there are {', '.join(found)}")
+    return [found[name] for name in names or found]
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Write or check the pages."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", help="folders below results/; defaults to all with a template")
+    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a page is out of date")
+    arguments = parser.parse_args(argv)
+    wrong = 0
+    for template in templates(arguments.names):
+        page = template.with_suffix(".md")
+        old = page.read_text(encoding="utf-8") if page.is_file() else ""
+        try:
+            new = write_page(ROOT, template.read_text(encoding="utf-8"))
+        except SurefootError as error:
+            print(f"{template.relative_to(ROOT)}: {error}")
+            wrong += 1
+            continue
+        if new == old:
+            continue
+        if arguments.check:
+            wrong += 1
+            for line in changes(old, new):
+                print(f"{page.relative_to(ROOT)}:{line}")
+        else:
+            atomic_write(page, new)
+            print(f"wrote {page.relative_to(ROOT)}")
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
