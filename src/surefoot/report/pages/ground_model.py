@@ -12,6 +12,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from surefoot.report.drawing.ground_part import faces, step_edges
+from surefoot.report.drawing.uneven_ground import height_tint
 from surefoot.world.ground import Ground
 
 _TILE = 0.25
@@ -62,5 +63,6 @@ def _picture(part: Ground) -> Image.Image:
         picture[edges[index][:, index, 1, end] & near] = _EDGE
     below = np.maximum(part.course - part.corners.mean(axis=(2, 3)), 0.0)
     bright = 1.0 - _DEPTH_DARK * (1.0 - np.exp(-below / _DEPTH))
-    picture = (picture * bright[index][:, index, None]).astype(np.uint8)
+    tint = np.stack(height_tint.py_func(part.corners.mean(axis=(2, 3))), axis=-1) * bright[..., None]
+    picture = (picture * tint[index][:, index]).astype(np.uint8)
     return Image.fromarray(picture.transpose(1, 0, 2)[::-1])
