@@ -115,7 +115,7 @@ def test_a_robot_on_a_step_is_drawn_higher_and_its_shadow_falls_there():
 def test_ground_is_sand_above_zero_and_blue_below():
     assert height_tint(0.0) == (1.0, 1.0, 1.0)
     assert height_tint(0.3) == pytest.approx((1.0, 0.9, 0.75))
-    np.testing.assert_allclose(height_tint.py_func(np.array([-0.3, 0.9])), [[0.8, 1.0], [0.925, 0.85], [1.0, 0.625]])
+    np.testing.assert_allclose(height_tint(np.array([-0.3, 0.9])), [[0.8, 1.0], [0.925, 0.85], [1.0, 0.625]])
     camera = Camera(offset=(0.0, -1.5, 1.0), height=0.1, field_of_view=40.0)
     low, level, high = (picture(step(z), camera, (0.0, 1.0), (0.0, 1.0, 9.0))[100, 100] for z in (-0.3, 0.0, 0.3))
     blue = [one[2] / one[0] for one in (low, level, high)]

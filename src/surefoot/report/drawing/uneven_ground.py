@@ -79,12 +79,8 @@ class VisibleGround(NamedTuple):
     """Height from which the light counts heights [m]."""
 
 
-@compiled
 def height_tint(z: Any) -> tuple[Any, Any, Any]:
-    """Return the factors on red, green and blue of the ground at heights z [m]: sand above z = 0, blue below it.
-
-    Each is a number, or an array in the shape of z outside compiled code (`height_tint.py_func`).
-    """
+    """Return the factors on red, green and blue of the ground at heights z [m]: sand above z = 0, blue below it."""
     high, low = np.maximum(z, 0.0), np.maximum(-z, 0.0)
     high, low = high / (high + _TINT_HEIGHT), low / (low + _TINT_HEIGHT)
     return (
@@ -92,6 +88,9 @@ def height_tint(z: Any) -> tuple[Any, Any, Any]:
         1.0 - _HIGH_TINT[1] * high - _LOW_TINT[1] * low,
         1.0 - _HIGH_TINT[2] * high - _LOW_TINT[2] * low,
     )
+
+
+_tint = compiled(height_tint)
 
 
 @compiled
@@ -172,7 +171,7 @@ def _shade(
     sun = SUN * max(nx * lx + ny * ly + nz * lz, 0.0) * (1.0 - shadow * look.dim * bright / level_sun)
     share = np.sqrt(max(share * (SKY + UP * nz + sun) / bright, 0.0))
     haze = 1.0 - np.exp(-((distance / look.hazy) ** 1.5))
-    tint = height_tint(z)
+    tint = _tint(z)
     red, green, blue = share * tint[0] * look.color[0], share * tint[1] * look.color[1], share * tint[2] * look.color[2]
     return (
         red + haze * (look.haze[0] - red),

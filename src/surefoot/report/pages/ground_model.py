@@ -63,6 +63,6 @@ def _picture(part: Ground) -> Image.Image:
         picture[edges[index][:, index, 1, end] & near] = _EDGE
     below = np.maximum(part.course - part.corners.mean(axis=(2, 3)), 0.0)
     bright = 1.0 - _DEPTH_DARK * (1.0 - np.exp(-below / _DEPTH))
-    tint = np.stack(height_tint.py_func(part.corners.mean(axis=(2, 3))), axis=-1) * bright[..., None]
+    tint = np.stack(height_tint(part.corners.mean(axis=(2, 3))), axis=-1) * bright[..., None]
     picture = (picture * tint[index][:, index]).astype(np.uint8)
     return Image.fromarray(picture.transpose(1, 0, 2)[::-1])
