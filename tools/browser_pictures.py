@@ -69,7 +69,7 @@ if __name__ == "__main__":
                 "80",
                 "120",
             ]
-            words += ["--episodes", "1", "--duration", "6", "--out", str(trace.with_suffix(""))]
+            words += ["--push-force", "80", "120", "--duration", "6", "--out", str(trace.with_suffix(""))]
             subprocess.run([*SUREFOOT, "evaluate", "go2-terrain", *words], check=True)
             (trace.with_suffix("") / "episode_000.npz").rename(trace)
         written = Path(folder) / "show.html"
