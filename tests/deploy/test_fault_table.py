@@ -6,7 +6,7 @@ Where time is the point both are processes that run in real time, and a test tha
 tried again.
 
 Times are those of the robot's clock or of the host's, as they stand in the frames. Rows are numbered as in
-`docs/deploy.md`.
+`docs/safety.md`.
 """
 
 from __future__ import annotations
