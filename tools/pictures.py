@@ -34,7 +34,7 @@ BETWEEN, FPS = (1.0, 4.7), 20
 PUSH = 60.0
 """Force of its pushes [N]."""
 RED = (200, 40, 40)
-TERRAIN, HOLES = ("stairs:0.04", "slope:8", "rough:0.12", "blocks:0.06"), ("gaps:0.25", "stones:0.25")
+TERRAIN, HOLES = ("stairs:0.10", "slope:20", "rough:0.12", "blocks:0.10"), ("gaps:0.25", "stones:0.25")
 """Terrain on which policies are shown, `ON_IT` seconds after their start at .5 m/s."""
 ON_IT = 4.0
 
@@ -160,7 +160,7 @@ def moving(path: Path, size: tuple[int, int]) -> None:
 
 
 if __name__ == "__main__":
-    sheet([on_terrain("go2-steer", one, (480, 300)) for one in TERRAIN], 2).save(FOLDER / "terrain.png")
+    sheet([on_terrain("go2-terrain", one, (480, 300)) for one in TERRAIN], 2).save(FOLDER / "terrain.png")
     sheet([on_terrain("go2-terrain-seeing", one, (480, 300)) for one in HOLES], 2).save(FOLDER / "terrain-seeing.png")
     moving(FOLDER / "gaits.webp", (400, 280))
     leg_space(FOLDER / "leg-space.png")
