@@ -1,0 +1,145 @@
+"""The commands of a page, run as its reader does: in an empty folder and in order; trainings and episodes are short."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import re
+import shlex
+import urllib.request
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from markdown_pages import COMMENT, FENCED, ROOT, lines
+from processes import Emulator, emulators, served, surefoot
+
+LIMITS = {"--steps": 256, "--episodes": 2, "--duration": 1, "--trials": 2}
+"""Greatest values of options."""
+RESUMED_STEPS = 384
+"""Steps of a training that goes on."""
+SHORT = {
+    "train": {
+        **{"--steps": 256, "--num-envs": 8, "--steps-per-update": 16, "--evaluate-every": 128},
+        **{"--evaluation-episodes": 2, "--task.max-steps": 30, "--threads": 1},
+    },
+    "evaluate": {"--episodes": 2},
+    "gap": {"--episodes": 1},
+    "deploy": {"--duration": 1},
+}
+"""Options that make a command short, unless the page has them."""
+FULL_SIZE = ("--help", "--resume", "--trace", "--command-grid")
+"""Options of commands that take none of `SHORT`."""
+SENSITIVITY = {"--values": 2, "--episodes": 1}
+PORT = "/dev/pts/3"
+"""Port of an emulated robot on pages."""
+Start = Callable[..., Emulator]
+IGNORED = ("pip", "python3", "tensorboard", "make", "ping", "sudo", "git", "cmake", "CYCLONEDDS_HOME")
+"""Programs that a page names and that no test runs here; README's `make` and `pip` lines have tests of their own."""
+
+
+@dataclass
+class PageRun:
+    """A reader who tries what a page shows.
+
+    Attributes:
+        folder: the folder in which everything runs.
+        elsewhere: commands that are not run here, by a part of the line, and the test that runs them.
+        emulated: words of the emulated robot that runs at the page's port before the page starts one.
+        ran: lines that were run.
+    """
+
+    folder: Path
+    elsewhere: dict[str, str] = field(default_factory=dict)
+    emulated: tuple[str, ...] = ()
+    ran: list[str] = field(default_factory=list)
+    _emulator: Emulator | None = None
+
+    def run(self, page: Path) -> None:
+        """Run all blocks of a page.
+
+        Raises:
+            AssertionError: a command that fails, or an entry of `elsewhere` that is on no line.
+        """
+        text, unused = COMMENT.sub("", page.read_text(encoding="utf-8")), set(self.elsewhere)
+        with emulators(Emulator) as start, contextlib.chdir(self.folder):
+            for _, language, code in FENCED.findall(text):
+                if language == "yaml":
+                    self._save(code)
+                elif language == "python" and "surefoot.task.plugins" in code:
+                    Path("plugin.py").write_text(code, encoding="utf-8")
+                elif language == "bash":
+                    for line in lines(re.sub(r"\\\n\s*", " ", code)):
+                        if parts := [part for part in self.elsewhere if part in line]:
+                            unused -= set(parts)
+                        else:
+                            self._command(line, start)
+        assert not unused, f"{page.name} no longer has {unused}"
+
+    def _save(self, code: str) -> None:
+        """Write a file whose name is in its first line, such as `# quick-trot.yaml`."""
+        if name := re.match(r"# (\w[\w.-]*\.yaml)", code):
+            Path(name[1]).write_text(code, encoding="utf-8")
+
+    def _command(self, line: str, start: Start) -> None:
+        program, *words = shlex.split(line)
+        if program in IGNORED or "=" in program:
+            return
+        assert program == "surefoot", line
+        command, *words = [one for word in words for one in self._filled(word)]
+        words = shortened(command, words)
+        print("surefoot", command, shlex.join(words))
+        if command == "emulate":
+            self._start(words, start)
+        elif command == "drive" or "--browser" in words:
+            self._serve(command, words, start)
+        else:
+            if PORT in words:
+                words = self._with_port(words, start)
+            done = surefoot(command, *words)
+            assert done.returncode == 0, f"{line}: {done.stdout[-2000:]}{done.stderr[-2000:]}"
+        self.ran.append(line)
+
+    def _filled(self, word: str) -> list[str]:
+        """Return a word with the files that a pattern matches, newest run last."""
+        return sorted(glob.glob(word), key=lambda path: Path(path).stat().st_mtime)[-1:] if "*" in word else [word]
+
+    def _start(self, words: list[str], start: Start) -> None:
+        if self._emulator is not None:
+            self._emulator.stop()
+        self._emulator = start(*words)
+
+    def _with_port(self, words: list[str], start: Start) -> list[str]:
+        if self._emulator is None:
+            self._start(list(self.emulated), start)
+        assert self._emulator is not None
+        return [self._emulator.port if word == PORT else word for word in words]
+
+    def _serve(self, command: str, words: list[str], start: Start) -> None:
+        words = self._with_port(words, start) if PORT in words else words
+        with served(command, *words, cwd=self.folder) as address:
+            assert urllib.request.urlopen(address).status == 200
+
+
+def shortened(command: str, words: list[str]) -> list[str]:
+    """Return the words of a command with options that make it short."""
+    if any(word in FULL_SIZE for word in words):
+        options = {}
+    elif command == "evaluate" and words[0] == "sensitivity":
+        options = SENSITIVITY
+    else:
+        options = SHORT.get(command, {})
+    limits = {**LIMITS, "--steps": RESUMED_STEPS} if "--resume" in words else LIMITS
+    words = [
+        str(min(float(word), limits[before])).removesuffix(".0") if before in limits else word
+        for before, word in zip(["", *words], words, strict=False)
+    ]
+    return [
+        *words,
+        *(str(part) for option, value in options.items() if option not in words for part in (option, value)),
+    ]
+
+
+def page_path(name: str) -> Path:
+    """Return the path of a page of docs/, or of README."""
+    return ROOT / "README.md" if name == "README" else ROOT / "docs" / f"{name}.md"
