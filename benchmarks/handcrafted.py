@@ -5,7 +5,8 @@
 Handcrafted gaits are the YAML files of the folder, from `surefoot study tune`, with the curves of their tuning (.csv).
 Learned ones are its ONNX files, NAME-seed_N.onnx for each of several trainings of a gait, and policies that ship. Each
 runs in MuJoCo, in MuJoCo with table I drawn for every episode, and in Bullet. Runs are kept in runs.csv; a second call
-makes only those that are missing, or whose gait has changed.
+makes only those that are missing, or whose gait has changed. Then `python tools/result_pages.py handcrafted` writes the
+page of the results.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from surefoot.report.figures.style import COLORS, MARKERS, new_figure
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies.tune import has_converged, read_curve
-from surefoot.tables import markdown, print_table, write_csv
+from surefoot.tables import print_table, write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.task.handcrafted import HandcraftedGait
 from surefoot.world.registry import find_world
@@ -47,14 +48,6 @@ DURATION = 6.0
 """Of an episode [s]."""
 WINDOW = 40
 """Generations at the end of a tuning that are compared with as many before."""
-
-_TOLD = """# Handcrafted gaits beside learned ones
-
-`python benchmarks/handcrafted.py`: {episodes} episodes of 6 s for each training of a gait, seed {seed}. A row an
-episode is in `runs.csv`, all columns are in `table.csv`, tunings in `tuning.csv`. Brackets: intervals of 95 % over
-trainings where there are several, else over episodes. Tuned: the power of handcrafted gaits at the same speed in the
-same condition, on the straight line between the two that are named, a slower and a faster one, neither of which fell;
-of all such pairs the one with the least power."""
 
 
 @dataclass(frozen=True)
@@ -295,7 +288,6 @@ def main(command: Command) -> None:
                 print(f"ran {entry.path.stem}: {condition}", flush=True)
     weight = RobotDescription.load("minitaur").urdf.total_mass * GRAVITY
     rows: list[dict[str, Any]] = []
-    text = _TOLD.format(**vars(command))
     for condition in command.conditions:
         runs = {
             entry.gait: [row for row in kept if (row["gait"], row["condition"]) == (entry.gait, condition)]
@@ -307,17 +299,13 @@ def main(command: Command) -> None:
             learned = row["family"] in FAMILIES[2:]
             row |= comparison(runs[gait], others if learned else [])
         rows += own.values()
-        table = [shown(row) for row in own.values()]
         print(_TITLES[condition])
-        print_table(table, text_columns=2)
-        text += f"\n\n## {_TITLES[condition]}\n\n{markdown(table)}"
+        print_table([shown(row) for row in own.values()], text_columns=2)
     write_csv(command.folder / "table.csv", rows)
     curves = {entry.gait: curve for entry in selected if (curve := read_curve(entry.path))}
     if curves:
         write_csv(command.folder / "tuning.csv", [tuning(curve) for curve in curves.values()])
         tuning_figure(curves, command.folder / "tuning.png")
-    text += "\n\n![Power over speed](power.png)\n"
-    (command.folder / "README.md").write_text(text, encoding="utf-8")
     print(f"wrote {figure(rows, command.conditions, command.folder / 'power.png')}")
 
 

@@ -5,6 +5,7 @@
     python benchmarks/terrain.py go2-terrain --table1
     python benchmarks/terrain.py go2-terrain-seeing --table1 --but control_step
     python benchmarks/terrain.py go2-terrain --world boxes --kinds stairs --episodes 32
+    python benchmarks/terrain.py go2-terrain --gains 40 1 --kinds flat slope stairs
 
 In the world `boxes` stairs are of box geoms, and feet meet them by MuJoCo's own contacts (benchmarks/box_stairs.py).
 
@@ -55,6 +56,8 @@ class Command:
     """Robots of the paper's table I."""
     but: tuple[str, ...] = ()
     """Rows of table I that stay nominal: what they cost is the difference."""
+    gains: tuple[float, float] | None = None
+    """Servo gains [N m/rad, N m s/rad]. Defaults to the policy's."""
     kinds: tuple[str, ...] = ("flat", *SIZES)
     episodes: int = 64
     threads: int = 0
@@ -76,10 +79,16 @@ def main(command: Command) -> None:
         if unknown := set(command.but) - set(ranges):
             raise SystemExit(f"--but {unknown.pop()} is no row of table I; choose from {', '.join(ranges)}")
         ranges = {row: limits for row, limits in ranges.items() if row not in command.but}
+        gains = dict(zip(("servo_kp", "servo_kd"), command.gains, strict=True)) if command.gains else {}
         condition = Condition(
-            randomize=ranges if command.table1 else {}, command_rows=(command.command,), duration=10.0, curricula=True
+            randomize=ranges if command.table1 else {},
+            params=gains,
+            command_rows=(command.command,),
+            duration=10.0,
+            curricula=True,
         )
         robots = " but ".join(["table1", *command.but]) if command.table1 else "nominal"
+        robots += "".join([" gains", *(f" {value:g}" for value in gains.values())]) if gains else ""
         for kind in command.kinds:
             for size in SIZES.get(kind, (0.0,)):
                 key = (Path(name).stem, command.world, robots, kind, f"{size:g}")

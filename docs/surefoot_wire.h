@@ -57,7 +57,7 @@ enum surefoot_mode {
     SUREFOOT_MODE_DISARMED = 0, /* Motors are damped; commands are refused. */
     SUREFOOT_MODE_POSITION = 1, /* Servos follow position commands. */
     SUREFOOT_MODE_PWM = 2,      /* Motors get the duty that is sent, for identification. */
-    SUREFOOT_MODE_FAULT = 3     /* Motors are damped because of a fault, and stay so until armed anew. */
+    SUREFOOT_MODE_FAULT = 3     /* Motors are damped because of a fault, and stay so until armed again. */
 };
 
 /* Why a robot refuses something, or has damped its motors. */
@@ -104,7 +104,7 @@ typedef struct {
     uint32_t state_period; /* [1e-6 s] time between two states while no command comes */
 } surefoot_hello;
 
-/* Ask for a `Pong`; anybody may. */
+/* Ask for a `Pong`; needs no session. */
 typedef struct {
     uint32_t token; /* comes back in the pong */
 } surefoot_ping;
@@ -129,7 +129,7 @@ typedef struct {
     float duty[SUREFOOT_MOTORS]; /* PWM duty, -1 to 1, in motor order */
 } surefoot_pwm;
 
-/* Damp the motors at once and stay so until armed anew. */
+/* Damp the motors at once and stay so until armed again. */
 typedef struct {
     uint16_t session; /* the operator's session */
 } surefoot_damp;
@@ -156,8 +156,8 @@ typedef struct {
     float servo_kd[SUREFOOT_MOTORS];       /* [s/rad] derivative gains, duty per speed; joint actuators: N m s/rad */
     uint32_t command_period_min;           /* [1e-6 s] shortest time between commands */
     uint32_t command_period_max;           /* [1e-6 s] longest time between commands */
-    float angle_low[SUREFOOT_MOTORS];      /* [rad] least motor angles that a command may request */
-    float angle_high[SUREFOOT_MOTORS];     /* [rad] greatest motor angles that a command may request */
+    float angle_low[SUREFOOT_MOTORS];      /* [rad] lowest motor angles that a command may request */
+    float angle_high[SUREFOOT_MOTORS];     /* [rad] highest motor angles that a command may request */
     float tilt_limit;                      /* [rad] roll or pitch beyond which the robot damps itself */
     float voltage_min;                     /* [V] battery voltage below which the robot damps itself */
     float temperature_max;                 /* [degC] motor temperature beyond which the robot damps itself */
@@ -176,7 +176,7 @@ typedef struct {
     uint8_t mode;                          /* see Mode */
     uint8_t reason;                        /* why the motors are damped, or an armed robot should sit; see Reason */
     uint32_t command;                      /* sequence number of the last command that was accepted; 0: none */
-    uint16_t command_age;                  /* [1e-5 s] time since then, at most .655 s */
+    uint16_t command_age;                  /* [1e-5 s] time since then, at most 0.655 s */
     uint16_t dropped;                      /* commands refused since the session began, modulo 65536 */
     float motor_angle[SUREFOOT_MOTORS];    /* [rad] motor angles, in motor order */
     float motor_velocity[SUREFOOT_MOTORS]; /* [rad/s] motor speeds */

@@ -1,4 +1,4 @@
-"""Measured numbers of README and docs/why.md are those of the files of results that docs/claims.yaml names."""
+"""Measured numbers of pages are those of the files of results: of docs/claims.yaml, and of the paper's scorecard."""
 
 from __future__ import annotations
 
@@ -96,6 +96,65 @@ CLAIMS: list[dict[str, Any]] = read_yaml(ROOT / "docs" / "claims.yaml")["claims"
 @pytest.mark.parametrize("claim", CLAIMS, ids=[f"{one['page']}: {one['text'][:40]}" for one in CLAIMS])
 def test_a_claim_is_on_its_page_and_rounds_to_its_source(claim: dict[str, Any]):
     assert wrong(ROOT, claim) == []
+
+
+def scorecard_differences(root: Path) -> list[str]:
+    """Return where README and the pages of the results say something else about the paper than tools/paper.yaml."""
+    from paper_page import VERDICTS, claims_markdown, claims_summary, load_content
+
+    reproduction, results, readme = (
+        (root / name).read_text(encoding="utf-8") for name in ("docs/reproduction.md", "docs/results.md", "README.md")
+    )
+    found = []
+    for verdict, title in VERDICTS.items():
+        expected = f"\n### {title}\n\n{claims_markdown(root, verdict)}\n"
+        if expected not in reproduction:
+            found.append(f"docs/reproduction.md does not have:{expected}")
+    summary = claims_summary()
+    found += [
+        f"{name} does not have: {summary}"
+        for name, text in (("docs/reproduction.md", reproduction), ("docs/results.md", results))
+        if summary not in " ".join(text.split())
+    ]
+    paper = " ".join(readme.partition("## The paper\n")[2].partition("\n## ")[0].replace("**", "").split())
+    sentences = re.split(r"(?<=[.)]) (?=[A-Z])", paper)
+    words = {
+        "reproduced": "surefoot reproduces",
+        "same": "same direction, not significant",
+        "differs": "differ",
+        "untestable": "not testable without a robot",
+    }
+    for claim in (one for one in load_content().claims if one.readme):
+        said = [one for one in sentences if claim.readme in one]
+        if len(said) != 1 or words[claim.verdict] not in said[0]:
+            found.append(f"README.md has {said}; '{claim.readme}' is: {words[claim.verdict]}")
+    return found
+
+
+def test_pages_have_the_scorecard_of_the_paper():
+    """README, results and reproduction class every claim of the paper as `surefoot study paper` does."""
+    pytest.importorskip("matplotlib")
+    assert scorecard_differences(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    ("page", "old", "new"),
+    [
+        ("docs/reproduction.md", "18 of the 27 that", "18 of the 28 that"),
+        ("docs/results.md", "8 differ", "7 differ"),
+        ("README.md", "twelve observations beat", "twelve observations are worse than"),
+        ("README.md", "**differ**", "are as in the paper"),
+    ],
+)
+def test_another_verdict_on_a_page_is_found(tmp_path: Path, page: str, old: str, new: str):
+    pytest.importorskip("matplotlib")
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "results").symlink_to(ROOT / "results")
+    for name in ("docs/reproduction.md", "docs/results.md", "README.md"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        (tmp_path / name).write_text(text.replace(old, new) if name == page else text)
+    assert scorecard_differences(ROOT) == []
+    assert len(scorecard_differences(tmp_path)) in (1, 2)
 
 
 @pytest.fixture

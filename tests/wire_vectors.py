@@ -1,10 +1,12 @@
-"""The test vectors of docs/wire-protocol.md: one frame of each kind, for a robot of eight motors."""
+"""The test vectors of the wire protocol, docs/wire-vectors.json, and sections of its page, docs/wire-protocol.md."""
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from surefoot.deploy.messages import Packet
 from surefoot.deploy.serial.codec import Codec
@@ -12,22 +14,27 @@ from surefoot.deploy.serial.frames import Decoder
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "wire-protocol.md"
 TEXT = DOCUMENT.read_text(encoding="utf-8")
+VECTORS: dict[str, Any] = json.loads(DOCUMENT.with_name("wire-vectors.json").read_text(encoding="utf-8"))
 
 
-def part(name: str) -> str:
-    """What stands between two markers of the document."""
-    return TEXT.partition(f"<!-- begin: {name} -->\n")[2].partition(f"<!-- end: {name} -->\n")[0]
+def part(title: str) -> str:
+    """Return a section of the page, with the sections below it."""
+    found = re.search(rf"^(##+) {re.escape(title)}\n", TEXT, re.M)
+    assert found is not None, title
+    rest = TEXT[found.end() :]
+    following = re.search(rf"^##{{1,{len(found[1]) - 1}}} ", rest, re.M)
+    return rest[: following.start()] if following else rest
 
 
 @dataclass(frozen=True)
 class Example(Packet):
-    """A frame of the document, with its bytes; every value is exactly representable on the line."""
+    """A frame of the vectors, with its bytes; every value is exactly representable on the line."""
 
     data: bytes
 
 
 def _examples() -> list[Example]:
-    dumps = [bytes.fromhex(dump) for dump in re.findall(r"```text\n(.*?)```", part("vectors"), re.S)]
+    dumps = [bytes.fromhex(" ".join(vector["bytes"])) for vector in VECTORS["frames"]]
     frames = [frame for data in dumps for frame in Decoder(Codec(8)).feed(data)]
     return [Example(frame.message, frame.sequence, frame.time, data) for frame, data in zip(frames, dumps, strict=True)]
 

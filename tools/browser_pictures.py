@@ -32,8 +32,11 @@ def running(*words: str) -> Iterator[str]:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder, running_browser(gives_way=Path(folder)) as browser:
-        with running("drive", "go2-steer", "--page-port", "0") as address:
-            for name, size in (("drive-wide", WIDE), ("drive-narrow", NARROW)):
+        for name, size, words in (
+            ("drive-wide", WIDE, ("go2-terrain", "--terrain", "stairs:0.10")),
+            ("drive-narrow", NARROW, ("go2-steer",)),
+        ):
+            with running("drive", *words, "--page-port", "0") as address:
                 page = browser.new_page(viewport=size)
                 page.goto(address)
                 page.wait_for_function("document.getElementById('state').textContent.includes('m/s')")
@@ -41,7 +44,7 @@ if __name__ == "__main__":
                 page.wait_for_timeout(9000)
                 page.screenshot(path=FOLDER / f"{name}.png")
                 page.close()
-        with running("emulate", "--robot", "go2") as port:
+        with running("emulate", "--robot", "go2", "--set", "servo_kp=40", "servo_kd=1") as port:
             words = [*("--port", port, "--browser", "--page-port", "0", "--out", folder)]
             with running("deploy", "go2-steer", *words) as address:
                 page = browser.new_page(viewport=WIDE)
@@ -50,10 +53,24 @@ if __name__ == "__main__":
                 hold_stick(page, 0.28, 0.16)
                 page.wait_for_timeout(9000)
                 page.screenshot(path=FOLDER / "deploy-page.png")
-        traces = [Path(folder) / f"go2-trot, {world}.npz" for world in ("mujoco", "bullet")]
+        traces = [Path(folder) / f"go2-terrain, {world}.npz" for world in ("mujoco", "bullet")]
         for trace in traces:
-            words = ["--world", trace.stem[10:], "--push-force", "100", "160", "--episodes", "1", "--duration", "6"]
-            subprocess.run([*SUREFOOT, "evaluate", "go2-trot", *words, "--out", trace.with_suffix("")], check=True)
+            world = trace.stem.rpartition(" ")[2]
+            words = [
+                "--world",
+                world,
+                "--terrain",
+                "stairs:0.10",
+                "--command",
+                "0.5",
+                "0",
+                "0",
+                "--push-force",
+                "80",
+                "120",
+            ]
+            words += ["--push-force", "80", "120", "--duration", "6", "--out", str(trace.with_suffix(""))]
+            subprocess.run([*SUREFOOT, "evaluate", "go2-terrain", *words], check=True)
             (trace.with_suffix("") / "episode_000.npz").rename(trace)
         written = Path(folder) / "show.html"
         subprocess.run([*SUREFOOT, "show", *traces, "--out", written], check=True)

@@ -18,7 +18,13 @@ from surefoot.report.pages.html import page, picture, row
 
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"
-VERDICTS = {"untried": "Not tried.", "no": "Not reproduced.", "partly": "In part.", "yes": "Reproduced."}
+VERDICTS = {
+    "reproduced": "Reproduced",
+    "same": "Same direction, not significant",
+    "differs": "Differs",
+    "untestable": "Not testable without a robot",
+}
+"""Classes of the scorecard in its order, with their titles."""
 _MAX_NUMBER = 30
 """Characters of a cell beside numbers; a longer one is folded as text."""
 
@@ -28,11 +34,13 @@ class PaperClaim:
     """A claim of the paper, and whether surefoot reproduces it."""
 
     claim: str
-    verdict: Literal["untried", "no", "partly", "yes"]
+    verdict: Literal["reproduced", "same", "differs", "untestable"]
     surefoot: str
     """What surefoot found; numbers as in `result_numbers.fill`."""
-    where: str = ""
-    """Page of the documentation that has the measurement."""
+    where: str
+    """Page that has the measurement, relative to `docs`."""
+    readme: str = ""
+    """Words of README about it, in a sentence with the name of its class; empty if README leaves it out."""
 
 
 @dataclass(frozen=True)
@@ -115,21 +123,29 @@ def load_content() -> PaperContent:
         return from_mapping(PaperContent, read_yaml(CONTENT))
 
 
-def claims(root: Path, verdicts: Sequence[str], missing: list[str]) -> list[tuple[str, str, str, str]]:
-    """Return claim, verdict, finding and page of each claim with one of these verdicts."""
+def claims(root: Path, verdict: str, missing: list[str]) -> list[tuple[str, str, str]]:
+    """Return claim, finding and page of each claim with a verdict."""
     return [
-        (one.claim, VERDICTS[verdict], _fill(root, one.surefoot, missing), one.where)
-        for verdict in verdicts
+        (one.claim, _fill(root, one.surefoot, missing), one.where)
         for one in load_content().claims
         if one.verdict == verdict
     ]
 
 
-def claims_markdown(root: Path, verdicts: Sequence[str]) -> str:
-    """Return the claims with one of these verdicts as a Markdown table for a page in `docs`."""
-    rows = claims(root, verdicts, [])
-    lines = [f"| {claim} | **{verdict}** {text} [More]({page}) |" for claim, verdict, text, page in rows]
+def claims_markdown(root: Path, verdict: str) -> str:
+    """Return the claims with a verdict as a Markdown table for a page in `docs`."""
+    lines = [f"| {claim} | {text} [Results]({page}) |" for claim, text, page in claims(root, verdict, [])]
     return "\n".join(["| the paper | surefoot |", "|---|---|", *lines]) + "\n"
+
+
+def claims_summary() -> str:
+    """Return a sentence with the number of claims in each class."""
+    verdicts = [one.verdict for one in load_content().claims]
+    same, differs, untestable = (verdicts.count(verdict) for verdict in ("same", "differs", "untestable"))
+    return (
+        f"Of {len(verdicts)} claims of the paper, {verdicts.count('reproduced')} are reproduced, {same} have the same "
+        f"direction and are not significant, {differs} differ, and {untestable} are not testable without a robot."
+    )
 
 
 def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None) -> list[str]:
@@ -149,12 +165,13 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
     parts = [f"<h1>{escape(content.title)}</h1>", f"<p>{escape(content.about)}</p>"]
     if note:
         parts.append(f"<p><b>{escape(note)}</b></p>")
-    for title, *verdicts in (("Not reproduced, or in part", "untried", "no", "partly"), ("Reproduced", "yes")):
+    parts += ["<h2>Scorecard</h2>", f"<p>{claims_summary()}</p>"]
+    for verdict, title in VERDICTS.items():
         rows = [
-            (escape(claim), f"<b>{verdict}</b> {escape(text)} <span class=quiet>{_shown(where)}</span>")
-            for claim, verdict, text, where in claims(clone or root, verdicts, missing)
+            (escape(claim), f"{_code(escape(text))} <span class=quiet>{_shown(where)}</span>")
+            for claim, text, where in claims(clone or root, verdict, missing)
         ]
-        parts += [f"<h2>{title}</h2>", _table([("the paper", "surefoot"), *rows], ["hh"] * (len(rows) + 1))]
+        parts += [f"<h3>{title}</h3>", _table([("the paper", "surefoot"), *rows], ["hh"] * (len(rows) + 1))]
     parts.append(_contents([section.title for section in content.sections]))
     parts += [
         "<h2>Main differences</h2>",
@@ -193,7 +210,7 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
 
 def _shown(where: str) -> str:
     """Return the path of a page from the root of the repository."""
-    name = where.partition("#")[0] or "results.md"
+    name = where.partition("#")[0]
     return name.removeprefix("../").removesuffix("/README.md") if name.startswith("../") else f"docs/{name}"
 
 
@@ -249,13 +266,12 @@ def difference(paper: str, surefoot: str) -> str:
 
 
 def _all_differences(root: Path) -> list[str]:
-    """Return the table of `docs/paper.md`, collapsed."""
-    path = root / "docs" / "paper.md"
+    """Return the tables of `docs/paper-differences.md`, collapsed."""
+    path = root / "docs" / "paper-differences.md"
     if not path.is_file():
         return []
     # Every section's table has a head of its own; here it is a row of one table, with the section's title.
     text = re.sub(r"^## (.+)\n\n\| [^|]+\|", r"| **\1** |", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    text = re.sub(r"<!--.*?-->", "", text)
     lines = [line.strip("|").split("|") for line in text.splitlines() if line[:2] == "| "]
     cells = [[_inline(cell.strip()) for cell in line] for line in lines]
     rows = "".join(row(line, "hhhh") for line in cells if len(line) == 4)
@@ -265,5 +281,9 @@ def _all_differences(root: Path) -> list[str]:
 def _inline(markdown: str) -> str:
     """Convert bold type and code of a cell to HTML, and links to their texts."""
     text = re.sub(r"\[(.+?)\]\([^)]*\)", r"\1", escape(markdown))
-    text = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", text)
+    return _code(re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", text))
+
+
+def _code(text: str) -> str:
+    """Convert code in Markdown to HTML."""
     return re.sub(r"`(.+?)`", r"<code>\1</code>", text)

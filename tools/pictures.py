@@ -1,8 +1,9 @@
 """Draw the pictures of robots in the documentation: python tools/pictures.py [FOLDER ...].
 
-They are docs/gaits.webp, two gaits in motion; docs/gaits.png, moments of a stride; docs/leg-space.png, the coordinates
-of a leg; docs/robots.png, the robots that ship; docs/terrain.png and docs/terrain-seeing.png, policies on terrain; and,
-out of six folders that `surefoot robot new` wrote, docs/robots-imported.png.
+They are docs/hero.webp, four policies in motion; docs/gaits.png, moments of a stride; docs/leg-space.png, the
+coordinates of a leg; docs/robots.png, the released robots; docs/terrain.png and docs/terrain-seeing.png, policies on
+terrain; docs/learning.png, errors over minutes of training; docs/doctor.svg, a terminal; and, out of six folders that
+`surefoot robot new` wrote, docs/robots-imported.png.
 """
 
 from __future__ import annotations
@@ -10,10 +11,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from gallery import recorded
+from gallery import SECONDS, recorded
 from PIL import Image, ImageDraw
+from result_numbers import read_rows
 
 from surefoot.api.policies import find_policy, load_policy, run_policy
 from surefoot.evaluation.conditions import Condition
@@ -23,19 +26,26 @@ from surefoot.report.drawing.renderer import Camera, View, draw
 from surefoot.report.drawing.scene import extent, poses, trace_poses
 from surefoot.report.drawing.video import write_label
 from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, new_figure
+from surefoot.report.pages.recorded_runs import ShownTrace
 from surefoot.robot import FiveBar, RobotDescription
 
-FOLDER = Path(__file__).resolve().parents[1] / "docs"
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER, RESULTS = ROOT / "docs", ROOT / "results"
 MOMENTS = 5
 GAP = 4
 """Between pictures [px]."""
-BETWEEN, FPS = (1.0, 4.7), 20
+BETWEEN, FPS = (0.8, 4.8), 15
 """What the moving picture shows [s], and its frames a second."""
 PUSH = 60.0
 """Force of its pushes [N]."""
 RED = (200, 40, 40)
-TERRAIN, HOLES = ("stairs:0.04", "slope:8", "rough:0.12", "blocks:0.06"), ("gaps:0.25", "stones:0.25")
-"""Terrain on which policies are shown, `ON_IT` seconds after their start at .5 m/s."""
+FAINT = "#c3c8ce"
+"""Color of a leg in its other pose."""
+TERRAIN, HOLES = ("stairs:0.12", "slope:20", "rough:0.12", "blocks:0.10"), ("gaps:0.25", "stones:0.25")
+"""Terrain on which policies are shown."""
 ON_IT = 4.0
 
 
@@ -63,20 +73,19 @@ def stride(name: str, size: tuple[int, int]) -> list[Image.Image]:
     return pictures
 
 
-def motion(name: str, label: str, size: tuple[int, int], force: float | None = None) -> Iterator[Image.Image]:
-    """Yield the frames of a policy that ships, with an arrow for .4 s from each push [N] if it is pushed."""
-    one = recorded(name, None if force is None else (force, force))
-    placed = trace_poses(one.robot, one.trace)
-    mesh, stack = Mesh(one.robot.appearance(), list(placed)), np.stack(list(placed.values()), axis=1)
-    base = placed[one.robot.base][:, :3, 3]
-    camera = Camera.for_robot(1.25 * extent(one.robot))
+def moving(run: ShownTrace, label: str, size: tuple[int, int]) -> Iterator[Image.Image]:
+    """Yield the frames of a run on its terrain, with an arrow for 0.4 s from each push."""
+    placed = trace_poses(run.robot, run.trace)
+    mesh, stack = Mesh(run.robot.appearance(), list(placed)), np.stack(list(placed.values()), axis=1)
+    base, ground = placed[run.robot.base][:, :3, 3], ground_of(run.trace)
+    camera = Camera.for_robot(1.15 * extent(run.robot))
     for now in np.arange(*BETWEEN, 1 / FPS):
-        step = int(np.searchsorted(one.trace.time, now))
-        around = np.abs(one.trace.time - now) < 0.4
-        view = View(camera, base[around, :2].mean(axis=0), size)
+        step = int(np.searchsorted(run.trace.time, now))
+        around = np.abs(run.trace.time - now) < 0.4
+        view = View(camera, base[around, :2].mean(axis=0), size, ground)
         picture = draw(mesh, stack[step], view)
-        recent = (one.trace.time <= now) & (one.trace.time > now - 0.4)
-        pushes = np.nan_to_num(one.trace.push_force_world[recent[: len(one.trace.push_force_world)]])
+        recent = (run.trace.time <= now) & (run.trace.time > now - 0.4)
+        pushes = np.nan_to_num(run.trace.push_force_world[recent[: len(run.trace.push_force_world)]])
         if (strongest := np.linalg.norm(pushes, axis=1)).any():
             push = pushes[strongest.argmax()]
             tail, tip = view.project(np.stack([base[step] - 0.4 * push / np.linalg.norm(push), base[step]]))[0]
@@ -87,6 +96,18 @@ def motion(name: str, label: str, size: tuple[int, int], force: float | None = N
             pen.polygon([*tip, *(end + 9 * across), *(end - 9 * across)], RED)
         write_label(picture, label)
         yield picture
+
+
+def hero(path: Path, size: tuple[int, int]) -> None:
+    """Write an animation of four policies."""
+    shown = (
+        (recorded("go2-steer"), "Go2: velocity commands"),
+        (run_on_terrain("go2-terrain", "stairs:0.12"), "Go2: stairs of 12 cm, blind"),
+        (run_on_terrain("go2-terrain-seeing", "stones:0.25"), "Go2: stepping stones of 25 cm"),
+        (recorded("trot-robust", (PUSH, PUSH)), f"Minitaur: pushed with {PUSH:.0f} N"),
+    )
+    first, *others = (sheet(list(four), 2) for four in zip(*(moving(*one, size) for one in shown), strict=True))
+    first.save(path, save_all=True, append_images=others, duration=1000 // FPS, loop=0, quality=50, method=6)
 
 
 def leg_lines(robot: RobotDescription, swing: float, extension: float) -> list[np.ndarray]:
@@ -102,28 +123,69 @@ def leg_lines(robot: RobotDescription, swing: float, extension: float) -> list[n
     return [np.array([hip, knee, foot])]
 
 
+def mark_angle(axis: Axes, start: float, end: float, radius: float, color: str, label: str) -> None:
+    """Draw an angle at the hip from a direction to another [rad], with its name outside."""
+    turn = np.linspace(start, end, 30)
+    axis.plot(radius * np.cos(turn), radius * np.sin(turn), color=color, linewidth=2)
+    x, y = (radius + 0.015) * np.array([np.cos(turn[15]), np.sin(turn[15])])
+    axis.text(x, y, label, color=color, ha="left" if x > 0.03 else "center", va="center" if x > 0.03 else "top")
+
+
 def leg_space(path: Path) -> None:
-    """Draw what swing and extension do to both kinds of legs."""
-    with new_figure(path, (4.8, 3.6), 1, 2) as (_, axes):
-        for axis, name, title, extensions in (
-            (axes[0], "minitaur", "five-bar leg (Minitaur)", (1.4, 2.1)),
-            (axes[1], "go2", "serial leg (Go2)", (0.65, 0.85)),
+    """Draw the definition of swing and extension for both kinds of legs, and what each of them moves."""
+    with new_figure(path, (8.6, 4.2), 1, 2) as (_, axes):
+        for axis, name, title, (swing, short, long), unit in (
+            (axes[0], "minitaur", "Five-bar leg (Minitaur)", (0.45, 1.45, 2.1), " rad"),
+            (axes[1], "go2", "Serial leg (Go2)", (0.45, 0.65, 0.85), ""),
         ):
             robot = RobotDescription.load(name)
-            short, long = extensions
-            unit = "" if name == "go2" else " rad"
-            for swing, extension, color in ((0.0, short, QUIET), (0.5, short, BLUE), (0.0, long, ORANGE)):
-                lines = leg_lines(robot, swing, extension)
-                label = f"swing {swing:g} rad, extension {extension:g}{unit}"
+            foot = leg_lines(robot, swing, long)[-1][-1]
+            for angle, extension, color, width in ((0.0, short, FAINT, 2.0), (swing, long, INK, 3.0)):
+                lines = leg_lines(robot, angle, extension)
                 for line in lines:
-                    axis.plot(*line.T, color=color, linewidth=2.5, label=label if line is lines[-1] else None)
-                axis.plot(*lines[-1][-1], "o", color=color, markersize=7)
-            axis.plot(0, 0, "s", color=INK, markersize=8)
-            axis.annotate("", (0.27, 0.08), (0.12, 0.08), arrowprops={"arrowstyle": "->", "color": INK})
-            axis.text(0.12, 0.09, "forward")
-            axis.set(title=title, aspect="equal", xlim=(-0.29, 0.29), ylim=(-0.4, 0.13), xticks=[], yticks=[])
+                    axis.plot(*line.T, color=color, linewidth=width, solid_capstyle="round")
+                    axis.plot(*line[1:-1].T, "o", color="white", markeredgecolor=color, markersize=6)
+                axis.plot(*lines[-1][-1], "o", color=color, markersize=9)
+            axis.plot([0, 0], [0, -0.36], color=QUIET, linewidth=1, linestyle=(0, (4, 4)))
+            down = -0.5 * np.pi - swing
+            mark_angle(axis, -0.5 * np.pi, down, 0.2, BLUE, "swing")
+            if isinstance(robot.leg_geometry, FiveBar):
+                ends = np.outer([-0.1, 0.24], [np.cos(down), np.sin(down)])
+                axis.plot(*ends.T, color=ORANGE, linewidth=1, linestyle=(0, (4, 4)))
+                knee = max((line[1] for line in leg_lines(robot, swing, long)), key=lambda point: point[0])
+                mark_angle(axis, down + np.pi, np.arctan2(knee[1], knee[0]), 0.06, ORANGE, "extension")
+            else:
+                axis.annotate("", foot, (0, 0), arrowprops={"arrowstyle": "<->", "color": ORANGE, "linewidth": 2})
+                axis.text(0.02, 0.86 * foot[1], "extension × leg length", color=ORANGE, va="center")
+                axis.plot([0.01, 0.82 * foot[0]], 2 * [0.86 * foot[1]], color=ORANGE, linewidth=0.8)
+            axis.plot(0, 0, "s", color=INK, markersize=9)
+            axis.text(-0.015, 0.02, "hip", color=INK, ha="right")
+            axis.text(foot[0] - 0.02, foot[1] - 0.005, "foot", color=INK, ha="right", va="top")
+            axis.annotate("", (0.27, 0.1), (0.13, 0.1), arrowprops={"arrowstyle": "->", "color": QUIET})
+            axis.text(0.13, 0.112, "forward", color=QUIET)
+            note = f"dark: swing {swing:g} rad, extension {long:g}{unit}; light: swing 0, extension {short:g}{unit}"
+            axis.set_title(title)
+            axis.text(0, -0.41, note, color=QUIET, ha="center", va="top", fontsize=8)
+            axis.set(aspect="equal", xlim=(-0.3, 0.3), ylim=(-0.43, 0.15), xticks=[], yticks=[])
             axis.spines[:].set_visible(False)
-            axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0))
+
+
+def learning(path: Path) -> None:
+    """Draw errors of Go2 trainings over minutes of two cores: a line for each seed."""
+    runs = read_rows(RESULTS / "steer" / "learning.csv", {"robot": "go2", "start": "reference", "threads": "2"})
+    with new_figure(path, (7.2, 3.2), 1, 3) as (_, axes):
+        for axis, column, title in zip(
+            axes,
+            ("forward", "sideways", "yaw_rate"),
+            ("forward [m/s]", "sideways [m/s]", "yaw rate [rad/s]"),
+            strict=True,
+        ):
+            for seed in sorted({row["seed"] for row in runs}):
+                rows = [row for row in runs if row["seed"] == seed and row["randomize"] == "none"]
+                points = sorted((float(row["seconds"]) / 60, float(row[column])) for row in rows)
+                axis.plot(*zip(*points, strict=True), color=BLUE, marker="o", markersize=3, linewidth=1)
+            axis.set(title=title, xlabel="training [minutes]", xlim=(0, None), ylim=(0, None))
+        axes[0].set_ylabel("RMS error of the command")
 
 
 def portrait(robot: RobotDescription, size: tuple[int, int]) -> Image.Image:
@@ -137,33 +199,31 @@ def portrait(robot: RobotDescription, size: tuple[int, int]) -> Image.Image:
     return picture
 
 
-def on_terrain(policy: str, terrain: str, size: tuple[int, int]) -> Image.Image:
-    """Return a policy on a terrain, on its way forward."""
+def run_on_terrain(policy: str, terrain: str, seconds: float = SECONDS) -> ShownTrace:
+    """Return a run of a policy on a terrain, on its way forward at 0.5 m/s."""
     controller, robot, task = load_policy(find_policy(policy), None)
-    condition = Condition(terrain=terrain, duration=ON_IT, command_rows=((0.5, 0.0, 0.0),))
-    task = condition.apply(task, robot)
-    (trace,) = run_policy(controller, task, 1, "mujoco", seed=0, name=policy)
-    placed = trace_poses(robot, trace)
-    mesh, stack = Mesh(robot.appearance(), list(placed)), np.array([frames[-1] for frames in placed.values()])
-    view = View(Camera.for_robot(1.2 * extent(robot)), placed[robot.base][-1, :2, 3], size, ground_of(trace))
-    picture = draw(mesh, stack, view)
+    condition = Condition(terrain=terrain, duration=seconds, command_rows=((0.5, 0.0, 0.0),))
+    (trace,) = run_policy(controller, condition.apply(task, robot), 1, "mujoco", seed=0, name=policy)
+    return ShownTrace(policy, robot, trace)
+
+
+def on_terrain(policy: str, terrain: str, size: tuple[int, int]) -> Image.Image:
+    """Return a picture of a policy on a terrain, `ON_IT` seconds after its start."""
+    run = run_on_terrain(policy, terrain, ON_IT)
+    placed = trace_poses(run.robot, run.trace)
+    mesh, stack = Mesh(run.robot.appearance(), list(placed)), np.array([frames[-1] for frames in placed.values()])
+    place = placed[run.robot.base][-1, :2, 3]
+    picture = draw(mesh, stack, View(Camera.for_robot(1.2 * extent(run.robot)), place, size, ground_of(run.trace)))
     write_label(picture, terrain)
     return picture
 
 
-def moving(path: Path, size: tuple[int, int]) -> None:
-    """Write an animation: a gallop beside a trot that is pushed."""
-    gallop = motion("gallop", "gallop", size)
-    trot = motion("trot-robust", f"robust trot, pushed with {PUSH:.0f} N", size, PUSH)
-    first, *others = (sheet(list(pair), 2) for pair in zip(gallop, trot, strict=True))
-    first.save(path, save_all=True, append_images=others, duration=1000 // FPS, loop=0, quality=55, method=6)
-
-
 if __name__ == "__main__":
-    sheet([on_terrain("go2-steer", one, (480, 300)) for one in TERRAIN], 2).save(FOLDER / "terrain.png")
+    sheet([on_terrain("go2-terrain", one, (480, 300)) for one in TERRAIN], 2).save(FOLDER / "terrain.png")
     sheet([on_terrain("go2-terrain-seeing", one, (480, 300)) for one in HOLES], 2).save(FOLDER / "terrain-seeing.png")
-    moving(FOLDER / "gaits.webp", (400, 280))
+    hero(FOLDER / "hero.webp", (420, 260))
     leg_space(FOLDER / "leg-space.png")
+    learning(FOLDER / "learning.png")
     sheet([*stride("gallop", (320, 240)), *stride("trot", (320, 240))], MOMENTS).save(FOLDER / "gaits.png")
     robots = [RobotDescription.load(name) for name in RobotDescription.available()]
     sheet([portrait(robot, (640, 360)) for robot in robots], 2).save(FOLDER / "robots.png")

@@ -17,6 +17,9 @@ A table has one row for each item of a list; {0} is the item, {1} the text behin
 
 Rows without {0} appear once. The list `all of FILE` is the first column of a CSV file. A backslash at the end of a line
 continues it.
+
+Studies and searches have no template: their reports are written again from the tables that the study wrote, with the
+command that stands in the page.
 """
 
 from __future__ import annotations
@@ -29,11 +32,13 @@ from pathlib import Path
 
 from result_numbers import fill, find_file, first_column, substitute
 
-from surefoot.errors import SurefootError, prefix_errors
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.files import atomic_write
 
 ROOT = Path(__file__).resolve().parents[1]
 TEMPLATES = ("results/*/README.template", "policies/README.template")
+REPORTS = ("from-scratch", "reality-gap", "robustness", "search")
+"""Folders of studies and of a search, below results/; a study's file is studies/NAME.yaml."""
 TABLE = re.compile(r"^:::table +(?P<items>[^\n]+)\n(?P<rows>.+?)^:::\n", re.DOTALL | re.MULTILINE)
 CONTINUED = re.compile(r"\\\n *")
 
@@ -66,6 +71,25 @@ def write_page(root: Path, template: str) -> str:
     return written
 
 
+def write_report(root: Path, name: str) -> str:
+    """Return the report of a study or a search from its tables.
+
+    Raises:
+        SurefootError: the page, which holds the command, or a table is missing.
+    """
+    from surefoot.studies import search_report, study_report
+    from surefoot.studies.study_config import load_study
+
+    folder = root / "results" / name
+    with describe_os_errors(folder):
+        match = re.search(r"```sh\n(.+?)\n```", (folder / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+        if match is None:
+            raise SurefootError(f"{folder / 'README.md'}: has no command")
+        if (folder / "search.yaml").is_file():
+            return search_report.text_of_tables(folder, match[1])
+        return study_report.text_of_tables(load_study(root / "studies" / f"{name}.yaml"), folder, match[1])
+
+
 def changes(old: str, new: str) -> list[str]:
     """Return a line for each line of a page that is out of date."""
     matcher = difflib.SequenceMatcher(None, first := old.splitlines(), second := new.splitlines(), autojunk=False)
@@ -76,13 +100,14 @@ def changes(old: str, new: str) -> list[str]:
     ]
 
 
-def templates(names: list[str]) -> list[Path]:
-    """Return the templates of these folders of results; all of them without names.
+def pages(names: list[str]) -> list[Path]:
+    """Return the pages of these folders of results; all of them without names.
 
     Raises:
-        SurefootError: a folder without a template.
+        SurefootError: a folder with neither a template nor a report.
     """
-    found = {path.parent.name: path for pattern in TEMPLATES for path in sorted(ROOT.glob(pattern))}
+    found = {path.parent.name: path.with_suffix(".md") for one in TEMPLATES for path in sorted(ROOT.glob(one))}
+    found |= {name: ROOT / "results" / name / "README.md" for name in REPORTS}
     if unknown := [name for name in names if name not in found]:
         raise SurefootError(f"{', '.join(unknown)}: no such template; there are {', '.join(found)}")
     return [found[name] for name in names or found]
@@ -91,17 +116,18 @@ def templates(names: list[str]) -> list[Path]:
 def main(argv: list[str] | None = None) -> int:
     """Write or check the pages."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", help="folders below results/; defaults to all with a template")
+    parser.add_argument("names", nargs="*", help="folders below results/; defaults to all")
     parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a page is out of date")
     arguments = parser.parse_args(argv)
     wrong = 0
-    for template in templates(arguments.names):
-        page = template.with_suffix(".md")
+    for page in pages(arguments.names):
+        template, name = page.with_suffix(".template"), page.parent.name
         old = page.read_text(encoding="utf-8") if page.is_file() else ""
         try:
-            new = write_page(ROOT, template.read_text(encoding="utf-8"))
+            is_report = name in REPORTS
+            new = write_report(ROOT, name) if is_report else write_page(ROOT, template.read_text(encoding="utf-8"))
         except SurefootError as error:
-            print(f"{template.relative_to(ROOT)}: {error}")
+            print(f"{page.parent.relative_to(ROOT)}: {error}")
             wrong += 1
             continue
         if new == old:

@@ -5,8 +5,8 @@ timing allows the robot runs in lockstep, in this process: then all times are ex
 Where time is the point both are processes that run in real time, and a test that fails while the computer is busy is
 tried again.
 
-Times are those of the robot's clock or of the host's, as they stand in the frames. Rows are numbered as in
-`docs/deploy.md`.
+Times are those of the robot's clock or of the host's, as they stand in the frames. Rows are those of
+`docs/safety.md`: ways to stop, and faults of the serial link; their numbers are of these tests alone.
 """
 
 from __future__ import annotations

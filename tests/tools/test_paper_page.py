@@ -12,7 +12,7 @@ from chromium import find_chromium, in_browser
 
 pytest.importorskip("matplotlib")
 
-from paper_page import claims_markdown, difference, load_content, write_page
+from paper_page import VERDICTS, claims_markdown, difference, load_content, write_page
 from result_numbers import fill
 
 from surefoot.errors import SurefootError
@@ -87,14 +87,14 @@ def test_the_difference_in_words(paper: str, ours: str, words: str):
 
 
 def test_claims_are_listed_by_verdict(repository: Path):
-    head, rule, *lines = claims_markdown(repository, ["untried", "no"]).splitlines()
-    assert (head.count("|"), rule.count("|")) == (3, 3)
-    verdicts = [line.split("**")[1] for line in lines]
-    assert verdicts == sorted(verdicts, key=["Not tried.", "Not reproduced."].index)
-    for page, part in (re.search(r"\]\(([^)#]*)#?([^)]*)\)", line).groups() for line in lines):
-        text = (repository / "docs" / (page or "results.md")).read_text(encoding="utf-8")
-        titles = [re.sub(r"[^\w-]", "", one.lower().replace(" ", "-")) for one in re.findall("^#+ (.*)", text, re.M)]
-        assert not part or part in titles, (page, part)
+    for verdict in VERDICTS:
+        head, rule, *lines = claims_markdown(repository, verdict).splitlines()
+        claims = [one for one in load_content().claims if one.verdict == verdict]
+        assert (head.count("|"), rule.count("|")) == (3, 3)
+        assert [line.count("|") for line in lines] == [3] * len(claims)
+        assert [line.split("|")[1].strip() for line in lines] == [one.claim for one in claims]
+        for where in (one.where for one in claims):
+            assert (repository / "docs" / where.partition("#")[0]).is_file(), where
 
 
 @pytest.fixture(scope="module")
@@ -130,8 +130,11 @@ def test_a_line_of_the_page_has_the_number_of_the_results(page: Path, section: s
 def test_the_page_holds_every_section_and_picture_and_loads_nothing(page: Path, repository: Path):
     text = page.read_text(encoding="utf-8")
     content = load_content()
-    assert text.count("<h2") == 3 + len(content.sections)
-    assert text.index("Not reproduced") < text.index("Reproduced") < text.index("Contents")
+    assert text.count("<h2") == 2 + len(content.sections)
+    places = [text.index(f"<h3>{title}</h3>") for title in VERDICTS.values()]
+    assert places == sorted(places)
+    assert text.count("<h3") == len(VERDICTS)
+    assert places[-1] < text.index("aria-label=Contents")
     links, places = (re.findall(rf'{name}="#?(s\d+)"', text) for name in ("href", "id"))
     assert links == places == [f"s{k + 1}" for k in range(len(content.sections))]
     assert text.count("<figure>") == shown(repository)

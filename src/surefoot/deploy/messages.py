@@ -27,7 +27,7 @@ class Mode(DescribedEnum):
     DISARMED = 0, "Motors are damped; commands are refused."
     POSITION = 1, "Servos follow position commands."
     PWM = 2, "Motors get the duty that is sent, for identification."
-    FAULT = 3, "Motors are damped because of a fault, and stay so until armed anew."
+    FAULT = 3, "Motors are damped because of a fault, and stay so until armed again."
 
 
 class Reason(DescribedEnum):
@@ -84,7 +84,7 @@ class Hello(Message):
 
 @dataclass(frozen=True)
 class Ping(Message):
-    """Ask for a `Pong`; anybody may."""
+    """Ask for a `Pong`; needs no session."""
 
     token: int = quantity("1", "comes back in the pong")
 
@@ -114,7 +114,7 @@ class Pwm(SessionMessage):
 
 @dataclass(frozen=True)
 class Damp(SessionMessage):
-    """Damp the motors at once and stay so until armed anew."""
+    """Damp the motors at once and stay so until armed again."""
 
 
 @dataclass(frozen=True)
@@ -141,8 +141,8 @@ class Handshake(Message):
     servo_kd: Array = quantity("s/rad", "derivative gains, duty per speed; joint actuators: N m s/rad")
     command_period_min: float = quantity("s", "shortest time between commands")
     command_period_max: float = quantity("s", "longest time between commands")
-    angle_low: Array = quantity("rad", "least motor angles that a command may request")
-    angle_high: Array = quantity("rad", "greatest motor angles that a command may request")
+    angle_low: Array = quantity("rad", "lowest motor angles that a command may request")
+    angle_high: Array = quantity("rad", "highest motor angles that a command may request")
     tilt_limit: float = quantity("rad", "roll or pitch beyond which the robot damps itself")
     voltage_min: float = quantity("V", "battery voltage below which the robot damps itself")
     temperature_max: float = quantity("degC", "motor temperature beyond which the robot damps itself")
@@ -165,7 +165,7 @@ class State(Message):
     mode: int = quantity("1", "see Mode")
     reason: int = quantity("1", "why the motors are damped, or an armed robot should sit; see Reason")
     command: int = quantity("1", "sequence number of the last command that was accepted; 0: none")
-    command_age: float = quantity("s", "time since then, at most .655 s")
+    command_age: float = quantity("s", "time since then, at most 0.655 s")
     dropped: int = quantity("1", "commands refused since the session began, modulo 65536")
     motor_angle: Array = quantity("rad", "motor angles, in motor order")
     motor_velocity: Array = quantity("rad/s", "motor speeds")

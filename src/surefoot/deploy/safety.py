@@ -25,7 +25,7 @@ OF_ROBOT = "robot "
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """When a run ends early, and how; `docs/deploy.md` has these as a table."""
+    """When a run ends early, and how; `docs/safety.md` has these as a table."""
 
     battery_warn: float
     """Battery voltage [V] below which, for `battery_time`, it warns once."""

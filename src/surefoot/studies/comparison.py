@@ -36,19 +36,21 @@ from surefoot.tables import plain_rows, write_csv
 FAR = 3.0
 """A run goes far over this [m]; the paper counts such runs among nine on the robot."""
 CONTENTS = {
-    "policies": "a row a trained policy",
-    "groups": "a row a group and figure, with its interval",
-    "differences": "a row a pair of groups and figure: difference, interval, p value, and p after Holm's correction",
-    "episodes": "a row an episode, of all evaluations",
-    "sensitivity": "a row a policy and test world",
-    "gap_groups": "a row a group and world, of all policies and of the best (`top`): means, errors, intervals",
-    "top_differences": "differences.csv for the best policies, figures of the reality gap",
+    "policies": "one row per trained policy",
+    "groups": "one row per group and metric, with its interval",
+    "differences": "one row per pair of groups and metric: difference, interval, p, and p after Holm's correction",
+    "episodes": "one row per episode of all evaluations",
+    "sensitivity": "one row per policy and test world",
+    "gap_groups": "one row per group and world, for all policies and for the best (`top`): means, errors, intervals",
+    "top_differences": "differences.csv for the best policies, metrics of the reality gap",
+    "gaits": "one row per policy: gait, stride period [s] and duty factor",
 }
 """What each table holds."""
 _EPISODE_COLUMNS = (
     *("group", "seed", "evaluation", "world", "row", "value", "run", "return", "speed", "fell"),
     *("distance", "power", "steps", "balanced"),
 )
+_GAIT_COLUMNS = ("gait", "agree", "pattern", "reason", "stride", "duty")
 
 
 def late_gain(curve: pd.DataFrame) -> float:
@@ -196,6 +198,11 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
             row for group in groups for which, part in parts.items() for row in _gap_rows(which, group, part)
         ]
         tables["top_differences"] = _differences(best, EVALUATIONS[comparison.gap_kind].figures)
+    if "gait" in comparison.kinds:
+        tables["gaits"] = [
+            {"group": row.group, "seed": row.seed} | {name: row.results["gait"][name] for name in _GAIT_COLUMNS}
+            for row in policies.itertuples()
+        ]
     return {name: pd.DataFrame(table) for name, table in tables.items()}
 
 
@@ -211,6 +218,11 @@ def _differences(comparison: Comparison, figures: Sequence[ResultFigure]) -> pd.
     ]
     table = pd.DataFrame(rows)
     return table.assign(p_holm=table.groupby("figure").p.transform(holm)) if rows else table
+
+
+def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
+    """Return the tables that `write_tables` wrote into a folder, by name."""
+    return {name: pd.read_csv(folder / f"{name}.csv") for name in CONTENTS if (folder / f"{name}.csv").is_file()}
 
 
 def write_tables(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:

@@ -11,10 +11,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.evaluation.statistics import Interval, decimal
-from surefoot.files import atomic_write
-from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import BLUE, GREEN, ORANGE, QUIET, capital, heading, new_figure, place_labels
-from surefoot.studies.evaluations import load_gait_trace
 from surefoot.studies.search_space import short_name
 
 if TYPE_CHECKING:
@@ -26,11 +23,10 @@ if TYPE_CHECKING:
 _COLORS = {"complete": BLUE, "pruned": ORANGE}
 
 
-def write_readme(folder: Path, title: str, command: str, parts: Iterable[str], files: Mapping[str, str]) -> Path:
-    """Write README.md into a folder; return its path.
+def readme(title: str, command: str, parts: Iterable[str], files: Mapping[str, str]) -> str:
+    """Return README.md of a report.
 
     Args:
-        folder: the folder.
         title: title of the report.
         command: command line that made it.
         parts: headings, paragraphs, tables and images in Markdown.
@@ -38,9 +34,7 @@ def write_readme(folder: Path, title: str, command: str, parts: Iterable[str], f
     """
     listed = "\n".join(f"- [{name}]({name}): {content}" for name, content in files.items())
     text = [f"# {title}", f"```sh\n{command}\n```", *parts, "## Files", listed]
-    path = folder / "README.md"
-    atomic_write(path, "\n\n".join(text) + "\n")
-    return path
+    return "\n\n".join(text) + "\n"
 
 
 def image(caption: str, file: str) -> str:
@@ -48,17 +42,10 @@ def image(caption: str, file: str) -> str:
     return f"![{caption}]({file})"
 
 
-def gait_image(policy: Path, folder: Path, name: str, caption: str) -> str:
-    """Draw the footfalls of the episode that the evaluation `gait` of a policy file stored; return the image."""
-    file = f"gait_{name}.png"
-    footfall_diagram(load_gait_trace(policy), folder / file)
-    return image(f"Footfalls: {caption}", file)
-
-
 def stride_cells(result: Mapping[str, Any]) -> dict[str, str]:
     """Return the stride period and duty factor of a result of the evaluation `gait` as cells of a table."""
     return {
-        heading: decimal(math.nan if result[name] is None else result[name])
+        heading: decimal(math.nan if result[name] in (None, "") else float(result[name]))
         for heading, name in (("stride (s)", "stride"), ("duty factor", "duty"))
     }
 

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from surefoot.configuration import read_yaml
 from surefoot.evaluation.runs import summarize_runs
 from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
-from surefoot.studies.report import gait_image, image, search_figure, settings_figure, stride_cells, write_readme
+from surefoot.files import atomic_write
+from surefoot.report.figures.runs import footfall_diagram
+from surefoot.studies.evaluations import load_gait_trace
+from surefoot.studies.report import image, readme, search_figure, settings_figure, stride_cells
+from surefoot.studies.search import make_config
 from surefoot.studies.search_result import SearchResult, sort_trials
 from surefoot.studies.search_space import short_name
 from surefoot.tables import markdown, write_csv
@@ -31,21 +39,69 @@ _BIAS = (
 _OBJECTS = ["curve", "policy", "result"]
 """Columns of trials that are not written to tables."""
 _CONTENTS = {
-    "trials.csv": "a row a trial",
-    "best.csv": "a row a fresh episode of the best",
-    "top.csv": "a row each of the best, claimed and fresh, and one over all of them",
+    "trials.csv": "one row per trial",
+    "best.csv": "one row per fresh episode of the best",
+    "top.csv": "one row for each of the best, claimed and fresh, and one over all of them",
+    "census.csv": "one row per gait: trials, patterns and the trial of the highest return",
+    "importance.csv": "one row per field",
 }
 """Content of each table."""
+_LONGEST = 200
+"""Characters of a gait's patterns in the report; longer ones are in the table only."""
 
 
 def write_report(result: SearchResult, folder: Path, command: str) -> Path:
     """Write tables, figures and README.md, with the command that made them, into a folder; return README's path."""
-    trials, train, biases = result.trials, result.config.train, result.selection_bias()
+    trials = result.trials
     write_csv(folder / "trials.csv", trials.drop(columns=_OBJECTS))
     write_csv(folder / "best.csv", result.fresh)
     write_csv(folder / "top.csv", _top_rows(result))
+    census = _census(result)
+    importance = [{"field": name, "importance": value} for name, value in result.importance.items()]
+    for name, rows, columns in (
+        ("census", census, ("gait", "trials", "complete", "patterns", "highest_return", "of_trial", "stride", "duty")),
+        ("importance", importance, ("field", "importance")),
+    ):
+        write_csv(folder / f"{name}.csv", pd.DataFrame(rows, columns=list(columns)))
     search_figure(result, folder / "search.png")
     settings_figure(result, folder / "parameters.png")
+    # A trial that was under way at the last report may have another gait now.
+    for old in folder.glob("gait_*.png"):
+        old.unlink()
+    for row in census:
+        (policy,) = trials[trials.trial == row["of_trial"]].policy
+        footfall_diagram(load_gait_trace(policy), folder / f"gait_{row['gait']}.png")
+    path = folder / "README.md"
+    atomic_write(path, report_text(result, tuple(result.config.space), census, command))
+    return path
+
+
+def text_of_tables(folder: Path, command: str) -> str:
+    """Return README.md of a search from the tables of its report, without the trials' folders."""
+    census, importance, fresh, trials = (
+        pd.read_csv(folder / f"{name}.csv", keep_default_na=name != "census")
+        for name in ("census", "importance", "best", "trials")
+    )
+    fresh["balanced"] = fresh.balanced.astype(bool)
+    # The file may be of an earlier version, whose task this version does not read.
+    stored = read_yaml(folder / "search.yaml")
+    train = stored["train"]
+    config = make_config(train["task"]["name"], None, stored["seed"], train["steps"])
+    config = replace(config, train=replace(config.train, evaluation_episodes=train["evaluation_episodes"]))
+    result = SearchResult(config, trials, fresh, dict(zip(importance.field, importance.importance, strict=True)))
+    return report_text(result, tuple(stored["space"]), census.to_dict("records"), command)
+
+
+def report_text(result: SearchResult, fields: Sequence[str], census: Sequence[Mapping[str, Any]], command: str) -> str:
+    """Return README.md of a search from its tables; of the result only config, importance and the tables' columns.
+
+    Args:
+        result: the search.
+        fields: dotted names of the fields that were searched.
+        census: a row for each gait.
+        command: command line that made the report.
+    """
+    trials, train, biases = result.trials, result.config.train, result.selection_bias()
     counts = ", ".join(f"{number} {state}" for state, number in trials.groupby("state", sort=False).size().items())
     bias = t_interval([bias.mean for _, bias in biases.values()])
     importance = [{"field": f"`{name}`", "importance": decimal(value)} for name, value in result.importance.items()]
@@ -54,7 +110,7 @@ def write_report(result: SearchResult, folder: Path, command: str) -> Path:
         f"evaluation, seed {result.config.seed}; {trials.seconds.sum() / 3600:.2f} hours of training in all. {_TERMS}",
         image("Returns of all trials", "search.png"),
         "## Best trials",
-        markdown(_best_rows(result)),
+        markdown(_best_rows(result, fields)),
         "## Selection bias of the best",
         _BIAS,
         markdown([_retest_row(result, number, *values) for number, values in biases.items()]),
@@ -64,20 +120,17 @@ def write_report(result: SearchResult, folder: Path, command: str) -> Path:
         image("Return against each field", "parameters.png"),
         "## Gaits that emerged",
         "Names of the gaits of all policies, pruned ones included: the most frequent name in 5 episodes at home.",
-        *_census(result, folder),
+        *_census_section(census),
     ]
-    return write_readme(folder, f"Search: {train.task.name}", command, parts, _CONTENTS)
+    return readme(f"Search: {train.task.name}", command, parts, _CONTENTS)
 
 
-def _best_rows(result: SearchResult) -> list[dict[str, str]]:
+def _best_rows(result: SearchResult, fields: Sequence[str]) -> list[dict[str, str]]:
     """Return the rows of the best complete trials with their settings."""
     complete = result.trials[result.trials.state == "complete"]
     return [
         {"trial": str(row["trial"]), "return (m)": decimal(row["return"]), "gait": row["pattern"] or "-"}
-        | {
-            short_name(name): f"{x:.3g}" if isinstance(x := row[name], float) else str(x)
-            for name in result.config.space
-        }
+        | {short_name(name): f"{x:.3g}" if isinstance(x := row[name], float) else str(x) for name in fields}
         for row in sort_trials(complete)[:_LISTED].to_dict("records")
     ]
 
@@ -126,26 +179,39 @@ def _cells(fresh: Interval, bias: Interval, runs: pd.DataFrame) -> dict[str, obj
     return cells
 
 
-def _census(result: SearchResult, folder: Path) -> list[str]:
-    """Draw the footfalls of each gait, of its trial of the highest return; return the section."""
-    # A trial that was under way at the last report may have another gait now.
-    for old in folder.glob("gait_*.png"):
-        old.unlink()
+def _census(result: SearchResult) -> list[dict[str, Any]]:
+    """Return a row for each gait, the most frequent first."""
     gaits = dict(list(sort_trials(result.trials).groupby("gait")))
-    rows, figures = [], []
+    rows = []
     for gait, trials in sorted(gaits.items(), key=lambda item: -len(item[1])):
         first = trials.iloc[0]
         patterns = [one["reason"] or one["pattern"] for one in trials.result]
         rows.append(
             {
                 "gait": gait,
-                "trials": str(len(trials)),
-                "complete": str((trials.state == "complete").sum()),
+                "trials": len(trials),
+                "complete": int((trials.state == "complete").sum()),
                 "patterns": ", ".join(f"{patterns.count(one)} {one}" for one in dict.fromkeys(patterns)),
-                "highest return (m)": decimal(first["return"]),
-                "of trial": str(first.trial),
-                **stride_cells(first.result),
+                "highest_return": first["return"],
+                "of_trial": first.trial,
+                **{name: first.result[name] for name in ("stride", "duty")},
             }
         )
-        figures += [f"Trial {first.trial}:", gait_image(first.policy, folder, gait, gait)]
+    return rows
+
+
+def _census_section(census: Sequence[Mapping[str, Any]]) -> list[str]:
+    rows, figures = [], []
+    for one in census:
+        patterns = one["patterns"]
+        rows.append(
+            {
+                **{name: str(one[name]) for name in ("gait", "trials", "complete")},
+                "patterns": patterns if len(patterns) < _LONGEST else "many, see census.csv",
+                "highest return (m)": decimal(one["highest_return"]),
+                "of trial": str(one["of_trial"]),
+                **stride_cells(one),
+            }
+        )
+        figures += [f"Trial {one['of_trial']}:", image(f"Footfalls: {one['gait']}", f"gait_{one['gait']}.png")]
     return [markdown(rows), *figures] if rows else ["There is no policy yet."]

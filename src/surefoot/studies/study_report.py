@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
+from surefoot.evaluation.statistics import CONFIDENCE, Interval, MeanEstimate, decimal
+from surefoot.files import atomic_write
 from surefoot.report.figures.gap import gap_figure
 from surefoot.report.figures.learning import learning_curves
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
+from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import capital
-from surefoot.studies.comparison import CONTENTS, FAR, Comparison, study_tables, write_tables
-from surefoot.studies.evaluations import EVALUATIONS, ResultFigure
-from surefoot.studies.report import gait_image, group_figure, image, stride_cells, write_readme
+from surefoot.studies.comparison import CONTENTS, FAR, Comparison, read_tables, study_tables, write_tables
+from surefoot.studies.evaluations import EVALUATIONS, ResultFigure, load_gait_trace
+from surefoot.studies.report import group_figure, image, readme, stride_cells
+from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import markdown
 
 _BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std", "gap_away", "gap", "gap_balanced")
@@ -41,12 +46,26 @@ _GAP_TERMS = (
 
 def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
     """Write tables, figures and README.md, with the command that made them, into a folder; return README's path."""
-    tables, missing = study_tables(comparison), ", ".join(comparison.missing)
-    files = write_tables(comparison, tables, folder)
-    group_figure(comparison, folder / "groups.png", _BARS)
-    label, figures = comparison.study.label, comparison.figures
+    tables = study_tables(comparison)
+    write_tables(comparison, tables, folder)
+    _draw(comparison, folder)
+    path = folder / "README.md"
+    atomic_write(path, report_text(comparison, tables, command))
+    return path
+
+
+def text_of_tables(study: StudyConfig, folder: Path, command: str) -> str:
+    """Return README.md of a study from the tables of its report, without the runs."""
+    tables = read_tables(folder)
+    missing = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["missing"]
+    return report_text(Comparison(study, tables["policies"], tuple(missing)), tables, command)
+
+
+def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], command: str) -> str:
+    """Return README.md of a study from its tables; of the comparison only study, policies' columns and `missing`."""
+    missing, label, figures = ", ".join(comparison.missing), comparison.study.label, comparison.figures
     levels = [
-        {one.name: comparison.interval(group, one).text(one.digits) for one in figures} for group in comparison.groups
+        {one.name: _level(tables, group, one.name).text(one.digits) for one in figures} for group in comparison.groups
     ]
     seeds = comparison.policies.to_dict("records")
     parts = [
@@ -57,9 +76,9 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         "## Comparisons",
         *_comparisons(comparison, tables["differences"]),
         "## Trainings",
-        markdown([_training(comparison, group) for group in comparison.groups]),
-        *_curves(comparison, folder),
-        *(_gaps(comparison, tables, folder) if comparison.gap_kind else []),
+        markdown([_training(comparison, tables, group) for group in comparison.groups]),
+        *(image("Learning curves", file) for file in _curve_files(comparison)),
+        *(_gaps(comparison, tables) if comparison.gap_kind else []),
         "## Results",
         *_by_figure(figures, [{"group": label(group)} for group in comparison.groups], levels),
         image("Groups side by side", "groups.png"),
@@ -71,11 +90,44 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
             [{"group": label(row["group"]), "seed": row["seed"]} for row in seeds],
             [{one.name: decimal(row[one.name], one.digits) for one in figures} for row in seeds],
         ),
-        *(_gaits(comparison, folder) if "gait" in comparison.kinds else []),
-        *(_parameters(comparison, folder) if "sensitivity" in comparison.kinds else []),
+        *(_gaits(comparison, tables["gaits"]) if "gait" in comparison.kinds else []),
+        *(_parameters(tables["sensitivity"]) if "sensitivity" in comparison.kinds else []),
     ]
-    listed = {file.name: CONTENTS.get(file.stem, "all but the episodes") for file in files}
-    return write_readme(folder, f"Study: {comparison.study.name}", command, parts, listed)
+    listed = {f"{name}.csv": CONTENTS[name] for name, table in tables.items() if len(table)}
+    listed["summary.json"] = "all but the episodes"
+    return readme(f"Study: {comparison.study.name}", command, parts, listed)
+
+
+def _draw(comparison: Comparison, folder: Path) -> None:
+    """Draw the figures that the text shows."""
+    label = comparison.study.label
+    group_figure(comparison, folder / "groups.png", _BARS)
+    for file, groups in _curve_files(comparison).items():
+        curves = {label(group): list(comparison.of_group(group).curve) for group in groups}
+        learning_curves(curves, folder / file)
+    if comparison.gap_kind:
+        best = comparison.best()
+        for name, names in comparison.sets().items():
+            gap_figure([comparison.gap(group) for group in names], folder / f"gap_{name}.png", over_policies=True)
+            gap_figure([best.gap(group) for group in names], folder / f"gap_{name}_top.png")
+    if "gait" in comparison.kinds:
+        for group in comparison.groups:
+            footfall_diagram(load_gait_trace(comparison.of_group(group).policy.iloc[0]), folder / f"gait_{group}.png")
+    if "sensitivity" in comparison.kinds:
+        tested = {label(group): comparison.sensitivities(group) for group in comparison.groups}
+        parameters_figure(tested, folder / "parameters.png")
+        for row in next(iter(tested.values()))[0].rows:
+            parameter_figure(row, tested, folder / "parameters" / f"{row}.png")
+
+
+def _level(tables: Mapping[str, pd.DataFrame], group: str, figure: str) -> Interval:
+    """Return the mean of a figure over a group, with its interval or the numbers of a few policies."""
+    rows = tables["groups"]
+    row = rows[(rows.group == group) & (rows.figure == figure)].iloc[0]
+    interval = Interval(row["mean"], row["low"], row["high"])
+    policies = tables["policies"]
+    values = () if interval.is_finite else tuple(policies[policies.group == group][figure])
+    return replace(interval, values=values)
 
 
 def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
@@ -141,7 +193,7 @@ def _by_figure(
     ]
 
 
-def _training(comparison: Comparison, group: str) -> dict[str, str]:
+def _training(comparison: Comparison, tables: Mapping[str, pd.DataFrame], group: str) -> dict[str, str]:
     """Return the row of a group's trainings."""
     policies = comparison.of_group(group)
     return {
@@ -149,58 +201,48 @@ def _training(comparison: Comparison, group: str) -> dict[str, str]:
         "name": f"`{group}`",
         "seeds": ", ".join(map(str, policies.seed)),
         "control steps": ", ".join(f"{steps:,}" for steps in policies.steps.unique()),
-        "late gain of return (m)": t_interval(policies.late_gain).text(2, sign=True),
+        "late gain of return (m)": _level(tables, group, "late_gain").text(2, sign=True),
     }
 
 
-def _curves(comparison: Comparison, folder: Path) -> list[str]:
-    """Draw the learning curves, a figure for each set of groups; return lines that show them."""
-    lines = []
-    for name, groups in comparison.sets().items():
-        file = f"learning_curves_{name}.png" if comparison.study.bars else "learning_curves.png"
-        curves = {comparison.study.label(group): list(comparison.of_group(group).curve) for group in groups}
-        learning_curves(curves, folder / file)
-        lines.append(image("Learning curves", file))
-    return lines
+def _curve_files(comparison: Comparison) -> dict[str, list[str]]:
+    """Return the groups of each figure of learning curves, by its file."""
+    sets = comparison.sets().items()
+    return {
+        f"learning_curves_{name}.png" if comparison.study.bars else "learning_curves.png": one for name, one in sets
+    }
 
 
-def _gaits(comparison: Comparison, folder: Path) -> list[str]:
-    """Name the gait of each policy and draw an episode of each group's first; return the section."""
-    rows, figures = [], []
-    for group in comparison.groups:
-        label, policies = comparison.study.label(group), comparison.of_group(group)
-        for policy in policies.itertuples():
-            gait = policy.results["gait"]
-            row = {"group": label, "seed": str(policy.seed), "gait": gait["gait"], "agree": f"{gait['agree']} of 5"}
-            row |= {"pattern": gait["pattern"], "why unnamed": gait["reason"] or ""}
-            rows.append(row | stride_cells(gait))
-        figures.append(gait_image(policies.policy.iloc[0], folder, group, f"{label}, seed {policies.seed.iloc[0]}"))
+def _gaits(comparison: Comparison, table: pd.DataFrame) -> list[str]:
+    """Return the section with the gait of each policy and an episode of each group's first."""
+    label = comparison.study.label
+    rows = [
+        {"group": label(row["group"]), "seed": str(row["seed"]), "gait": row["gait"], "agree": f"{row['agree']} of 5"}
+        | {"pattern": row["pattern"], "why unnamed": "" if pd.isna(row["reason"]) else row["reason"]}
+        | stride_cells(row)
+        for row in table.to_dict("records")
+    ]
+    firsts = {group: comparison.of_group(group).seed.iloc[0] for group in comparison.groups}
+    figures = [image(f"Footfalls: {label(group)}, seed {seed}", f"gait_{group}.png") for group, seed in firsts.items()]
     return ["## Gaits", markdown(rows), *figures]
 
 
-def _parameters(comparison: Comparison, folder: Path) -> list[str]:
-    """Draw returns and falls against each parameter; return the section."""
-    groups = {comparison.study.label(group): comparison.sensitivities(group) for group in comparison.groups}
-    rows = next(iter(groups.values()))[0].rows
-    parameters_figure(groups, folder / "parameters.png")
-    for row in rows:
-        parameter_figure(row, groups, folder / "parameters" / f"{row}.png")
+def _parameters(table: pd.DataFrame) -> list[str]:
+    """Return the section with returns and falls against each parameter."""
     return [
         "## One parameter at a time",
         image("Return against each parameter", "parameters.png"),
-        "With falls: " + ", ".join(f"[{row.replace('_', ' ')}](parameters/{row}.png)" for row in rows),
+        "With falls: " + ", ".join(f"[{row.replace('_', ' ')}](parameters/{row}.png)" for row in table.row.unique()),
     ]
 
 
-def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Path) -> list[str]:
-    """Draw the gaps of each set of groups, of all policies and of the best; return the sections."""
+def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame]) -> list[str]:
+    """Return the sections on the gaps of each set of groups, of all policies and of the best."""
     groups, lines, top = tables["gap_groups"], ["## Reality gap", _GAP_TERMS], comparison.study.top
     label, best = comparison.study.label, comparison.best()
     for name, names in comparison.sets().items():
-        file = f"gap_{name}.png"
-        gap_figure([comparison.gap(group) for group in names], folder / file, over_policies=True)
         finding = comparison.finding(comparison.study.bars.get(name, names))
-        lines += [f"### {capital(name)}", image("Return of all policies at home and away", file)]
+        lines += [f"### {capital(name)}", image("Return of all policies at home and away", f"gap_{name}.png")]
         lines += [f"In the paper: {finding}"] if finding else []
         lines.append(_gap_table(groups[(groups.policies == "all") & groups.group.isin(names)]))
     chosen = [f"{label(group)} {', '.join(map(str, best.of_group(group).seed))}" for group in best.groups]
@@ -210,9 +252,7 @@ def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Pa
         f"runs. Seeds: {'; '.join(chosen)}.",
     ]
     for name, names in comparison.sets().items():
-        file = f"gap_{name}_top.png"
-        gap_figure([best.gap(group) for group in names], folder / file)
-        lines += [image(f"Return of the best {top} policies at home and away", file)]
+        lines += [image(f"Return of the best {top} policies at home and away", f"gap_{name}_top.png")]
         lines.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
     return [*lines, *_differences(best, tables["top_differences"], EVALUATIONS[comparison.gap_kind].figures)]
 

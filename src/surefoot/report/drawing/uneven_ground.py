@@ -1,7 +1,7 @@
 """Compiled loops of the renderer for a ground that is not flat: what colors its triangles.
 
 Squares of the flat ground's size lie on it; edges of steps have dark lines. It has no shadow of its own: instead it is
-darker the further it is below its course.
+darker the further it is below its course, and tinted by its height.
 """
 
 from __future__ import annotations
@@ -18,6 +18,10 @@ _LINE, _LINE_DARK = 0.015, 0.55
 """Width [m] of the line along the edge of a step, and how much darker it is, as a share."""
 _DEPTH, _DEPTH_DARK = 0.25, 0.75
 """Depth below the course [m] over which the ground grows darker, and how much darker it becomes, as a share."""
+_TINT_HEIGHT = 0.3
+"""Height [m] at which the tint is half as strong as it becomes."""
+_HIGH_TINT, _LOW_TINT = (0.0, 0.2, 0.5), (0.4, 0.15, 0.0)
+"""Fractions of red, green and blue that the strongest tint takes from what is above, and below, z = 0."""
 _WALL = 0.1
 """Vertical part of the unit normal below which a face is a wall, without squares."""
 
@@ -73,6 +77,20 @@ class VisibleGround(NamedTuple):
     """Height of what casts the shadow at each of the light's places (H, W) [m]."""
     base: float
     """Height from which the light counts heights [m]."""
+
+
+def height_tint(z: Any) -> tuple[Any, Any, Any]:
+    """Return the factors on red, green and blue of the ground at heights z [m]: sand above z = 0, blue below it."""
+    high, low = np.maximum(z, 0.0), np.maximum(-z, 0.0)
+    high, low = high / (high + _TINT_HEIGHT), low / (low + _TINT_HEIGHT)
+    return (
+        1.0 - _HIGH_TINT[0] * high - _LOW_TINT[0] * low,
+        1.0 - _HIGH_TINT[1] * high - _LOW_TINT[1] * low,
+        1.0 - _HIGH_TINT[2] * high - _LOW_TINT[2] * low,
+    )
+
+
+_tint = compiled(height_tint)
 
 
 @compiled
@@ -153,7 +171,8 @@ def _shade(
     sun = SUN * max(nx * lx + ny * ly + nz * lz, 0.0) * (1.0 - shadow * look.dim * bright / level_sun)
     share = np.sqrt(max(share * (SKY + UP * nz + sun) / bright, 0.0))
     haze = 1.0 - np.exp(-((distance / look.hazy) ** 1.5))
-    red, green, blue = share * look.color[0], share * look.color[1], share * look.color[2]
+    tint = _tint(z)
+    red, green, blue = share * tint[0] * look.color[0], share * tint[1] * look.color[1], share * tint[2] * look.color[2]
     return (
         red + haze * (look.haze[0] - red),
         green + haze * (look.haze[1] - green),

@@ -20,10 +20,8 @@ def success_figure(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
     kinds = [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]
     cases = list(dict.fromkeys((row["policy"], row["world"], row["robots"]) for row in rows))
     columns = min(len(kinds), 4)
-    with new_figure(path, (2.6 * columns, 2.4 * -(-len(kinds) // columns)), -(-len(kinds) // columns), columns) as (
-        _,
-        axes,
-    ):
+    rows_of_panels = -(-len(kinds) // columns)
+    with new_figure(path, (2.6 * columns, 2.4 * rows_of_panels), rows_of_panels, columns) as (figure, axes):
         for axis, kind in zip(axes, kinds, strict=False):
             for number, case in enumerate(cases):
                 own = sorted(
@@ -31,7 +29,9 @@ def success_figure(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
                     for row in rows
                     if row["kind"] == kind and (row["policy"], row["world"], row["robots"]) == case
                 )
-                label = ", ".join(str(part) for part in case if part not in ("mujoco", "nominal"))
+                label = ", ".join(str(part) for part in case if part not in ("mujoco", "nominal")).replace(
+                    "table1", "randomized robots"
+                )
                 axis.plot(
                     *zip(*own, strict=True) if own else ([], []),
                     color=COLORS[number % len(COLORS)],
@@ -41,6 +41,6 @@ def success_figure(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
             axis.set(title=kind.replace("_", " "), xlabel=f"size [{KINDS[kind].unit}]", ylim=(-0.03, 1.03))
         for axis in axes[len(kinds) :]:
             axis.set_visible(False)
-        axes[0].set_ylabel("kept up")
-        axes[0].legend()
+        axes[0].set_ylabel("success")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(len(cases), 5))
     return path

@@ -12,6 +12,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from surefoot.report.drawing.ground_part import faces, step_edges
+from surefoot.report.drawing.uneven_ground import height_tint
 from surefoot.world.ground import Ground
 
 _TILE = 0.25
@@ -24,6 +25,8 @@ _DEPTH, _DEPTH_DARK = 0.25, 0.5
 """Depth below the course [m] over which the ground grows darker, and how much darker it becomes, as a share."""
 _PIXELS = 2048
 """Pixels of the surface's picture along each side."""
+_WALL_PIXELS = 256
+"""Pixels of the walls' picture from bottom to top."""
 
 
 @functools.lru_cache(maxsize=4)
@@ -32,10 +35,11 @@ def ground_model(part: Ground) -> bytes:
     triangles, normals = faces(part)
     is_wall = np.abs(normals[:, 2]) < 1e-6
     sides = part.cell * np.array(part.corners.shape[:2])
+    low, high = float(part.corners.min()), float(part.corners.max())
     scene = trimesh.Scene()
-    looks: list[tuple[str, Any, dict[str, Any]]] = [
-        ("surface", ~is_wall, {"baseColorTexture": _picture(part)}),
-        ("walls", is_wall, {"baseColorFactor": [*_WALL, 255]}),
+    looks: list[tuple[str, Any, Image.Image]] = [
+        ("surface", ~is_wall, _picture(part)),
+        ("walls", is_wall, _wall_picture(low, high)),
     ]
     for name, rows, look in looks:
         if not rows.any():
@@ -44,10 +48,19 @@ def ground_model(part: Ground) -> bytes:
         # Corners of one place are one point: a viewer computes the normals of triangles.
         _, first, index = np.unique(np.round(corners, 6), axis=0, return_index=True, return_inverse=True)
         points = corners[first]
-        material = PBRMaterial(metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True, **look)
-        visual = TextureVisuals(uv=(points[:, :2] - part.grid[:2]) / sides, material=material)
+        material = PBRMaterial(metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True, baseColorTexture=look)
+        uv = (points[:, :2] - part.grid[:2]) / sides
+        if name == "walls":
+            uv = np.column_stack([np.full(len(points), 0.5), (points[:, 2] - low) / (high - low)])
+        visual = TextureVisuals(uv=uv, material=material)
         scene.add_geometry(trimesh.Trimesh(points, index.reshape(-1, 3), visual=visual, process=False), geom_name=name)
     return bytes(scene.export(file_type="glb"))
+
+
+def _wall_picture(low: float, high: float) -> Image.Image:
+    """Return the color of walls between two heights [m], the high one on top."""
+    tint = np.stack(height_tint(np.linspace(high, low, _WALL_PIXELS)), axis=-1)
+    return Image.fromarray((tint[:, None] * _WALL).repeat(2, axis=1).astype(np.uint8))
 
 
 def _picture(part: Ground) -> Image.Image:
@@ -62,5 +75,6 @@ def _picture(part: Ground) -> Image.Image:
         picture[edges[index][:, index, 1, end] & near] = _EDGE
     below = np.maximum(part.course - part.corners.mean(axis=(2, 3)), 0.0)
     bright = 1.0 - _DEPTH_DARK * (1.0 - np.exp(-below / _DEPTH))
-    picture = (picture * bright[index][:, index, None]).astype(np.uint8)
+    tint = np.stack(height_tint(part.corners.mean(axis=(2, 3))), axis=-1) * bright[..., None]
+    picture = (picture * tint[index][:, index]).astype(np.uint8)
     return Image.fromarray(picture.transpose(1, 0, 2)[::-1])
