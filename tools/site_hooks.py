@@ -53,6 +53,7 @@ OUTSIDE = (
     "policies/README.md",
     "examples/first_hour.ipynb",
     "examples/sb3.py",
+    "results/*.*",
     "results/*/*.*",
     "results/*/parameters/*",
 )
