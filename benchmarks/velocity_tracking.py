@@ -132,7 +132,7 @@ def main() -> int:
         default=(),
         metavar=("LOW", "HIGH", "SIDEWAYS", "TURN"),
         help="measure on commands of a smaller range too: speed forward from LOW to HIGH [m/s], SIDEWAYS [m/s] and "
-        "TURN [rad/s] to both sides; those that all Go2 policies of docs/steer.md follow: -0.5 1 0.4 0.8",
+        "TURN [rad/s] to both sides; those that all Go2 policies of results/steer follow: -0.5 1 0.4 0.8",
     )
     parser.add_argument("--out", type=Path, help="CSV file for the errors, with those of earlier runs")
     options = parser.parse_args()

@@ -2,7 +2,7 @@
 
     python examples/open_loop.py trot --out results/open_loop.csv
 
-The paper's robot sat down at once with its reference gait alone; see docs/reality-gap.md.
+The paper's robot sat down at once with its reference gait alone; see results/open-loop/README.md.
 """
 
 from __future__ import annotations

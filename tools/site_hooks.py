@@ -53,7 +53,7 @@ OUTSIDE = (
     "policies/README.md",
     "examples/first_hour.ipynb",
     "examples/sb3.py",
-    "results/README.md",
+    "results/*.*",
     "results/*/*.*",
     "results/*/parameters/*",
 )
