@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
     path
-    for pattern in ("README.md", "CONTRIBUTING.md", "policies/README.md", "docs/*.md")
+    for pattern in ("README.md", "CONTRIBUTING.md", "policies/README.md", "docs/*.md", "docs/decisions/*.md")
     for path in sorted(ROOT.glob(pattern))
 ]
 LINK = re.compile(r"\]\((?!\w+:)([^)\s]+)\)")

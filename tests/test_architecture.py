@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import functools
 import graphlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -120,6 +121,13 @@ def test_every_import_is_allowed():
 def test_every_package_is_in_the_table():
     packages = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     assert packages == {*ALLOWED, "api", "cli"}
+
+
+def test_the_page_has_the_packages_that_each_may_import():
+    page = (PACKAGE.parents[1] / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)/`.*\| ([^|]+) \|$", page, re.MULTILINE)
+    said = {package: set(re.findall(r"\w+", cell)) & set(ALLOWED) for package, cell in rows if package in ALLOWED}
+    assert said == {package: {entry.split(".")[0] for entry in entries} for package, entries in ALLOWED.items()}
 
 
 def test_the_packages_form_a_hierarchy():

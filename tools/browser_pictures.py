@@ -80,8 +80,3 @@ if __name__ == "__main__":
         page.evaluate("playing = false; setTime(3.62)")
         page.wait_for_timeout(4000)
         page.screenshot(path=FOLDER / "show.png")
-        written = Path(folder) / "paper.html"
-        subprocess.run([*SUREFOOT, "study", "paper", "--out", written], check=True)
-        page = browser.new_page(viewport={"width": 985, "height": 1100})
-        page.goto(written.as_uri())
-        page.screenshot(path=FOLDER / "paper.png")
