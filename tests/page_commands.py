@@ -46,12 +46,16 @@ class PageRun:
         folder: the folder in which everything runs.
         elsewhere: commands that are not run here, by a part of the line, and the test that runs them.
         emulated: words of the emulated robot that runs at the page's port before the page starts one.
+        before: words of commands that make what the page takes as there.
+        names: what stands for a name on the page, such as FOLDER; RUN is the newest training.
         ran: lines that were run.
     """
 
     folder: Path
     elsewhere: dict[str, str] = field(default_factory=dict)
     emulated: tuple[str, ...] = ()
+    before: tuple[tuple[str, ...], ...] = ()
+    names: dict[str, str] = field(default_factory=dict)
     ran: list[str] = field(default_factory=list)
     _emulator: Emulator | None = None
 
@@ -63,6 +67,9 @@ class PageRun:
         """
         text, unused = COMMENT.sub("", page.read_text(encoding="utf-8")), set(self.elsewhere)
         with emulators(Emulator) as start, contextlib.chdir(self.folder):
+            for words in self.before:
+                done = surefoot(*words)
+                assert done.returncode == 0, done.stderr
             for _, language, code in FENCED.findall(text):
                 if language == "yaml":
                     self._save(code)
@@ -101,7 +108,8 @@ class PageRun:
         self.ran.append(line)
 
     def _filled(self, word: str) -> list[str]:
-        """Return a word with the files that a pattern matches, newest run last."""
+        """Return a word with the newest file that a pattern matches, or what stands for a name."""
+        word = {"RUN": "runs/*/*", **self.names}.get(word, word)
         return sorted(glob.glob(word), key=lambda path: Path(path).stat().st_mtime)[-1:] if "*" in word else [word]
 
     def _start(self, words: list[str], start: Start) -> None:

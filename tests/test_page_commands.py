@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 from markdown_pages import FENCED, ROOT
@@ -37,20 +38,56 @@ def test_options_make_commands_short():
     assert shortened("evaluate", ["trot", "--duration", "0.5"]) == ["trot", "--duration", "0.5", "--episodes", "2"]
 
 
-def reader(folder: Path, page: str, **options: object) -> PageRun:
+def reader(folder: Path, page: str, **options: Any) -> PageRun:
     """Return a reader in a folder with the files that pages take as there."""
     (folder / "data").symlink_to(ROOT / "data")
     (folder / "square.csv").write_text(SQUARE)
     shutil.copy(RobotDescription.load("solo8").urdf.path, folder / "mine.urdf")
-    run = PageRun(folder, **options)  # type: ignore[arg-type]
+    run = PageRun(folder, **options)
     run.run(page_path(page))
     return run
 
 
+ADOPTED = tuple(
+    ("adopt", f"data/rl_sar/{name}/policy.pt", "--from", "rl_sar", "--robot", "go2", "--out", f"{name}.onnx")
+    for name in ("himloco", "robot_lab")
+)
+PAGES: dict[str, dict[str, Any]] = {
+    "start": {},
+    "train": {},
+    "task": {},
+    "robot": {},
+    "terrain": {"elsewhere": {"--height-map 5556": "tests/cli/test_deploy_cli.py"}},
+    "evaluate": {
+        "before": (*ADOPTED, ("evaluate", "trot", "--episodes", "1", "--duration", "0.5", "--out", "traces")),
+        "names": {"FOLDER": "traces"},
+    },
+    "watch": {
+        "elsewhere": {
+            "--commands gamepad": "tests/deploy/test_command_sources.py",
+            "train steer --robot go2 --browser": "tests/cli/test_train_page_cli.py",
+            "deploy go2-steer": "tests/test_page_commands.py, page deploy",
+        }
+    },
+}
+"""Pages, and what their commands need."""
+REAL_TIME: dict[str, dict[str, Any]] = {
+    "steer": {"emulated": GO2, "elsewhere": {"--commands keyboard": "tests/cli/test_deploy_cli.py"}},
+    "deploy": {},
+}
+"""Pages that deploy to an emulated robot."""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("page", ["start", "train", "task"])
+@pytest.mark.parametrize("page", PAGES)
 def test_commands_of_a_page_run(tmp_path: Path, page: str):
-    assert reader(tmp_path, page).ran
+    assert reader(tmp_path, page, **PAGES[page]).ran
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("page", REAL_TIME)
+def test_commands_of_a_page_that_deploys_run(tmp_path: Path, page: str):
+    assert reader(tmp_path, page, **REAL_TIME[page]).ran
 
 
 def fenced(page: str, language: str) -> list[str]:
