@@ -87,11 +87,18 @@ def test_attachments_that_double_end_within_limits(tmp_path: Path):
 
 
 COPIES = {
-    "nkey": ('<mujoco><size nkey="2000000000"/></mujoco>', "<size> has a nkey of 2e+09"),
-    "flex grid": (f"<mujoco><worldbody>{grid(0).replace('10', '1000')}</worldbody></mujoco>", "a count of 1e+09"),
-    "replicate": (nested_replicates(1).replace("100", "1001"), "<replicate> has a count of 1001;"),
-    "nested replicates": (nested_replicates(12), "<replicate> has a count of 100, in others 10000 in all"),
-    "in an include": ('<mujoco><include file="copies.xml"/></mujoco>', "<size> has a nkey of 1e+30"),
+    "nkey": ('<mujoco><size nkey="2000000000"/></mujoco>', "nkey of <size> is 2000000000;"),
+    "flex grid": (
+        f"<mujoco><worldbody>{grid(0).replace('10', '1000')}</worldbody></mujoco>",
+        "count of <flexcomp> is 1000000000;",
+    ),
+    "replicate": (nested_replicates(1).replace("100", "1001"), "count of <replicate> is 1001;"),
+    "nested replicates": (nested_replicates(12), "count of <replicate> is 100, and 10000 with those around it;"),
+    "no number around": (
+        '<mujoco><replicate count="nan"><replicate count="1001"/></replicate></mujoco>',
+        "count of <replicate> is 1001;",
+    ),
+    "in an include": ('<mujoco><include file="copies.xml"/></mujoco>', "nkey of <size> is 1e+30;"),
 }
 
 
@@ -102,7 +109,7 @@ def test_copies_are_counted_before_a_parser_makes_them(
     monkeypatch.setattr(confined.sandbox, "run_module", None)
     (tmp_path / "dog.xml").write_text(text)
     (tmp_path / "copies.xml").write_text('<mujoco><size nkey=" 1e30 "/></mujoco>')
-    with pytest.raises(SurefootError, match=rf"dog\.xml: .*{re.escape(message)}.*at most 1000 are read"):
+    with pytest.raises(SurefootError, match=rf"dog\.xml: .*{re.escape(message)} it must be 1000 or less"):
         read_robot(tmp_path / "dog.xml")
 
 

@@ -29,11 +29,12 @@ def check_copies(root: ElementTree.Element, path: Path) -> None:
         element, times = left.pop()
         for key in _COUNTS.get(element.tag, ()):
             count = _product(element.get(key, ""))
-            total = times * max(count, 1.0)
+            total = times * count
             if total > MAX_COPIES:
-                around = f", in others {total:g} in all" if times > 1 else ""
+                around = f", and {total:.10g} with those around it" if times > 1 else ""
                 raise SurefootError(
-                    f"{path}: <{element.tag}> has a {key} of {count:g}{around}; at most {MAX_COPIES} are read"
+                    f"{path}: {key} of <{element.tag}> is {count:.10g}{around}; it must be {MAX_COPIES} or less: "
+                    "leave out what is no part of the robot"
                 )
             times = total if element.tag == "replicate" else times
         left += [(child, times) for child in element]
@@ -42,6 +43,7 @@ def check_copies(root: ElementTree.Element, path: Path) -> None:
 def _product(text: str) -> float:
     """Return the product of the numbers of an attribute; 1 if they are none, which MuJoCo's parser refuses."""
     try:
-        return math.prod(max(float(word), 1.0) for word in text.split())
+        # In this order, what is not a number is no number of copies either.
+        return math.prod(max(1.0, float(word)) for word in text.split())
     except ValueError:
         return 1.0
