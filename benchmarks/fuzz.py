@@ -207,6 +207,8 @@ class Fuzz:
             page = stack.enter_context(_Command(words, self.place))
             try:
                 address = page.wait_for(r"(http://localhost:\d+/)", patience)
+                if words[0] == "deploy" and rng.random() < 0.5:
+                    page.wait_for(r"surefoot: (run) \(", patience)  # its motors turn
                 fault = send_messages(address, PAGES[kind], rng, MESSAGES, ANSWER)
             except TimeoutError as error:
                 fault = str(error)
