@@ -134,6 +134,18 @@ def test_a_tab_that_watches_stops_the_robot_and_does_not_drive_it(deploy_page: D
         wait_for(deploy_page, DAMP)
 
 
+@pytest.mark.parametrize("path", ["socket", "viser"])
+def test_a_connection_with_too_many_messages_is_closed(deploy_page: DeployPage, path: str):
+    host = deploy_page.address.split("/")[2]
+    with connect(f"ws://{host}/{path}", origin=f"http://{host}") as flood:  # type: ignore[arg-type]
+        with pytest.raises(ConnectionClosed, match="too many messages"):  # noqa: PT012
+            for _ in range(3000):
+                flood.send("x")
+            while True:
+                flood.recv(timeout=10)
+        assert deploy_page.stops() == 0
+
+
 def test_there_are_sixteen_views_at_most(deploy_page: DeployPage):
     host = deploy_page.address.split("/")[2]
     with ExitStack() as stack:

@@ -35,7 +35,7 @@ from surefoot.report.pages.view import RobotView, bare_viewer
 LOCAL = ("localhost", "127.0.0.1", "[::1]")
 _MAX_MESSAGE_BYTES = 2000
 _MAX_MESSAGE_RATE = 400
-"""Messages that a tab may send in a second; one that sends more is closed."""
+"""Messages that a tab or a view may send in a second; one that sends more is closed."""
 _MAX_ERROR = 300
 """Characters of the answer to a message that is refused."""
 _MAX_TABS = 16
@@ -58,6 +58,20 @@ def machine_addresses(host: str) -> list[str]:
     with contextlib.suppress(OSError):
         addresses += [str(entry[4][0]) for entry in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
     return [address for address in dict.fromkeys(addresses) if not address.startswith("127.")] or ["127.0.0.1"]
+
+
+class _Rate:
+    """Count of the messages of a connection in the present second."""
+
+    def __init__(self) -> None:
+        self._begin, self._count = time.monotonic(), 0
+
+    def is_exceeded(self) -> bool:
+        """Count a message; return whether there are too many."""
+        if time.monotonic() - self._begin > 1.0:
+            self._begin, self._count = time.monotonic(), 0
+        self._count += 1
+        return self._count > _MAX_MESSAGE_RATE
 
 
 class PageServer:
@@ -236,9 +250,12 @@ class PageServer:
                         await connection.send(message)
 
                 task = asyncio.create_task(forward())
+                rate = _Rate()
                 try:
                     async for _ in connection:
-                        pass
+                        if rate.is_exceeded():
+                            await connection.close(1008, "too many messages")
+                            return
                 finally:
                     task.cancel()
 
@@ -248,13 +265,10 @@ class PageServer:
             return
         self._tabs.append(connection)
         self._send_options()
-        begin, count = time.monotonic(), 0
+        rate = _Rate()
         try:
             async for message in connection:
-                if time.monotonic() - begin > 1.0:
-                    begin, count = time.monotonic(), 0
-                count += 1
-                if count > _MAX_MESSAGE_RATE:
+                if rate.is_exceeded():
                     await connection.close(1008, "too many messages")
                     return
                 self._receive(connection, message)
