@@ -194,13 +194,15 @@ def test_a_pipe_is_no_description(tmp_path: Path):
         read_robot(tmp_path / "dog.urdf")
 
 
+INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+
+
 def nested_urdf() -> str:
-    return f'<robot name="dog"><link name="a"/>{2000 * "<link>"}{2000 * "</link>"}</robot>'
+    return f'<robot name="dog"><link name="a">{INERTIAL}</link>{2000 * "<link>"}{2000 * "</link>"}</robot>'
 
 
 def chained_urdf(count: int) -> str:
-    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-    links = "".join(f'<link name="l{k}">{inertial}</link>' for k in range(count + 1))
+    links = "".join(f'<link name="l{k}">{INERTIAL}</link>' for k in range(count + 1))
     joints = "".join(
         f'<joint name="j{k}" type="continuous"><parent link="l{k}"/><child link="l{k + 1}"/><axis xyz="0 1 0"/></joint>'
         for k in range(count)
