@@ -1,8 +1,9 @@
 """Thousands of commands with damaged options and files; report every one that does not end in one plain line.
 
 Each case takes a command that works, changes words of it or damages the file that it reads, and runs it in a process
-of its own. Wrong is a traceback, a case that does not end in time, an exit code that is not documented, an exit code 2
-without its line, or a file written anywhere but where the words say. A case depends on seed and number alone:
+of its own; or it sends what no browser sends to the page of a command, and steers after each message. Wrong is a
+traceback, a page that does not obey, a case that does not end in time, an exit code that is not documented, an exit
+code 2 without its line, or a file written anywhere but where the words say. A case depends on seed and number alone:
 `--seed S --case N` runs it once more and shows what it printed.
 """
 
@@ -28,17 +29,21 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from hostile_files import EXPANSIONS, make_models
+from hostile_messages import send_messages
 
 import surefoot
+from surefoot.report.pages.messages import DeployMessage, DriveMessage, TabMessage
 
 LIMIT = 10.0
 """Time of a processor [s] that a case may take."""
 PATIENCE = 12.0
 """How much longer it may take by the clock, on a computer with other things to do."""
+ANSWER = 60.0
+"""Time by the clock in which a page must act on a command [s]."""
 UNCAUGHT = 70
 """Exit code of a case that ended with a traceback."""
 NUMBERS = (
@@ -57,7 +62,12 @@ TINY = (
 RUN = "--threads 1 --out out"
 OUT = ("--out", "--symlink", "--params")
 """Options that name files to be written."""
-CODES = {"study": {1, 130}, "train": {130}, "deploy": {3}, "doctor": {3}, "identify": {3}, "robot": {3}}
+SAFETY = 3
+"""Exit code of a deployment that safety ended, as on a computer that is too slow."""
+CODES = {
+    **{"study": {1, 130}, "train": {130}, "drive": {130}, "deploy": {SAFETY}, "doctor": {3}, "identify": {3}},
+    "robot": {3},
+}
 """Exit codes that are documented besides 0 and 2."""
 COMMANDS = {
     "train options": f"train trot {TINY} --out out",
@@ -95,8 +105,24 @@ COMMANDS = {
     "mjcf": "robot new @@dog.xml --out out --name dog",
     "collada": "robot new @@meshed/body.dae --out out --name dog",
     "foreign urdf": "robot new @@meshed/dog.urdf --out out --name dog",
+    "messages to drive": "drive go2-steer --page-port 0 --out out",
+    "messages to train": (
+        "train steer --robot go2 --num-envs 2 --steps-per-update 16 --steps 100000000 --evaluate-every 100000000 "
+        "--evaluation-episodes 1 --task.max-steps 60 --threads 1 --learning-threads 1 --browser --page-port 0 --out out"
+    ),
+    "messages to deploy": "deploy go2-steer --port EMULATED --browser --page-port 0 --out out",
 }
 """Commands that work, by kind of case; `@file` is a file of the seeds as it is, `@@file` one that is damaged."""
+PAGES: dict[str, type[TabMessage]] = {
+    "messages to drive": DriveMessage,
+    "messages to train": DriveMessage,
+    "messages to deploy": DeployMessage,
+}
+"""Kinds whose page is sent messages, and what it takes."""
+MESSAGES = 25
+"""Messages to the page of a case."""
+EMULATED = "emulate --robot go2 --ideal-sensors --set servo_kp=40 servo_kd=1"
+"""The robot on the port EMULATED."""
 OPTIONS = {
     "train options": ("learn.config:TrainConfig", 2),
     "evaluate options": ("cli.evaluate:EvaluateCommand", 1),
@@ -164,8 +190,38 @@ class Fuzz:
         if kind in OPTIONS:
             words = self._change_words(words, kind, rng)
         before = _state(self.root)
+        if kind in PAGES:
+            return self._visit(number, kind, words, rng, before)
         case = Case(number, kind, tuple(words), *_run(words, self.place, self.limit))
         return replace(case, fault=self._find_fault(case, before))
+
+    def _visit(
+        self, number: int, kind: str, words: list[str], rng: random.Random, before: dict[str, tuple[int, int]]
+    ) -> Case:
+        """Run the case of a command that serves a page, with messages to the page; Ctrl-C ends it."""
+        patience, fault = self.limit * PATIENCE, ""
+        with contextlib.ExitStack() as stack:
+            if "EMULATED" in words:
+                robot = stack.enter_context(_Command(EMULATED.split(), self.place))
+                words = [robot.wait_for(r"robot on (\S+)", patience) if word == "EMULATED" else word for word in words]
+            page = stack.enter_context(_Command(words, self.place))
+            try:
+                address = page.wait_for(r"(http://localhost:\d+/)", patience)
+                if words[0] == "deploy" and rng.random() < 0.5:
+                    page.wait_for(r"surefoot: (run) \(", patience)  # its motors turn
+                fault = send_messages(address, PAGES[kind], rng, MESSAGES, ANSWER)
+            except TimeoutError as error:
+                fault = str(error)
+            page.interrupt()
+            code, seconds = page.wait(patience)
+            output = page.read()
+        # It works all the time, for as long as it is watched.
+        case = Case(number, kind, tuple(words), code, math.inf if math.isinf(seconds) else 0.0, output)
+        if "the page's process has ended" in output:
+            fault = fault or "its page has ended"
+        elif code == SAFETY:
+            fault = ""
+        return replace(case, fault=fault or self._find_fault(case, before))
 
     def _prepare_word(self, word: str, rng: random.Random) -> str:
         """Return a word of the command; make its file, damaged where it is to be."""
@@ -251,30 +307,80 @@ def _state(folder: Path) -> dict[str, tuple[int, int]]:
     return state
 
 
+class _Command:
+    """A command that runs in a child of this process, which has imported everything; it ends with the context."""
+
+    def __init__(self, words: Sequence[str], place: Path) -> None:
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115
+        self._child = os.fork()
+        if self._child == 0:
+            _child(words, place, self._output.fileno())
+        self._code: int | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.wait(0.0)
+        self._output.close()
+
+    def read(self) -> str:
+        """Return its output so far."""
+        # Its place in the file is the child's too, and stays.
+        return os.pread(self._output.fileno(), 1 << 20, 0).decode(errors="replace")
+
+    def wait_for(self, pattern: str, patience: float) -> str:
+        """Return what the group of a pattern matches in its output.
+
+        Raises:
+            TimeoutError: the command has ended, or `patience` [s] is over.
+        """
+        end = time.monotonic() + patience
+        while (match := re.search(pattern, self.read())) is None:
+            if time.monotonic() > end or self._has_ended():
+                raise TimeoutError(f"it has not printed {pattern}")
+            time.sleep(0.02)
+        return match[1]
+
+    def _has_ended(self) -> bool:
+        about = os.waitid(os.P_PID, self._child, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+        return about is not None
+
+    def interrupt(self) -> None:
+        """Press Ctrl-C."""
+        os.kill(self._child, signal.SIGINT)  # a child that has ended is there until `wait`
+
+    def wait(self, patience: float) -> tuple[int, float]:
+        """Wait until it has ended; kill it after `patience` [s].
+
+        Returns:
+            exit code, and time of a processor that it took [s], infinite if it had to be killed.
+        """
+        if self._code is None:
+            end, killed = time.monotonic() + patience, False
+            while True:
+                done, status, used = os.wait4(self._child, os.WNOHANG)
+                if done:
+                    break
+                if time.monotonic() > end:
+                    killed, end = True, math.inf
+                    os.kill(self._child, signal.SIGKILL)
+                time.sleep(0.01)
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._child, signal.SIGKILL)  # processes that it may have left
+            self._code = os.waitstatus_to_exitcode(status)
+            self._seconds = math.inf if killed else used.ru_utime + used.ru_stime
+        return self._code, self._seconds
+
+
 def _run(words: Sequence[str], place: Path, limit: float) -> tuple[int, float, str]:
-    """Run a command in a child of this process, which has imported everything.
+    """Run a command, and kill it if it takes too long.
 
     Returns:
         exit code, time of a processor that it took [s], infinite if it had to be killed, and output.
     """
-    with tempfile.TemporaryFile() as output:
-        child = os.fork()
-        if child == 0:
-            _child(words, place, output.fileno())
-        end, killed = time.monotonic() + limit * PATIENCE, False
-        while True:
-            done, status, used = os.wait4(child, os.WNOHANG)
-            if done:
-                break
-            if time.monotonic() > end:
-                killed, end = True, math.inf
-                os.kill(child, signal.SIGKILL)
-            time.sleep(0.01)
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(child, signal.SIGKILL)  # processes that it may have left
-        output.seek(0)
-        seconds = math.inf if killed else used.ru_utime + used.ru_stime
-        return os.waitstatus_to_exitcode(status), seconds, output.read(1 << 20).decode(errors="replace")
+    with _Command(words, place) as command:
+        return *command.wait(limit * PATIENCE), command.read()
 
 
 def _child(words: Sequence[str], place: Path, output: int) -> None:
@@ -568,20 +674,25 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of everything")
     parser.add_argument("--case", type=int, help="run this one only, and show what it printed")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no case after this time [min]")
     parser.add_argument("--limit", type=float, default=LIMIT, help="time of a processor that a case may take [s]")
     parser.add_argument("--kind", action="append", default=[], choices=COMMANDS, help="only cases of this kind")
     options = parser.parse_args()
     os.environ.setdefault("MPLBACKEND", "Agg")
     import_all()
     codes: dict[str, Counter[str]] = {name: Counter() for name in COMMANDS}
-    wrong = 0
+    wrong, done, end = 0, 0, time.monotonic() + 60 * options.minutes
     numbers = [options.case] if options.case is not None else range(options.first, options.first + options.cases)
     with tempfile.TemporaryDirectory(prefix="surefoot-fuzz-") as folder:
         fuzz = Fuzz(Path(folder), options.seed, options.limit, options.kind)
         if len(numbers) > 100:  # so that no case has to compile the engines' loops
             _work(Path(folder), "evaluate", str(fuzz.seeds / "policy.onnx"), "--episodes", "1", *RUN.split())
         for number in numbers:
+            if time.monotonic() > end:
+                print(f"the time is over: go on with --first {number} --cases {len(numbers) - done}")
+                break
             case = fuzz.run(number)
+            done += 1
             codes[case.kind]["wrong" if case.fault else f"exit {case.code}"] += 1
             if options.case is not None:
                 print(case.output)
@@ -594,7 +705,7 @@ def main() -> int:
         if counter:
             counts = ", ".join(f"{count} {what}" for what, count in sorted(counter.items()))
             print(f"{name:<22}{sum(counter.values()):>6} cases: {counts}")
-    print(f"{wrong} of {len(numbers)} cases are wrong")
+    print(f"{wrong} of {done} cases are wrong")
     return 1 if wrong else 0
 
 

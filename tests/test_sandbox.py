@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import signal
 import subprocess
 import sys
@@ -37,6 +38,25 @@ def test_a_process_without_rights_can_only_compute(deed: str):
     assert done.stderr.rstrip().splitlines()[-1].startswith(("PermissionError", "MemoryError"))
 
 
+SIGNAL = """
+from ctypes import CDLL, get_errno
+libc = CDLL(None, use_errno=True)
+def signal(process):
+    return libc.tgkill(process, process, 0), get_errno()
+sandbox.enter(sandbox.LIMITS)
+print(signal(os.getppid()), signal(1), signal(os.getpid()))
+libc.abort()
+"""
+
+
+@pytest.mark.skipif(not sandbox.is_supported(), reason="this machine has no filter of system calls that surefoot knows")
+def test_a_process_without_rights_can_end_itself_and_signal_no_other():
+    script = f"import os\nfrom surefoot import sandbox\n{SIGNAL.replace('sandbox.LIMITS', LIMITS)}"
+    done = subprocess.run([sys.executable, "-uc", script], capture_output=True, text=True, check=False)
+    assert done.stdout == f"{(-1, errno.EPERM)} {(-1, errno.EPERM)} (0, {errno.EPERM})\n"
+    assert done.returncode == -signal.SIGABRT
+
+
 @pytest.fixture
 def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A function that runs Python text as a module within limits."""
@@ -57,6 +77,13 @@ def test_output_and_messages_are_told_apart(program):
     text = "import sys\nfile = sandbox.take_output()\nprint('noise')\nfile.write(sys.stdin.buffer.read() * 2)"
     assert program(text, QUICK, b"\0x") == Ending(0, b"\0x\0x", "noise")
     assert program("import sys\nprint(sys.argv[1], file=sys.stderr)\nsys.exit(2)", QUICK) == Ending(2, b"", "a word")
+
+
+def test_a_process_sees_no_passwords(program, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("WANDB_API_KEY", "secret")
+    monkeypatch.setenv("LC_ALL", "C.UTF-8")
+    text = "import os, sys\nprint(os.environ.get('WANDB_API_KEY'), os.environ.get('LC_ALL'), file=sys.stderr)"
+    assert program(text, QUICK).message == "None C.UTF-8"
 
 
 @pytest.mark.parametrize(

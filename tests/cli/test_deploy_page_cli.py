@@ -11,6 +11,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,9 @@ pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
 from chromium import errors_of, hold_stick, in_browser, new_page, running_browser
-from websockets.sync.client import ClientConnection, connect
+from hostile_messages import open_tab
+from websockets import ConnectionClosed
+from websockets.sync.client import connect
 
 from surefoot.cli.helpers.deploy_page import DeployPage
 from surefoot.robot import RobotDescription
@@ -84,15 +87,6 @@ def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
     assert wrong == []
 
 
-def open_tab(address: str) -> ClientConnection:
-    """Return a tab that drives."""
-    host = address.split("/")[2]
-    tab = connect(f"ws://{host}/socket", origin=f"http://{host}", close_timeout=0.2)  # type: ignore[arg-type]
-    while not json.loads(tab.recv(timeout=10)).get("driver"):
-        pass
-    return tab
-
-
 @pytest.fixture
 def deploy_page() -> Iterator[DeployPage]:
     """Return the real page of a robot, in its process."""
@@ -123,6 +117,42 @@ def test_a_second_press_of_sit_changes_nothing_and_damp_is_a_button_of_its_own(d
         assert deploy_page.stops() == SIT
         tab.send('{"damp": true}')
         wait_for(deploy_page, DAMP)
+
+
+def test_a_tab_that_watches_stops_the_robot_and_does_not_drive_it(deploy_page: DeployPage):
+    host = deploy_page.address.split("/")[2]
+    with open_tab(deploy_page.address), connect(f"ws://{host}/socket", origin=f"http://{host}") as watcher:  # type: ignore[arg-type]
+        for text in ('{"command": [1, 0, 0]}', '{"stop": true, "command": [1, 0, 0]}', '{"stop": true, "moved": 1}'):
+            watcher.send(text)
+            while (answer := json.loads(watcher.recv(timeout=10)).get("error")) is None:
+                pass
+            assert answer == "you watch; another browser drives"
+        assert deploy_page.stops() == 0
+        watcher.send('{"stop": true}')
+        wait_for(deploy_page, SIT)
+        watcher.send('{"damp": true}')
+        wait_for(deploy_page, DAMP)
+
+
+@pytest.mark.parametrize("path", ["socket", "viser"])
+def test_a_connection_with_too_many_messages_is_closed(deploy_page: DeployPage, path: str):
+    host = deploy_page.address.split("/")[2]
+    with connect(f"ws://{host}/{path}", origin=f"http://{host}") as flood:  # type: ignore[arg-type]
+        with pytest.raises(ConnectionClosed, match="too many messages"):  # noqa: PT012
+            for _ in range(3000):
+                flood.send("x")
+            while True:
+                flood.recv(timeout=10)
+        assert deploy_page.stops() == 0
+
+
+def test_there_are_sixteen_views_at_most(deploy_page: DeployPage):
+    host = deploy_page.address.split("/")[2]
+    with ExitStack() as stack:
+        views = [stack.enter_context(connect(f"ws://{host}/viser", origin=f"http://{host}")) for _ in range(17)]  # type: ignore[arg-type]
+        with pytest.raises(ConnectionClosed, match="too many views"):
+            views[-1].recv(timeout=10)
+        assert deploy_page.stops() == 0
 
 
 def test_the_robot_is_to_sit_when_the_pages_process_is_killed(

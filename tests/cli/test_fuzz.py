@@ -12,8 +12,9 @@ for module in ("mujoco", "torch", "onnx", "matplotlib", "imageio_ffmpeg"):
     pytest.importorskip(module)
 
 QUICK = ("study", "study options", "space", "params", "policy to deploy", "recording", "deploy options",
-         "doctor options", "identify options", "mjcf", "collada", "foreign urdf")  # fmt: skip
-"""Kinds of cases that hardly ever simulate anything."""
+         "doctor options", "identify options", "mjcf", "collada", "foreign urdf", "messages to drive",
+         "messages to train")  # fmt: skip
+"""Kinds of cases that take little time."""
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,8 @@ pytest.importorskip("mujoco")
 pytest.importorskip("viser")
 
 import websockets
-from websockets.sync.client import ClientConnection, connect
+from hostile_messages import LIMIT, draw_message, open_tab
+from websockets.sync.client import ClientConnection
 
 from surefoot.api.drive_page import DrivePage
 from surefoot.cli.helpers.deploy_page import Page
@@ -31,46 +32,6 @@ from surefoot.robot import RobotDescription
 
 MESSAGES = 200
 SEED = 66
-LIMIT = 2000
-"""Bytes of the longest message; the connection of a tab that sends a longer one is closed, with that reason."""
-ATOMS = (
-    *("null", "true", "false", "0", "-1", "1", "0.5", "1e308", "-1e308", "1e999", "NaN", "-Infinity", "9" * 400),
-    *('""', '"x"', '"\\u0000"', '"\\ud800"', '"../../etc/passwd"', '"flat"', '"stairs"', '"html"', '"motor_strength"'),
-    *(
-        f'"{"a" * 1500}"',
-        "[]",
-        "{}",
-        "[[]]",
-        "[{}]",
-        '{"a": 1}',
-        "[" * 300 + "]" * 300,
-        '{"a":' * 200 + "1" + "}" * 200,
-    ),
-)
-"""Values, as JSON has them and as it does not."""
-FOREIGN = ('""', '"left"', '"__class__"', '"\\u0000"', '"\\ud800"', f'"{"k" * 1000}"', "1")
-BROKEN = ("", "{", "\0", '{"set": [', b"\xff\xfe", b"\x00" * 50, "9" * 1900, "[" * 1900, "x" * 1_000_000)
-"""Messages that are no JSON."""
-
-
-def draw_value(rng: random.Random, depth: int = 0) -> str:
-    """Return a value of any type and size: an atom, a list or an object of values."""
-    kind = rng.random()
-    if kind < 0.5 or depth > 2:
-        return rng.choice(ATOMS)
-    values = [draw_value(rng, depth + 1) for _ in range(rng.randrange(6))]
-    if kind < 0.85:
-        return f"[{','.join(values)}]"
-    return "{" + ",".join(f'"{k}": {value}' for k, value in enumerate(values)) + "}"
-
-
-def draw_message(rng: random.Random, kind: type[TabMessage]) -> str | bytes:
-    """Return a message with keys of a page, or of none."""
-    if rng.random() < 0.1:
-        return rng.choice(BROKEN)
-    keys = [f'"{item.name}"' for item in fields(kind)]
-    names = rng.choices([*keys, *keys, *FOREIGN], k=rng.choice((1, 1, 1, 2, 3)))
-    return "{" + ",".join(f"{name}: {draw_value(rng)}" for name in names) + "}"
 
 
 @dataclass
@@ -122,15 +83,6 @@ def page(request: pytest.FixtureRequest, repository: Path, tmp_path: Path) -> It
         yield Running(DriveMessage, server, thread, lambda: drive.robot.commanded)
 
 
-def open_tab(server: PageServer) -> ClientConnection:
-    """Return a tab that drives."""
-    host = f"localhost:{server.port}"
-    tab = connect(f"ws://{host}/socket", origin=f"http://{host}", close_timeout=0.2)  # type: ignore[arg-type]
-    while not json.loads(tab.recv(timeout=10)).get("driver"):
-        pass
-    return tab
-
-
 def refusal(kind: type[TabMessage], text: str | bytes) -> str:
     """Return why the schema refuses a message; empty if it does not."""
     try:
@@ -150,7 +102,7 @@ def read_error(tab: ClientConnection, start: str) -> None:
 @pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
 def test_no_message_ends_a_page(page: Running):
     rng, refused = random.Random(SEED), 0
-    tab = open_tab(page.server)
+    tab = open_tab(page.server.address)
     for number in range(MESSAGES):
         text = draw_message(rng, page.kind)
         tab.send(text)
@@ -158,7 +110,7 @@ def test_no_message_ends_a_page(page: Running):
             with pytest.raises(websockets.ConnectionClosed, match="2000"):  # noqa: PT012
                 while True:
                     tab.recv(timeout=20)
-            tab = open_tab(page.server)
+            tab = open_tab(page.server.address)
         elif why := refusal(page.kind, text):
             refused += 1
             read_error(tab, why[:100])

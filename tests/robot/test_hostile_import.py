@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import xml.etree.ElementTree as ElementTree
 from dataclasses import fields
 from pathlib import Path
 
@@ -17,8 +18,9 @@ import pytest
 from surefoot.cli.main import main
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.importing import reader
+from surefoot.robot.importing import confined, reader
 from surefoot.robot.importing.confined import decode, encode, read_robot
+from surefoot.robot.importing.copies import check_copies
 from surefoot.sandbox import Limits
 from surefoot.world import urdf_probe
 from surefoot.world.mujoco_model import build_model
@@ -35,11 +37,15 @@ def attach(file: str, times: int = 1) -> str:
     return f'<mujoco><asset><model name="m" file="{file}"/></asset><worldbody>{bodies}</worldbody></mujoco>'
 
 
-def nested_replicates() -> str:
+def nested_replicates(levels: int) -> str:
     text = '<geom size=".1"/>'
-    for level in range(12):
+    for level in range(levels):
         text = f'<replicate count="100" offset="1 0 0" sep="s{level}">{text}</replicate>'
     return f"<mujoco><worldbody>{text}</worldbody></mujoco>"
+
+
+def grid(number: int) -> str:
+    return f'<flexcomp name="f{number}" type="grid" count="10 10 10" spacing=".1 .1 .1" mass="1" dim="3"/>'
 
 
 def mesh(attributes: str) -> str:
@@ -49,19 +55,14 @@ def mesh(attributes: str) -> str:
 
 LIMITED = {
     "nuser_geom": f'<mujoco><size nuser_geom="2000000000"/>{WORLD}</mujoco>',
-    "nkey": f'<mujoco><size nkey="2000000000"/>{WORLD}</mujoco>',
+    "flex grids": f"<mujoco><worldbody>{''.join(map(grid, range(300)))}</worldbody></mujoco>",
     "supersphere": mesh('builtin="supersphere" params="100000 1 1"'),
     "height field": (
         '<mujoco><asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>'
         '<worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>'
     ),
-    "flex grid": (
-        '<mujoco><worldbody><flexcomp name="f" type="grid" count="1000 1000 1000" spacing=".1 .1 .1" mass="1" '
-        'dim="3"/></worldbody></mujoco>'
-    ),
-    "nested replicates": nested_replicates(),
 }
-"""Models of a few hundred bytes that MuJoCo expands."""
+"""Models that MuJoCo expands until memory or time is used up."""
 
 
 @pytest.mark.parametrize("text", LIMITED.values(), ids=LIMITED)
@@ -85,6 +86,55 @@ def test_attachments_that_double_end_within_limits(tmp_path: Path):
         read_robot(tmp_path / "0.xml", limits=QUICK)
 
 
+COPIES = {
+    "nkey": ('<mujoco><size nkey="2000000000"/></mujoco>', "nkey of <size> is 2000000000;"),
+    "flex grid": (
+        f"<mujoco><worldbody>{grid(0).replace('10', '1000')}</worldbody></mujoco>",
+        "count of <flexcomp> is 1000000000;",
+    ),
+    "replicate": (nested_replicates(1).replace("100", "1001"), "count of <replicate> is 1001;"),
+    "nested replicates": (nested_replicates(12), "count of <replicate> is 100, and 10000 with those around it;"),
+    "no number around": (
+        '<mujoco><replicate count="nan"><replicate count="1001"/></replicate></mujoco>',
+        "count of <replicate> is 1001;",
+    ),
+    "in an include": ('<mujoco><include file="copies.xml"/></mujoco>', "nkey of <size> is 1e+30;"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), COPIES.values(), ids=COPIES)
+def test_copies_are_counted_before_a_parser_makes_them(
+    text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(confined.sandbox, "run_module", None)
+    (tmp_path / "dog.xml").write_text(text)
+    (tmp_path / "copies.xml").write_text('<mujoco><size nkey=" 1e30 "/></mujoco>')
+    with pytest.raises(SurefootError, match=rf"dog\.xml: .*{re.escape(message)} it must be 1000 or less"):
+        read_robot(tmp_path / "dog.xml")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<mujoco><size nkey="1000"/></mujoco>',
+        nested_replicates(1),
+        '<mujoco><size nkey="-5"/><size nkey="x"/><size nkey="nan"/><size nkey=""/></mujoco>',
+        '<mujoco><replicate count="100"/><replicate count="100"/></mujoco>',
+    ],
+)
+def test_few_copies_and_what_is_no_number_are_left_to_the_parser(text: str):
+    check_copies(ElementTree.fromstring(text), Path("dog.xml"))
+
+
+@pytest.mark.timeout(30)
+def test_many_names_and_folders_are_refused_before_all_places_are_looked_at(tmp_path: Path):
+    folders = "".join(f'<compiler meshdir="d{k}"/>' for k in range(4000))
+    files = "".join(f'<mesh name="{k}" file="{k}"/>' for k in range(4000))
+    (tmp_path / "dog.xml").write_text(f"<mujoco>{folders}<asset>{files}</asset></mujoco>")
+    with pytest.raises(SurefootError, match=r"dog\.xml: names files that may lie in over 10000 places"):
+        read_robot(tmp_path / "dog.xml")
+
+
 LARGE = "<mujoco><worldbody>" + 20_000 * '<geom size=".1"/>' + "</worldbody></mujoco>"
 REFUSED = {
     "attaches itself": (attach("dog.xml"), r"'dog\.xml' includes or attaches itself"),
@@ -104,6 +154,11 @@ REFUSED = {
         '<mujoco><compiler meshdir="sub"/><asset><mesh name="m" file="pipe.stl"/></asset></mujoco>',
         r"'pipe\.stl' that it names: can't be read: not a regular file",
     ),
+    "pipe in an included meshdir": (
+        '<mujoco><include file="sub.xml"/><asset><mesh name="m" file="pipe.stl"/></asset></mujoco>',
+        r"'pipe\.stl' that it names: can't be read: not a regular file",
+    ),
+    "endless file": (mesh('file="/proc/kmsg"'), "'/proc/kmsg' that it names is empty"),
     "device": (mesh('file="/dev/zero"'), "'/dev/zero' that it names: can't be read: not a regular file"),
     "long row of includes": (
         '<mujoco><include file="row0.xml"/></mujoco>',
@@ -123,6 +178,7 @@ def test_files_that_a_model_names_are_refused_before_a_parser_opens_them(text: s
         (tmp_path / f"part{k}.xml").write_text("<mujoco>" + 60_000 * " " + "</mujoco>")
     for k in range(30):
         (tmp_path / f"row{k}.xml").write_text(f'<mujoco><include file="row{k + 1}.xml"/></mujoco>')
+    (tmp_path / "sub.xml").write_text('<mujoco><compiler meshdir="sub"/></mujoco>')
     (tmp_path / "sub").mkdir()
     os.mkfifo(tmp_path / "pipe")
     os.mkfifo(tmp_path / "sub" / "pipe.stl")
@@ -138,13 +194,15 @@ def test_a_pipe_is_no_description(tmp_path: Path):
         read_robot(tmp_path / "dog.urdf")
 
 
+INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+
+
 def nested_urdf() -> str:
-    return f'<robot name="dog"><link name="a"/>{2000 * "<link>"}{2000 * "</link>"}</robot>'
+    return f'<robot name="dog"><link name="a">{INERTIAL}</link>{2000 * "<link>"}{2000 * "</link>"}</robot>'
 
 
 def chained_urdf(count: int) -> str:
-    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-    links = "".join(f'<link name="l{k}">{inertial}</link>' for k in range(count + 1))
+    links = "".join(f'<link name="l{k}">{INERTIAL}</link>' for k in range(count + 1))
     joints = "".join(
         f'<joint name="j{k}" type="continuous"><parent link="l{k}"/><child link="l{k + 1}"/><axis xyz="0 1 0"/></joint>'
         for k in range(count)
@@ -175,7 +233,7 @@ def test_a_deep_urdf_is_refused_in_one_line(
 
 
 def test_ctrl_c_ends_a_compilation(tmp_path: Path):
-    (tmp_path / "dog.xml").write_text(LIMITED["nkey"])
+    (tmp_path / "dog.xml").write_text(LIMITED["flex grids"])
     command = [sys.executable, "-m", "surefoot", "robot", "new", "dog.xml"]
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 60

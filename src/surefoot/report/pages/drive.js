@@ -45,6 +45,7 @@ function showOptions(message) {
   if (message.pushes && !$("duration").length) fill($("duration"), message.pushes.map(s => [s, `${s} s`]));
   const steers = usable();
   for (const one of document.querySelectorAll("#side select, #side button, #side input")) one.disabled = !message.driver;
+  for (const name of ["stop", "damp"]) $(name).disabled = false;
   for (const one of document.querySelectorAll("#numbers input")) one.disabled = !steers;
   (message.limits || []).forEach(([low, high], k) => {
     const input = $(`c${k}`);

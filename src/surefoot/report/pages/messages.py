@@ -27,6 +27,11 @@ class TabMessage:
     moved: float | None = None
     """When the hand moved that gave the command [ms since 1970]."""
 
+    @property
+    def is_from_anyone(self) -> bool:
+        """Whether tabs that watch may send the message."""
+        return False
+
 
 @dataclass(frozen=True)
 class DriveMessage(TabMessage):
@@ -60,6 +65,11 @@ class DeployMessage(TabMessage):
     """Sit down and disarm."""
     damp: Pressed | None = None
     """Damp the motors at once."""
+
+    @property
+    def is_from_anyone(self) -> bool:
+        """Whether it stops the robot and does nothing else: a tab that drives must not take the buttons from others."""
+        return self.command is None and self.moved is None
 
 
 def read_message(kind: type[T], text: str | bytes) -> T:

@@ -1,8 +1,8 @@
 """Server of a page in the browser: the page, its messages and the 3D view, on one port.
 
-Messages are JSON over a web socket. The first tab drives; others watch until it leaves. Messages come from browsers
-and are hostile until `messages.read_message` has read them; what it refuses is answered with a line. The 3D view is
-forwarded from a port of this machine.
+Messages are JSON over a web socket. The first tab drives; others watch until it leaves, and may stop a robot. Messages
+come from browsers and are hostile until `messages.read_message` has read them; what it refuses is answered with a line.
+The 3D view is forwarded from a port of this machine.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ from surefoot.report.pages.view import RobotView, bare_viewer
 LOCAL = ("localhost", "127.0.0.1", "[::1]")
 _MAX_MESSAGE_BYTES = 2000
 _MAX_MESSAGE_RATE = 400
-"""Messages that a tab may send in a second; one that sends more is closed."""
+"""Messages that a tab or a view may send in a second; one that sends more is closed."""
 _MAX_ERROR = 300
 """Characters of the answer to a message that is refused."""
 _MAX_TABS = 16
+"""Tabs at a time, and 3D views."""
 _TYPES = {".html": "text/html; charset=utf-8", ".mp4": "video/mp4"}
 """Types of files to download; others are `application/octet-stream`."""
 
@@ -57,6 +58,20 @@ def machine_addresses(host: str) -> list[str]:
     with contextlib.suppress(OSError):
         addresses += [str(entry[4][0]) for entry in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
     return [address for address in dict.fromkeys(addresses) if not address.startswith("127.")] or ["127.0.0.1"]
+
+
+class _Rate:
+    """Count of the messages of a connection in the present second."""
+
+    def __init__(self) -> None:
+        self._begin, self._count = time.monotonic(), 0
+
+    def is_exceeded(self) -> bool:
+        """Count a message; return whether there are too many."""
+        if time.monotonic() - self._begin > 1.0:
+            self._begin, self._count = time.monotonic(), 0
+        self._count += 1
+        return self._count > _MAX_MESSAGE_RATE
 
 
 class PageServer:
@@ -90,11 +105,13 @@ class PageServer:
         self._frames = "http://localhost:* http://127.0.0.1:*" if in_notebook else ""
         self._messages = messages
         self.inbox: queue.Queue[Any] = queue.Queue(maxsize=1000)
-        """Messages of the tab that drives, of the class `messages`; None when the tab is closed."""
+        """Messages of the tab that drives, and of others that stop a robot, of the class `messages`; None when the tab
+        that drives is closed."""
         self.files: dict[str, Path] = {}
         """Files that tabs may download, by name."""
         self._options: dict[str, Any] = {}
         self._tabs: list[ServerConnection] = []
+        self._views = 0
         self._stop = asyncio.Event()
         ready: queue.Queue[int | OSError] = queue.Queue()
         address = host or "127.0.0.1"
@@ -210,8 +227,16 @@ class PageServer:
 
     async def _handle(self, connection: ServerConnection) -> None:
         assert connection.request is not None
-        is_view = connection.request.path.partition("?")[0].endswith("/viser")
-        await (self._forward_view(connection) if is_view else self._handle_tab(connection))
+        if not connection.request.path.partition("?")[0].endswith("/viser"):
+            await self._handle_tab(connection)
+        elif self._views >= _MAX_TABS:
+            await connection.close(1013, "too many views")
+        else:
+            self._views += 1
+            try:
+                await self._forward_view(connection)
+            finally:
+                self._views -= 1
 
     async def _forward_view(self, connection: ServerConnection) -> None:
         """Forward the view to a browser; messages of the browser to it are dropped."""
@@ -225,9 +250,12 @@ class PageServer:
                         await connection.send(message)
 
                 task = asyncio.create_task(forward())
+                rate = _Rate()
                 try:
                     async for _ in connection:
-                        pass
+                        if rate.is_exceeded():
+                            await connection.close(1008, "too many messages")
+                            return
                 finally:
                     task.cancel()
 
@@ -237,13 +265,10 @@ class PageServer:
             return
         self._tabs.append(connection)
         self._send_options()
-        begin, count = time.monotonic(), 0
+        rate = _Rate()
         try:
             async for message in connection:
-                if time.monotonic() - begin > 1.0:
-                    begin, count = time.monotonic(), 0
-                count += 1
-                if count > _MAX_MESSAGE_RATE:
+                if rate.is_exceeded():
                     await connection.close(1008, "too many messages")
                     return
                 self._receive(connection, message)
@@ -258,9 +283,10 @@ class PageServer:
 
     def _receive(self, connection: ServerConnection, text: str | bytes) -> None:
         try:
-            if self._tabs[0] is not connection:
+            message = read_message(self._messages, text)
+            if self._tabs[0] is not connection and not message.is_from_anyone:
                 raise SurefootError("you watch; another browser drives")
-            self._put(read_message(self._messages, text))
+            self._put(message)
         except SurefootError as error:
             # Not awaited: a tab that does not read would hold up the count of its messages.
             broadcast([connection], json.dumps({"error": str(error)[:_MAX_ERROR]}))

@@ -24,10 +24,10 @@ from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.urdf_file import read_xml
 from surefoot.sandbox import Limits
 
-LIMITS = Limits(memory=2 << 30, time=8.0, patience=30.0)
-"""What reading a description may take, besides the time for its meshes. Most robots take a second."""
+LIMITS = Limits(memory=2 << 30, time=4.0, patience=20.0)
+"""What reading a description may take, besides the time for its meshes. Robots take a tenth of a second."""
 _MESH_SPEED = 5e6
-"""Bytes of meshes for which the process has another second."""
+"""Bytes of meshes for which the process has another second; it reads twice as many."""
 _MAX_MESH_SECONDS = 120.0
 _PACKAGES = ("mujoco", "trimesh", "collada", "fast_simplification")
 """Packages that the reader needs."""
