@@ -101,6 +101,7 @@ def forms(command: str) -> Iterator[tuple[str, ...]]:
         "train": [("train", "trot")],
         "evaluate": [("evaluate", "POLICY", "POLICY"), ("evaluate", "sensitivity")],
         "robot": [("robot", "firmware", "motor")],
+        "identify": [("identify", "--trace")],
     }.get(command, [])
     yield from ((command, action) for action in actions(command))
 
