@@ -31,6 +31,18 @@ def anchors(text: str) -> set[str]:
     return found
 
 
+def dead_links(page: Path) -> list[str]:
+    """Return the relative links of a page whose file or heading is missing."""
+    dead = []
+    for link in links(page.read_text(encoding="utf-8")):
+        place, _, anchor = link.partition("#")
+        target = (page.parent / place).resolve() if place else page
+        named = anchors(target.read_text(encoding="utf-8")) if target.suffix == ".md" and target.is_file() else {anchor}
+        if not target.exists() or (anchor and anchor not in named):
+            dead.append(link)
+    return dead
+
+
 def blocks(text: str) -> list[str]:
     """Return the fenced blocks of a shell, and the indented ones; lines that a backslash continues are joined."""
     text = COMMENT.sub("", text)

@@ -16,7 +16,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
-from markdown_pages import PAGES, ROOT, anchors, blocks, commands, lines, links
+from markdown_pages import PAGES, ROOT, anchors, blocks, commands, dead_links, lines, links
 from processes import Emulator, emulators, served, surefoot
 
 from surefoot.cli.main import COMMANDS
@@ -55,18 +55,6 @@ surefoot.train("trot")  # [no](link.md)
     assert links(page) == ["b.md#two-words", "c.png"]
     assert anchors(page) == {"a-page", "two-words-code_1", "two-words-code_1-1"}
     assert commands(page) == ["surefoot emulate", "surefoot train trot --steps 5", "surefoot show x"]
-
-
-def dead_links(page: Path) -> list[str]:
-    """Return the relative links of a page whose file or heading is missing."""
-    dead = []
-    for link in links(page.read_text(encoding="utf-8")):
-        place, _, anchor = link.partition("#")
-        target = (page.parent / place).resolve() if place else page
-        named = anchors(target.read_text(encoding="utf-8")) if target.suffix == ".md" and target.is_file() else {anchor}
-        if not target.exists() or (anchor and anchor not in named):
-            dead.append(link)
-    return dead
 
 
 @pytest.mark.parametrize("page", names(PAGES))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from markdown_pages import ROOT, anchors, links
+from markdown_pages import ROOT, dead_links, links
 
 RESULTS = ROOT / "results"
 
@@ -16,24 +16,13 @@ def missing(results: Path) -> list[str]:
     return sorted(path.name for path in results.iterdir() if path.name != "README.md" and path.name not in linked)
 
 
-def dead(page: Path) -> list[str]:
-    """Return links of a page whose file or heading does not exist."""
-    found = []
-    for link in links(page.read_text(encoding="utf-8")):
-        place, _, anchor = link.partition("#")
-        target = (page.parent / place).resolve() if place else page
-        if not target.exists() or (anchor and anchor not in anchors(target.read_text(encoding="utf-8"))):
-            found.append(link)
-    return found
-
-
 def test_the_index_has_every_folder_and_file():
     assert missing(RESULTS) == []
 
 
 @pytest.mark.parametrize("page", [path.relative_to(ROOT).as_posix() for path in sorted(RESULTS.rglob("README.md"))])
 def test_links_of_a_page_of_results_resolve(page: str):
-    assert dead(ROOT / page) == []
+    assert dead_links(ROOT / page) == []
 
 
 def test_every_folder_has_a_page():
@@ -46,4 +35,4 @@ def test_a_forgotten_folder_and_a_dead_link_are_found(tmp_path: Path):
     (tmp_path / "power.csv").touch()
     (tmp_path / "README.md").write_text("# All\n[runs](runs/README.md), [top](#all), [not](#there)\n")
     assert missing(tmp_path) == ["old", "power.csv"]
-    assert dead(tmp_path / "README.md") == ["runs/README.md", "#there"]
+    assert dead_links(tmp_path / "README.md") == ["runs/README.md", "#there"]
