@@ -49,8 +49,8 @@ def reader(folder: Path, page: str, **options: Any) -> PageRun:
 
 
 ADOPTED = tuple(
-    ("adopt", f"data/rl_sar/{name}/policy.pt", "--from", "rl_sar", "--robot", "go2", "--out", f"{name}.onnx")
-    for name in ("himloco", "robot_lab")
+    ("adopt", f"data/rl_sar/{name}/{file}", "--from", "rl_sar", "--robot", "go2", "--out", f"{name}.onnx")
+    for name, file in (("himloco", "himloco.pt"), ("robot_lab", "policy.pt"))
 )
 PAGES: dict[str, dict[str, Any]] = {
     "start": {},
