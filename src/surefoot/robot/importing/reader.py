@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Iterator, Sequence
@@ -31,6 +30,7 @@ from surefoot.robot.importing.named_files import find_mesh
 from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
+from surefoot.robot.importing.servo import motor_order, read_servos
 from surefoot.robot.importing.visuals import (
     Visual,
     decimate_visuals,
@@ -225,7 +225,8 @@ class _Reader:
         feet = [self._foot(chain[-1], place[-1]) for chain, place in zip(chains, places, strict=True)]
         order = self._order(places[:, -2], np.array([foot.centre for foot in feet]))
         chains, feet = [chains[leg] for leg in order], _pair_feet([feet[leg] for leg in order])
-        knees = self._joint_names(chain[-1] for chain in chains)
+        joints = tuple(tuple(self._joint_names(chain)) for chain in chains)
+        knees = [leg[-1] for leg in joints]
         for source in dict.fromkeys(foot.source for foot in feet):
             radii = {name: foot.radius for foot, name in zip(feet, knees, strict=True) if foot.source == source}
             which = "feet" if len(radii) == len(feet) else f"feet of {choices(radii)}"
@@ -237,12 +238,16 @@ class _Reader:
             forward=forward,
             base=self._body(base),
             base_box=self._box(base),
-            joints=tuple(tuple(self._joint_names(chain)) for chain in chains),
+            joints=joints,
             bodies=tuple(tuple(map(self._body, chain)) for chain in chains),
             **self._hinges(chains),
             feet=np.array([foot.centre for foot in feet]),
             foot_radius=np.array([foot.radius for foot in feet]),
-            poses=tuple((source, np.array([pose.get(name, np.nan) for name in knees])) for source, pose in self.poses),
+            poses=tuple(
+                (source, np.array([[pose.get(name, np.nan) for name in leg] for leg in joints]))
+                for source, pose in self.poses
+            ),
+            motor_order=motor_order(self.model, [name for leg in joints for name in leg]),
             notes=tuple(self.notes),
         )
         parts = self._parts(visuals, robot, chains, base)
@@ -375,30 +380,22 @@ class _Reader:
                 f"forward; it must be along {'xy'[along[k]]}"
             )
         dofs = model.jnt_dofadr[joints]
+        damping = model.dof_damping.reshape(model.nv, -1)[dofs, 0]
+        servos = read_servos(model, joints, damping)
         speeds = [[self.speeds.get(name, np.nan) for name in self._joint_names(chain)] for chain in chains]
         return {
             "places": self.data.xanchor[joints],
             "axes": np.eye(3)[along] * np.sign(cosines)[..., None],
             "limits": np.where(model.jnt_limited[joints][..., None], model.jnt_range[joints], np.nan),
-            "torque": np.vectorize(self._torque, otypes=[float])(joints),
+            "kp": servos.kp,
+            "kd": servos.kd,
+            "torque": servos.torque,
             "speed": np.array(speeds),
-            "damping": model.dof_damping.reshape(model.nv, -1)[dofs, 0],
+            "damping": np.where(servos.kd_is_damping, 0.0, damping),
+            "damping_is_kd": bool(servos.kd_is_damping.any()),
             "friction": model.dof_frictionloss[dofs],
             "rotor_inertia": model.dof_armature[dofs],
         }
-
-    def _torque(self, joint: int) -> float:
-        """Return the torque limit of a joint: its own, or its actuator's; NaN without one."""
-        model = self.model
-        if model.jnt_actfrclimited[joint]:
-            return float(np.abs(model.jnt_actfrcrange[joint]).max())
-        for k in np.flatnonzero(model.actuator_trnid[:, 0] == joint):
-            gear = abs(float(model.actuator_gear[k, 0]))
-            if model.actuator_forcelimited[k]:
-                return gear * float(np.abs(model.actuator_forcerange[k]).max())
-            if model.actuator_ctrllimited[k] and model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE:
-                return gear * float(np.abs(model.actuator_ctrlrange[k]).max())
-        return math.nan
 
     def _geoms(self, mover: int) -> NDArray[np.int64]:
         """Return the shapes that move with a body."""
