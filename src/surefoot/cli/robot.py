@@ -157,7 +157,7 @@ def _run_checks(robot: RobotDescription, as_json: bool = False) -> int:
     from surefoot.world.description_checks import run_description_checks
 
     console, results = make_console(), []
-    for result in chain(run_description_checks(robot), (check_trot(one) for one in [robot])):
+    for result in chain(run_description_checks(robot), check_trot(robot)):
         results.append(result)
         if not as_json:
             print_result(console, result)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+
 import numpy as np
 
+from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge
 from surefoot.errors import SurefootError
 from surefoot.evaluation.runs import SATURATION
 from surefoot.robot import RobotDescription
+from surefoot.robot.actuator import JointActuatorData
 from surefoot.task.config import load_task
 from surefoot.world.interface import WorldConfig
 from surefoot.world.motor_load import available_torque, describe_torque, measure_load, unlimited
@@ -16,6 +21,8 @@ DURATION = 3.0
 """How long the robot trots [s]: six strides and more."""
 _USUAL = 0.95
 """Share of the time for which the torque is below the one that is reported."""
+_FASTEST = 80.0
+"""Speed [rad/s] that no joint of a leg has."""
 _MOST = 0.5
 """Share of the time at the limit from which a fall is put down to the motor."""
 _SUNK = 0.7
@@ -23,12 +30,12 @@ _SUNK = 0.7
 REMEDY = "take stronger motors or a lighter robot, or trot slower with smaller strides (frequency, stroke of a task)"
 
 
-def check_trot(robot: RobotDescription) -> CheckResult:
-    """Run the reference of the task `trot` without feedback; compare the torque that it asks for with what is there.
+def check_trot(robot: RobotDescription) -> Iterator[CheckResult]:
+    """Run the reference of the task `trot` without feedback; compare speed and torque that it asks for with motors'.
 
-    What it asks for is measured with motors that have any torque. It fails if the robot falls with its own motors, one
-    of them at its limit for most of the time, and does not with those. Many robots fall without feedback, which
-    training mends.
+    What it asks for is measured with motors that have any torque and speed. The torque fails if the robot falls with
+    its own motors, one of them at its limit for most of the time, and does not with those. Many robots fall without
+    feedback, which training mends. The speed fails if a motor can't have the one that is asked for.
     """
     try:
         task, _ = load_task("trot", str(robot.folder))
@@ -40,7 +47,10 @@ def check_trot(robot: RobotDescription) -> CheckResult:
             for one in (robot, unlimited(robot))
         )
     except SurefootError as error:
-        return CheckResult("torque to trot", None, str(error), "training needs a task that fits this robot")
+        yield CheckResult("torque to trot", None, str(error), "training needs a task that fits this robot")
+        return
+    if isinstance(robot.actuator, JointActuatorData):
+        yield _check_speed(robot, robot.actuator, np.quantile(np.abs(free.speed), _USUAL, axis=0))
     shares, asked = own.saturation.mean(axis=0), np.quantile(np.abs(free.torque), _USUAL, axis=0)
     worst = int(
         np.argmax(shares if shares.any() else asked / [available_torque(robot, k) for k in range(robot.num_motors)])
@@ -56,4 +66,17 @@ def check_trot(robot: RobotDescription) -> CheckResult:
     down, able = not own.finished or bool(low < _SUNK * usual), free.finished or robot.actuator.kind == "dc"
     weak = down and able and share >= _MOST
     rule = "; the robot goes down, with stronger motors it does not"
-    return judge("torque to trot", not weak, message, rule, REMEDY, share)
+    yield judge("torque to trot", not weak, message, rule, REMEDY, share)
+
+
+def _check_speed(robot: RobotDescription, data: JointActuatorData, asked: Array) -> CheckResult:
+    """Compare the speeds (M,) [rad/s] that a trot asks for with the motors' limits."""
+    limits = np.broadcast_to(np.asarray(data.speed_limit, float), asked.shape)
+    worst = int(np.argmax(asked / limits))
+    need, limit = float(asked[worst]), float(limits[worst])
+    message = f"{robot.motor_names[worst]} turns at up to {need:.2g} rad/s, its limit is {limit:.3g} rad/s"
+    rule = "; a trot needs more than that"
+    if 1.2 * need <= math.tau * limit <= _FASTEST:
+        rule += f"; if these are revolutions per second, it is {math.tau * limit:.3g} rad/s"
+    remedy = "put the drive's no-load speed into actuator.speed_limit, in rad/s at the joint, or trot slower"
+    return judge("speed to trot", need <= limit, message, rule, remedy, need)

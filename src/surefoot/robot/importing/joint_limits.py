@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 
@@ -14,6 +15,12 @@ _USUAL_SPEEDS = (3.0, 80.0)
 """Speed limits [rad/s] that drives of legs have."""
 _UNITS = {"rpm": math.tau / 60, "degrees per second": math.pi / 180}
 """Units that speed limits are mistaken for, in rad/s."""
+_MAX_RADIANS = 4 * math.pi
+"""Greatest limit of an angle that is read as radians."""
+_MAX_DEGREES = 360.0
+"""Greatest limit of an angle that is read as degrees; larger ones are placeholders."""
+_MIN_RANGE = 0.15
+"""Range [rad] of the widest hinge below which no leg can step."""
 _ROUND = (100.0, 200.0, 500.0, 1000.0, 10000.0, 100000.0)
 """Speeds that are written where nobody knew one."""
 
@@ -35,3 +42,36 @@ def explain_speeds(speeds: Array) -> str:
 
 def _span(low: float, high: float) -> str:
     return f"{low:.3g}" if math.isclose(low, high, rel_tol=5e-3) else f"{low:.3g} to {high:.3g}"
+
+
+def convert_degrees(root: ElementTree.Element, notes: list[str]) -> None:
+    """Turn a URDF's limits of angles into radians, if they can only be degrees."""
+    limits = []
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        if joint.get("type") != "revolute" or limit is None:
+            continue
+        try:
+            ends = float(limit.get("lower", "0")), float(limit.get("upper", "0"))
+        except ValueError:
+            continue
+        limits.append((limit, ends))
+    largest = [max(map(abs, ends)) for _, ends in limits]
+    degrees = [_MAX_RADIANS < value <= _MAX_DEGREES for value in largest]
+    if not limits or sum(degrees) * 2 < len(limits) or max(largest) > _MAX_DEGREES:
+        return
+    low, high = min(ends[0] for _, ends in limits), max(ends[1] for _, ends in limits)
+    for limit, ends in limits:
+        limit.attrib |= {key: repr(math.radians(end)) for key, end in zip(("lower", "upper"), ends, strict=True)}
+    notes.append(f"limits of angles, {low:g} to {high:g} in the file, are degrees; a URDF has radians")
+
+
+def explain_ranges(ranges: Array) -> str | None:
+    """Return why ranges (n, 2) [rad] of an MJCF's hinges are none, in words; None if they may be."""
+    limited = ranges[np.isfinite(ranges).all(axis=-1)]
+    if not len(limited) or (widest := float(np.ptp(limited, axis=-1).max())) > _MIN_RANGE:
+        return None
+    return (
+        f"the hinges of its legs turn by {widest:.2g} rad or less; an MJCF counts degrees unless its <compiler> has "
+        'angle="radian": add that if its ranges are radians'
+    )

@@ -25,6 +25,8 @@ from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, Part
 from surefoot.robot.importing.foot import fit_sphere
 from surefoot.robot.importing.imported import ImportedRobot
+from surefoot.robot.importing.inertias import drop_frame_masses, implausible_inertias, prepare_inertias
+from surefoot.robot.importing.joint_limits import convert_degrees, explain_ranges
 from surefoot.robot.importing.meshes import Color, Surface, merge_surfaces
 from surefoot.robot.importing.named_files import find_mesh
 from surefoot.robot.importing.names import robot_name
@@ -38,8 +40,8 @@ from surefoot.robot.importing.visuals import (
     read_mjcf_visuals,
     read_urdf_visuals,
 )
-from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
-from surefoot.robot.urdf_file import attribute, read_inertia, read_number, read_xml
+from surefoot.robot.rigid_body import RigidBody, fuse
+from surefoot.robot.urdf_file import attribute, read_xml
 
 FORWARD = {"+x": 0.0, "-x": np.pi, "+y": -np.pi / 2, "-y": np.pi / 2}
 """Directions in the file's frame that may be forward, and the turn about z that brings them to +x [rad]."""
@@ -82,6 +84,7 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
         if spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
             spec.compiler.inertiafromgeom = mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO  # keeps visual shapes' masses
         spec.compiler.fusestatic = False
+        drop_frame_masses(spec, notes)
         keys = {key.name: list(key.qpos) for key in spec.keys}
         for key in list(spec.keys):
             spec.delete(key)
@@ -126,37 +129,13 @@ def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: li
         root.remove(old)
     compiler = ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler")
     compiler.attrib |= {"strippath": "false", "balanceinertia": "true", "inertiafromgeom": "false"}
-    _prepare_inertias(root, path, notes)
+    prepare_inertias(root, path, notes)
+    convert_degrees(root, notes)
     speeds = {}
     for joint in root.findall("joint"):
         with contextlib.suppress(ValueError):
             speeds[joint.get("name", "")] = float(attribute(joint.find("limit"), "velocity"))
     return speeds
-
-
-def _prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> None:
-    """Remove inertias of links without mass, and note those that no rigid body has, which MuJoCo balances."""
-    count, odd = 0, []
-    for link in root.findall("link"):
-        if (inertial := link.find("inertial")) is None:
-            continue
-        where, tensor = f"{path}: link '{link.get('name')}'", inertial.find("inertia")
-        mass = read_number(inertial.find("mass"), "value", f"{where}: mass")
-        if mass == 0.0 or tensor is None:
-            link.remove(inertial)
-            continue
-        count += 1
-        inertia = read_inertia(tensor, where)
-        moments = np.linalg.eigvalsh(inertia)
-        point_mass = mass > 0 and not np.diag(inertia).any()
-        if not point_mass and not (mass > 0 and are_moments(moments)):
-            odd.append(str(link.get("name")))
-        if not moments.min() > 0:
-            tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-    if not count:
-        raise SurefootError(f"{path}: no link has an <inertial> with a mass; masses and inertias are needed")
-    if odd:
-        notes.append(f"inertias that no rigid body has, balanced: {choices(odd)}")
 
 
 _SPHERE = "the last link's sphere"
@@ -232,6 +211,8 @@ class _Reader:
             which = "feet" if len(radii) == len(feet) else f"feet of {choices(radii)}"
             radius = choices(dict.fromkeys(f"{radius:.3g}" for radius in radii.values()))
             self.notes.append(f"{which}: {source}, radius {radius} m")
+        points = [self._points(np.flatnonzero(model.geom_bodyid == body)) for body in range(model.nbody)]
+        warnings = implausible_inertias(model, data, points)
         robot = ImportedRobot(
             name=robot_name(self.path, self.file_name),
             path=self.path,
@@ -249,6 +230,7 @@ class _Reader:
             ),
             motor_order=motor_order(self.model, [name for leg in joints for name in leg]),
             notes=tuple(self.notes),
+            warnings=tuple(warnings),
         )
         parts = self._parts(visuals, robot, chains, base)
         return replace(robot, parts=parts, notes=tuple(self.notes))
@@ -382,11 +364,14 @@ class _Reader:
         dofs = model.jnt_dofadr[joints]
         damping = model.dof_damping.reshape(model.nv, -1)[dofs, 0]
         servos = read_servos(model, joints, damping)
+        limits = np.where(model.jnt_limited[joints][..., None], model.jnt_range[joints], np.nan)
+        if (reason := explain_ranges(limits.reshape(-1, 2))) is not None:
+            raise self._error(reason)
         speeds = [[self.speeds.get(name, np.nan) for name in self._joint_names(chain)] for chain in chains]
         return {
             "places": self.data.xanchor[joints],
             "axes": np.eye(3)[along] * np.sign(cosines)[..., None],
-            "limits": np.where(model.jnt_limited[joints][..., None], model.jnt_range[joints], np.nan),
+            "limits": limits,
             "kp": servos.kp,
             "kd": servos.kd,
             "torque": servos.torque,
@@ -414,7 +399,7 @@ class _Reader:
         named = [b for b in np.flatnonzero(self.group == body) if _FOOT.search(model.body(int(b)).name)]
         if not geoms.size and not named:
             raise self._error(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
-        points = np.concatenate([np.empty((0, 3)), *map(self._corners, geoms)])
+        points = self._points(geoms)
         end = data.xpos[named[-1]].copy() if named else points[np.argmax(np.linalg.norm(points - knee, axis=1))]
         meshes = (model.geom_type[geoms] == mjtGeom.mjGEOM_MESH).all()
         if geoms.size and meshes and (sphere := fit_sphere(points, knee, end)) is not None:
@@ -436,6 +421,10 @@ class _Reader:
             return usual
         nearest = geoms[np.argmin(np.linalg.norm(self.data.geom_xpos[geoms] - place, axis=1))]
         return float(np.clip(self.model.geom_aabb[nearest, 3:].min(), 0.3 * usual, usual))
+
+    def _points(self, geoms: NDArray[np.int64]) -> Array:
+        """Return points (p, 3) of the hulls of shapes."""
+        return np.concatenate([np.empty((0, 3)), *map(self._corners, geoms)])
 
     def _corners(self, geom: int) -> Array:
         """Return points (p, 3) of a shape's hull: vertices of a mesh, or corners of the box around another shape."""

@@ -20,6 +20,8 @@ from surefoot.robot.sheet import GRAVITY
 
 GUESSED = "guessed: "
 """Beginning of the comment of a number in a sheet that a rule gave."""
+WARNING = "# likely wrong: "
+"""Beginning of a line of a sheet about what is likely wrong in the file that it was made from."""
 CLEAR_FACTOR = 1.5
 """Ratio from which on a file's number and the rule's are said to differ."""
 _ORIGIN = re.compile(r"^(?P<key>[a-z_]+) = (?P<value>[^#\n]+?) *# *(?P<comment>[^\n]+)$", re.MULTILINE)
@@ -86,6 +88,12 @@ def describe_origins(robot: RobotDescription) -> Iterator[tuple[bool, str]]:
                 continue
             rule = rules.get(key) if table == "actuator" else None
             yield False, f"{where}: {comment}{_difference(data[table][key], rule)}"
+
+
+def read_warnings(robot: RobotDescription) -> list[str]:
+    """Return what a robot's sheet holds about its file's likely errors."""
+    lines = Path(robot.folder / SHEET).read_text(encoding="utf-8").splitlines()
+    return [line.removeprefix(WARNING) for line in lines if line.startswith(WARNING)]
 
 
 def _difference(values: ArrayLike, rule: Rule | None) -> str:
