@@ -97,6 +97,7 @@ def encode(robot: ImportedRobot) -> bytes:
         "forward": robot.forward,
         "joints": robot.joints,
         "poses": [source for source, _ in robot.poses],
+        "undrawn": robot.undrawn,
         "damping_is_kd": robot.damping_is_kd,
         "motor_order": robot.motor_order,
         "notes": robot.notes,
@@ -147,6 +148,7 @@ def decode(data: bytes, path: Path) -> ImportedRobot:
             for k, (link, color) in enumerate(meta["parts"])
         ),
         poses=tuple(zip(meta["poses"], arrays["poses"], strict=True)),
+        undrawn=tuple(meta["undrawn"]),
         damping_is_kd=meta["damping_is_kd"],
         motor_order=tuple(meta["motor_order"]),
         notes=tuple(meta["notes"]),

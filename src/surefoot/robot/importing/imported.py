@@ -75,6 +75,8 @@ class ImportedRobot:
     """Radii of the feet (4,) [m]."""
     parts: tuple[Part, ...] = ()
     """What is drawn, in the frames of the links `base` and `link_names`: along the base's, at their hinges."""
+    undrawn: tuple[str, ...] = ()
+    """Links of which a mesh is missing in `parts`: primitive shapes are drawn of these."""
     poses: tuple[tuple[str, Array], ...] = ()
     """Poses that the file or one beside it names: where from, and the angles (4, m) [rad], NaN where unknown."""
     damping_is_kd: bool = False

@@ -23,7 +23,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, Part
-from surefoot.robot.importing.foot import fit_sphere
+from surefoot.robot.importing.foot import fit_sphere, sole_sphere, surface_points
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.inertias import drop_frame_masses, implausible_inertias, prepare_inertias
 from surefoot.robot.importing.joint_limits import convert_degrees, explain_ranges
@@ -49,6 +49,8 @@ _FRONT = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IG
 _FOOT = re.compile(r"foot|toe|tip|sole|ankle", re.IGNORECASE)
 _AXIS_TOLERANCE = 1e-3
 """How far an axis may be from the base's, as a cosine: files write pi/2 with five digits."""
+_END = 0.9
+"""How far from the knee a sphere or a link must reach to be the foot, over the farthest point of the last link."""
 _MAX_CHAIN = 100
 """Joints in a row that are looked at."""
 _MESH_SUFFIXES = (".stl", ".obj", ".msh")
@@ -71,9 +73,11 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
     check_kind(root, path)
     notes: list[str] = []
     visuals: list[Visual] = []
-    if meshes:
-        is_urdf = root.tag == "robot"
-        visuals = read_urdf_visuals(root, path, find_mesh, notes) if is_urdf else read_mjcf_visuals(path, notes)
+    incomplete: list[str] = []
+    if meshes and root.tag == "robot":
+        visuals, incomplete = read_urdf_visuals(root, path, find_mesh, notes)
+    elif meshes:
+        visuals = read_mjcf_visuals(path, notes)
     speeds = _prepare_urdf(root, path, meshes, notes) if root.tag == "robot" else {}
     with mujoco_errors(path, explain_mujoco):
         if root.tag == "mujoco":
@@ -91,7 +95,7 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
         model = spec.compile()
     poses = order_poses(itertools.chain(_keyframe_poses(keys, model), srdf_poses(path)))
     file_name = root.get("name" if root.tag == "robot" else "model", "")
-    return _Reader(path, model, speeds, poses, notes, file_name).read(forward, visuals)
+    return _Reader(path, model, speeds, poses, notes, file_name).read(forward, visuals, incomplete)
 
 
 def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iterator[tuple[str, Pose]]:
@@ -171,6 +175,7 @@ class _Reader:
     ) -> None:
         self.path, self.model, self.speeds, self.poses, self.notes = path, model, speeds, poses, notes
         self.file_name = file_name
+        self.visuals: Sequence[Visual] = ()
         self.data = mujoco.MjData(model)
         self.group = self._groups()
 
@@ -191,8 +196,9 @@ class _Reader:
             group[body] = body if kinds or top else group[model.body_parentid[body]]
         return group
 
-    def read(self, forward: str | None, visuals: Sequence[Visual]) -> ImportedRobot:
-        """Return the robot; see `read_robot`."""
+    def read(self, forward: str | None, visuals: Sequence[Visual], incomplete: Sequence[str]) -> ImportedRobot:
+        """Return the robot, of whose links `incomplete` not all is drawn; see `read_robot`."""
+        self.visuals = visuals
         chains, base = self._chains()
         model, data = self.model, self.data
         if (joint := model.body_jntadr[base]) >= 0 and model.jnt_type[joint] == mjtJoint.mjJNT_FREE:
@@ -233,7 +239,10 @@ class _Reader:
             warnings=tuple(warnings),
         )
         parts = self._parts(visuals, robot, chains, base)
-        return replace(robot, parts=parts, notes=tuple(self.notes))
+        names = dict(zip([base, *itertools.chain(*chains)], ["base", *itertools.chain(*robot.link_names)], strict=True))
+        movers = [int(self.group[model.body(link).id]) for link in incomplete]
+        undrawn = dict.fromkeys(names[mover] for mover in movers if mover in names)
+        return replace(robot, parts=parts, undrawn=tuple(undrawn), notes=tuple(self.notes))
 
     def _parts(
         self, visuals: Sequence[Visual], robot: ImportedRobot, chains: list[list[int]], base: int
@@ -387,29 +396,31 @@ class _Reader:
         return np.flatnonzero(self.group[self.model.geom_bodyid] == mover)
 
     def _foot(self, body: int, knee: Array) -> _Foot:
-        """Return a leg's foot: the last link's sphere, else a sphere fitted to its end, else a guess of its size.
+        """Return a leg's foot: the last link's sphere, else a sphere that stands in for its shapes, else a guess.
 
         The end is at a link that is named so, else where the last link's shapes are farthest from the knee.
         """
         model, data, geoms = self.model, self.data, self._geoms(body)
+        points = np.concatenate([np.empty((0, 3)), *map(self._surface, geoms)])
+        if not geoms.size:
+            points = np.concatenate([points, *self._drawn_points(body)])
+        reach = np.linalg.norm(points - knee, axis=1).max(initial=0.0)
         spheres = geoms[model.geom_type[geoms] == mjtGeom.mjGEOM_SPHERE]
         if spheres.size:
-            last = spheres[np.argmax(np.linalg.norm(data.geom_xpos[spheres] - knee, axis=1))]
-            return _Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), _SPHERE)
+            away = np.linalg.norm(data.geom_xpos[spheres] - knee, axis=1)
+            last = spheres[np.argmax(away)]
+            if away.max() + model.geom_size[last, 0] >= _END * reach:  # else it is no foot
+                return _Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), _SPHERE)
         named = [b for b in np.flatnonzero(self.group == body) if _FOOT.search(model.body(int(b)).name)]
-        if not geoms.size and not named:
+        if not len(points) and not named:
             raise self._error(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
-        points = self._points(geoms)
-        end = data.xpos[named[-1]].copy() if named else points[np.argmax(np.linalg.norm(points - knee, axis=1))]
-        meshes = (model.geom_type[geoms] == mjtGeom.mjGEOM_MESH).all()
-        if geoms.size and meshes and (sphere := fit_sphere(points, knee, end)) is not None:
-            return _Foot(*sphere, "a sphere fitted to the end of the last link's meshes")
-        radius = self._thickness(geoms, end, knee)
-        if named:
-            return _Foot(end, radius, "a link named so")
-        end[1] = (points[:, 1].min() + points[:, 1].max()) / 2  # in the middle plane of the shapes
-        end[2] += radius
-        return _Foot(end, radius, "the far end of the last link's shapes")
+        if not len(points) or (named and np.linalg.norm(data.xpos[named[-1]] - knee) > reach / _END):
+            end = data.xpos[named[-1]].copy()
+            return _Foot(end, self._thickness(geoms, end, knee), "a link named so")
+        end = data.xpos[named[-1]] if named else points[np.argmax(np.linalg.norm(points - knee, axis=1))]
+        if (sphere := fit_sphere(points, knee, end)) is not None:
+            return _Foot(*sphere, "a sphere fitted to the end of the last link's shapes")
+        return _Foot(*sole_sphere(points, knee, end), "a sphere with the lowest point of the last link's shapes")
 
     def _thickness(self, geoms: NDArray[np.int64], place: Array, knee: Array) -> float:
         """Return a radius [m] for a foot: half of the width of the shape that is nearest to it.
@@ -436,6 +447,23 @@ class _Reader:
         else:
             signs = np.array(list(itertools.product((-1, 1), repeat=3)))
             points = model.geom_aabb[geom, :3] + model.geom_aabb[geom, 3:] * signs
+        placed: Array = self.data.geom_xpos[geom] + points @ self.data.geom_xmat[geom].reshape(3, 3).T
+        return placed
+
+    def _drawn_points(self, mover: int) -> Iterator[Array]:
+        """Yield the points (p, 3) of what is drawn and moves with a body."""
+        for visual in self.visuals:
+            body = self.model.body(visual.body).id
+            if self.group[body] == mover:
+                placed = visual.surface.place(visual.frame).vertices @ self.data.xmat[body].reshape(3, 3).T
+                yield placed + self.data.xpos[body]
+
+    def _surface(self, geom: int) -> Array:
+        """Return points (p, 3) on a shape's surface."""
+        model, kind = self.model, int(self.model.geom_type[geom])
+        if kind == mjtGeom.mjGEOM_MESH:
+            return self._corners(geom)
+        points = surface_points(kind, model.geom_size[geom])
         placed: Array = self.data.geom_xpos[geom] + points @ self.data.geom_xmat[geom].reshape(3, 3).T
         return placed
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,11 +14,12 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, check_name, describe_os_errors
 from surefoot.files import atomic_write
-from surefoot.robot.appearance import LOOKS, Appearance
+from surefoot.robot.appearance import LOOKS, Appearance, Part, shape_part, visual_shapes
 from surefoot.robot.importing.imported import KNEE_SIGNS, LEGS, ImportedRobot, Knees
 from surefoot.robot.importing.rules import GUESSED, WARNING
 from surefoot.robot.importing.sheet_numbers import actuator, leg_space, motor_order
 from surefoot.robot.rigid_body import RigidBody
+from surefoot.robot.sheet import Leg
 from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
 from surefoot.rotations import rpy_matrix
@@ -48,9 +50,10 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
     sheet = _sheet(robot, name, knees)
     with describe_os_errors(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
-    _write(folder / URDF, format_urdf(_urdf(robot), name))
+    urdf = _urdf(robot)
+    _write(folder / URDF, format_urdf(urdf, name))
     if robot.parts:
-        Appearance(robot.parts).save(folder / LOOKS)
+        Appearance((*robot.parts, *_substitutes(robot, urdf))).save(folder / LOOKS)
     _write(folder / "robot.toml", sheet)
     guesses = [line.replace(_GUESSED, ": ") for line in sheet.splitlines() if _GUESSED in line]
     return list(dict.fromkeys([*robot.notes, *guesses]))
@@ -115,6 +118,14 @@ control_latency = 0.01{_GUESSED}s, age of what a policy sees
 [contact]
 friction = 0.8{_GUESSED}rubber on a floor
 """
+
+
+def _substitutes(robot: ImportedRobot, urdf: Urdf) -> Iterator[Part]:
+    """Yield primitive shapes for links of which meshes are missing, as a robot without meshes is drawn."""
+    feet = {lower: f"{leg}_foot" for leg, (*_, lower) in zip(LEGS, robot.link_names, strict=True)}
+    links = {*robot.undrawn, *(feet[link] for link in robot.undrawn if link in feet)}
+    legs = [Leg(motors, f"{name}_foot", name=name) for name, motors in zip(LEGS, robot.joints, strict=True)]
+    yield from (shape_part(shape) for shape in visual_shapes(urdf, legs) if shape.link in links)
 
 
 def _urdf(robot: ImportedRobot) -> Urdf:
