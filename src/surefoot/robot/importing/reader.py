@@ -23,6 +23,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, Part
+from surefoot.robot.importing.extra_hinges import describe_play, describe_wheels, find_play, is_wheel
 from surefoot.robot.importing.foot import fit_sphere, sole_sphere, surface_points
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.inertias import drop_frame_masses, implausible_inertias, prepare_inertias
@@ -49,6 +50,8 @@ _FRONT = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IG
 _FOOT = re.compile(r"foot|toe|tip|sole|ankle", re.IGNORECASE)
 _AXIS_TOLERANCE = 1e-3
 """How far an axis may be from the base's, as a cosine: files write pi/2 with five digits."""
+_CLEARLY = 0.9
+"""Cosine of an axis's angle to x or y from which it is along that."""
 _END = 0.9
 """How far from the knee a sphere or a link must reach to be the foot, over the farthest point of the last link."""
 _MAX_CHAIN = 100
@@ -95,7 +98,7 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
         model = spec.compile()
     poses = order_poses(itertools.chain(_keyframe_poses(keys, model), srdf_poses(path)))
     file_name = root.get("name" if root.tag == "robot" else "model", "")
-    return _Reader(path, model, speeds, poses, notes, file_name).read(forward, visuals, incomplete)
+    return _Reader(path, model, speeds, poses, notes, file_name, root.tag == "robot").read(forward, visuals, incomplete)
 
 
 def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iterator[tuple[str, Pose]]:
@@ -172,25 +175,36 @@ class _Reader:
         poses: Sequence[tuple[str, Pose]],
         notes: list[str],
         file_name: str = "",
+        is_urdf: bool = True,
     ) -> None:
         self.path, self.model, self.speeds, self.poses, self.notes = path, model, speeds, poses, notes
-        self.file_name = file_name
+        self.file_name, self.is_urdf = file_name, is_urdf
         self.visuals: Sequence[Visual] = ()
         self.data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, self.data)
+        self.play = find_play(model, self.data)
+        if self.play:
+            notes.append(describe_play(model, self.play))
+        self.hinge = np.array([next(iter(self._joints(body)), -1) for body in range(model.nbody)])
+        """The first joint of each body that is no play; -1: none."""
         self.group = self._groups()
 
     def _error(self, text: str) -> SurefootError:
         return SurefootError(f"{self.path}: {text}")
 
     def _joint_names(self, bodies: Iterable[int]) -> list[str]:
-        return [str(self.model.joint(self.model.body_jntadr[body]).name) for body in bodies]
+        return [str(self.model.joint(int(self.hinge[body])).name) for body in bodies]
+
+    def _joints(self, body: int) -> list[int]:
+        """Return the joints of a body that are no play."""
+        return [int(joint) for joint in np.flatnonzero(self.model.jnt_bodyid == body) if joint not in self.play]
 
     def _groups(self) -> NDArray[np.int64]:
         """Return for each body the body whose joint moves it; what has no joint is fixed to its parent."""
         model = self.model
         group = np.zeros(model.nbody, np.int64)
         for body in range(1, model.nbody):
-            kinds = model.jnt_type[model.jnt_bodyid == body].tolist()
+            kinds = self._joints(body)
             # Without a free joint, bodies on the world may be the base.
             top = not kinds and model.body_parentid[body] == 0 and mjtJoint.mjJNT_FREE not in model.jnt_type
             group[body] = body if kinds or top else group[model.body_parentid[body]]
@@ -201,12 +215,12 @@ class _Reader:
         self.visuals = visuals
         chains, base = self._chains()
         model, data = self.model, self.data
-        if (joint := model.body_jntadr[base]) >= 0 and model.jnt_type[joint] == mjtJoint.mjJNT_FREE:
+        if (joint := self.hinge[base]) >= 0 and model.jnt_type[joint] == mjtJoint.mjJNT_FREE:
             data.qpos[model.jnt_qposadr[joint] :][:7] = [0, 0, 0, 1, 0, 0, 0]
         mujoco.mj_kinematics(model, data)
         forward = forward or self._guess_forward(chains)
         self._turn(FORWARD[forward])
-        places = data.xanchor[model.body_jntadr[chains]]
+        places = data.xanchor[self.hinge[chains]]
         feet = [self._foot(chain[-1], place[-1]) for chain, place in zip(chains, places, strict=True)]
         order = self._order(places[:, -2], np.array([foot.centre for foot in feet]))
         chains, feet = [chains[leg] for leg in order], _pair_feet([feet[leg] for leg in order])
@@ -308,6 +322,9 @@ class _Reader:
         if len(children[base]) < 2 and len(children[0]) > len(children[base]):
             raise self._error("its legs hang from nothing that moves; the base needs to be a body")
         chains = [longest(child) for child in children[base]]
+        wheels = [chain[-1] for chain in chains if len(chain) > 2 and self._ends_in_wheel(chain)]
+        if wheels and len(chains) == 4:
+            raise self._error(describe_wheels(self._joint_names(wheels), self.is_urdf))
         legs = [chain for chain in chains if len(chain) in (2, 3)]
         legs = legs if len(legs) == 4 else chains
         for first, *_ in (chain for chain in chains if chain not in legs):
@@ -319,15 +336,22 @@ class _Reader:
             str(model.body(body).name)
             for leg in legs
             for body in leg
-            if model.jnt_type[model.jnt_bodyid == body].tolist() != [mjtJoint.mjJNT_HINGE.value]
+            if [model.jnt_type[joint] for joint in self._joints(body)] != [mjtJoint.mjJNT_HINGE.value]
         ]
         names = [self._joint_names(leg) for leg in legs]
         check_legs(self.path, model.body(base).name, names, next(iter(branches), None), model.neq > 0, slides)
         return legs, base
 
+    def _ends_in_wheel(self, chain: list[int]) -> bool:
+        """Return whether a leg's last hinge turns a wheel."""
+        above, last = (int(self.hinge[body]) for body in chain[-2:])
+        hinges = (self.model.jnt_type[[above, last]] == mjtJoint.mjJNT_HINGE.value).all()
+        points = np.concatenate([np.empty((0, 3)), *map(self._surface, self._geoms(chain[-1]))])
+        return bool(hinges) and is_wheel(self.model, self.data, above, last, points)
+
     def _guess_forward(self, chains: list[list[int]]) -> str:
         """Return the direction that is forward: across the knees' axes, towards the legs whose names say front."""
-        joints = self.model.body_jntadr[chains]
+        joints = self.hinge[chains]
         hips, knee = self.data.xanchor[joints[:, 0]], np.abs(self.data.xaxis[joints[0, -1]])
         axis = 0 if knee[1] > knee[0] else 1
         front = np.array([bool(_FRONT.search(" ".join(self._joint_names(chain)))) for chain in chains])
@@ -360,8 +384,18 @@ class _Reader:
 
     def _hinges(self, chains: list[list[int]]) -> dict[str, Any]:
         """Return what an `ImportedRobot` has of its hinges; refuse axes that are not along the base's x and y."""
-        model, joints, along = self.model, self.model.body_jntadr[chains], np.array((0, 1, 1)[-len(chains[0]) :])
+        model, joints, along = self.model, self.hinge[chains], np.array((0, 1, 1)[-len(chains[0]) :])
         axes = self.data.xaxis[joints]
+        if (
+            len(chains[0]) == 3
+            and (np.abs(axes[:, 0, 1]) > _CLEARLY).all()
+            and (np.abs(axes[:, 1, 0]) > _CLEARLY).all()
+        ):
+            swing, abduction, _ = self._joint_names(chains[0])
+            raise self._error(
+                f"its hips swing before they abduct ('{swing}' turns about y, '{abduction}' about x): such legs can't "
+                "be taken; to train a similar robot, exchange these two joints of every leg in a copy of the file"
+            )
         cosines = np.take_along_axis(axes, along[None, :, None], axis=2)[..., 0]
         for leg, k in np.argwhere(np.abs(np.abs(cosines) - 1) > _AXIS_TOLERANCE):
             (name,), (x, y, z) = self._joint_names([chains[leg][k]]), axes[leg, k]
