@@ -16,8 +16,6 @@ from surefoot.robot.urdf import Link, Shape
 
 MIRROR_TOLERANCE = 0.02
 """Share by which mirrored masses and lengths may differ."""
-_DENSITY = (10.0, 5000.0)
-"""Mass over the cube of the legs' length [kg/m3] of robots with legs: 60 to 400 in those that are known."""
 
 
 def check_file(robot: RobotDescription) -> Iterator[CheckResult]:
@@ -28,14 +26,11 @@ def check_file(robot: RobotDescription) -> Iterator[CheckResult]:
 
 
 def check_masses(robot: RobotDescription) -> CheckResult:
-    """Compare the robot's mass with its legs, and inertias with what bodies of the links' sizes have."""
+    """Compare inertias with what rigid bodies, and bodies of the links' sizes, have."""
     urdf = robot.urdf.fuse_fixed_links()
     links, total, length = urdf.links, robot.urdf.total_mass, robot.leg_geometry.length
     share = max(link.mass for link in links.values()) / total
     message = f"{total:.2f} kg, {share:.0%} in one body"
-    if (unit := _unit_error(total, length)) is not None:
-        rule = f"{message} and legs of {length:.3g} m; {unit}"
-        return CheckResult("masses", False, rule, "state masses in kg and lengths in m in the file", total)
     if odd := [name for name, link in links.items() if not are_moments(np.linalg.eigvalsh(link.body.inertia))]:
         rule = (
             f"; no rigid body has the inertia of {choices(odd)}: none of the moments may be over the sum of the others"
@@ -79,21 +74,6 @@ def _corners(shape: Shape) -> np.ndarray:
 
 def _first(words: list[str]) -> str:
     return words[0] + (f"; {len(words) - 1} more links are like this" if words[1:] else "")
-
-
-def _unit_error(mass: float, length: float) -> str | None:
-    """Return which units make no robot of a mass and legs of a length; None if they are a robot's."""
-    low, high = _DENSITY
-    density = mass / length**3
-    if low <= density <= high:
-        return None
-    lengths = {"mm": 1e-3, "cm": 1e-2, "inches": 0.0254}
-    fits = [f"lengths are in {unit}" for unit, scale in lengths.items() if low <= density / scale**3 <= high]
-    fits += [
-        f"masses are in {unit}" for unit, scale in {"g": 1e-3, "lb": 0.4536}.items() if low <= density * scale <= high
-    ]
-    both = ["lengths are in mm and masses in g"] if low <= density * 1e6 <= high and not fits else []
-    return f"no robot with legs has this; it looks as if {' or '.join(fits or both)}" if fits or both else None
 
 
 def check_sides(robot: RobotDescription) -> CheckResult:

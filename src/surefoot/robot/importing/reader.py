@@ -27,13 +27,13 @@ from surefoot.robot.importing.extra_hinges import describe_play, describe_wheels
 from surefoot.robot.importing.foot import fit_sphere, sole_sphere, surface_points
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.inertias import drop_frame_masses, implausible_inertias, prepare_inertias
-from surefoot.robot.importing.joint_limits import convert_degrees, explain_ranges
 from surefoot.robot.importing.meshes import Color, Surface, merge_surfaces
 from surefoot.robot.importing.named_files import find_mesh
 from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
 from surefoot.robot.importing.servo import motor_order, read_servos
+from surefoot.robot.importing.units import convert_degrees, explain_ranges, explain_size
 from surefoot.robot.importing.visuals import (
     Visual,
     decimate_visuals,
@@ -50,6 +50,8 @@ _FRONT = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IG
 _FOOT = re.compile(r"foot|toe|tip|sole|ankle", re.IGNORECASE)
 _AXIS_TOLERANCE = 1e-3
 """How far an axis may be from the base's, as a cosine: files write pi/2 with five digits."""
+_SOLE = 0.95
+"""How far from the knee points of the sole are, over the farthest one."""
 _CLEARLY = 0.9
 """Cosine of an axis's angle to x or y from which it is along that."""
 _END = 0.9
@@ -252,6 +254,8 @@ class _Reader:
             notes=tuple(self.notes),
             warnings=tuple(warnings),
         )
+        if (reason := explain_size(robot.mass, robot.length)) is not None:
+            raise self._error(reason)
         parts = self._parts(visuals, robot, chains, base)
         names = dict(zip([base, *itertools.chain(*chains)], ["base", *itertools.chain(*robot.link_names)], strict=True))
         movers = [int(self.group[model.body(link).id]) for link in incomplete]
@@ -451,9 +455,11 @@ class _Reader:
         if not len(points) or (named and np.linalg.norm(data.xpos[named[-1]] - knee) > reach / _END):
             end = data.xpos[named[-1]].copy()
             return _Foot(end, self._thickness(geoms, end, knee), "a link named so")
-        end = data.xpos[named[-1]] if named else points[np.argmax(np.linalg.norm(points - knee, axis=1))]
+        away = np.linalg.norm(points - knee, axis=1)
+        end = data.xpos[named[-1]] if named else points[np.argmax(away)]
         if (sphere := fit_sphere(points, knee, end)) is not None:
             return _Foot(*sphere, "a sphere fitted to the end of the last link's shapes")
+        end = data.xpos[named[-1]] if named else points[away > _SOLE * reach].mean(axis=0)
         return _Foot(*sole_sphere(points, knee, end), "a sphere with the lowest point of the last link's shapes")
 
     def _thickness(self, geoms: NDArray[np.int64], place: Array, knee: Array) -> float:

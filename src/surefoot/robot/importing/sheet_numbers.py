@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE
 from surefoot.robot.importing.imported import ImportedRobot
-from surefoot.robot.importing.joint_limits import PLACEHOLDER_SPEED, explain_speeds
 from surefoot.robot.importing.resting_poses import is_standing
 from surefoot.robot.importing.rules import GUESSED, Rule, actuator_rules, damping_rule
+from surefoot.robot.importing.units import PLACEHOLDER_SPEED, explain_speeds
 from surefoot.robot.sheet import GRAVITY
 
 _MAX_SPREAD = 0.06

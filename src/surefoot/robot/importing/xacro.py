@@ -10,9 +10,12 @@ from pathlib import Path
 from surefoot.errors import SurefootError, choices
 from surefoot.files import CONFIGURATION_BYTES, read_configuration
 
-_FIND = re.compile(r"\$\(find(?:-pkg-share)?\s+([\w.-]+)\s*\)")
+_FIND = re.compile(r"(\$\(find(?:-pkg-share)?\s+([\w.-]+)\s*\))/?([^\s\"'<>$]*)")
+"""A package's folder, its name, and the path in it."""
 _INCLUDE = re.compile(r"<xacro:include\s[^>]*?filename\s*=\s*[\"']([^\"']+)[\"']")
 _SUBSTITUTION = re.compile(r"\$\{[^}]*\}|\$\([a-z-]+\s[^)]*\)")
+_FOLDERS = ("urdf", "xacro", "robots", "robot")
+"""Folders of packages that hold descriptions."""
 _MAX_FILES = 100
 """Included files that are looked at."""
 _LEVELS = 6
@@ -36,8 +39,11 @@ def explain_xacro(path: Path) -> SurefootError:
     """Return the error for a xacro: what to install, and the command that expands it in this folder."""
     start = f"{path}: is a xacro, which is a template"
     files, missing = _included_files(path)
-    finds = {found[0]: found[1] for text in files.values() for found in _FIND.finditer(text)}
-    folders = {name: _find_package(name, path) for name in dict.fromkeys(finds.values())}
+    found = [match for text in files.values() for match in _FIND.finditer(text)]
+    finds = {match[1]: match[2] for match in found}
+    folders: dict[str, Path | None] = {}
+    for match in found:
+        folders[match[2]] = folders.get(match[2]) or _find_package(match[2], path, match[3])
     expand = f"`xacro {shlex.quote(path.name)} > robot.urdf`, and give robot.urdf"
     if absent := [name for name, folder in folders.items() if folder is None]:
         return SurefootError(
@@ -50,10 +56,10 @@ def explain_xacro(path: Path) -> SurefootError:
         return SurefootError(f"{start}; in its folder: pip install xacro, then {expand}")
     edits = " ".join(f"-e {shlex.quote(f's|{text}|{folders[name]}|g')}" for text, name in finds.items())
     names = " ".join(shlex.quote(str(file)) for file, text in files.items() if _FIND.search(text))
-    found = choices(f"{name} is {folder}" for name, folder in folders.items())
+    places = choices(f"{name} is {folder}" for name, folder in folders.items())
     return SurefootError(
         f"{start}; without ROS, in its folder: pip install xacro, put the packages' folders in place of $(find ...) "
-        f"({found}): `sed -i.bak {edits} {names}`, then {expand}"
+        f"({places}): `sed -i.bak {edits} {names}`, then {expand}"
     )
 
 
@@ -74,28 +80,25 @@ def _included_files(path: Path) -> tuple[dict[Path, str], list[str]]:
             missing[file.name] = None
             continue
         for name in _INCLUDE.findall(texts[file]):
-            found = {package: _find_package(package, path) for package in _FIND.findall(name)}
-            if None in found.values() or _SUBSTITUTION.search(_FIND.sub("", name)):
-                continue
-            place = Path(_FIND.sub(lambda match, found=found: str(found[match[1]]), name))  # type: ignore[misc]
-            waiting.append((file.parent / place).resolve())
+            start = _FIND.match(name)
+            folder = _find_package(start[2], path, start[3]) if start else file.parent
+            inside = start[3] if start else name
+            if folder is not None and not _SUBSTITUTION.search(inside):
+                waiting.append((folder / inside).resolve())
     return texts, list(missing)
 
 
-def _find_package(name: str, path: Path) -> Path | None:
-    """Return the folder of a package: of its name beside a file or above it, or with a package.xml that names it."""
+def _find_package(name: str, path: Path, inside: str) -> Path | None:
+    """Return the folder of a package: of its name beside a file or above it, or with a package.xml that names it.
+
+    The folder above a file's `urdf` or `xacro` is a package of any name, if it holds the path `inside`.
+    """
     above = list(path.resolve().parents)[:_LEVELS]
     for folder in above:
         for place in (folder, folder / name):
             if place.is_dir() and (place.name == name or _declares(place, name)):
                 return place
-    # A package whose folder has another name: the one whose urdf or xacro folder holds the file.
-    parent = above[0]
-    if (
-        parent.name in ("urdf", "xacro", "robots", "robot", "urdfs")
-        and len(above) > 1
-        and not (above[1] / "package.xml").exists()
-    ):
+    if len(above) > 1 and above[0].name in _FOLDERS and inside and (above[1] / inside).exists():
         return above[1]
     return None
 

@@ -1,4 +1,4 @@
-"""Units of joint limits: a URDF has radians, rad/s and N m, and some files have degrees or revolutions per minute."""
+"""Units that files have in place of SI units and radians: degrees, revolutions per minute, millimetres, grams."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ _MAX_RADIANS = 4 * math.pi
 """Greatest limit of an angle that is read as radians."""
 _MAX_DEGREES = 360.0
 """Greatest limit of an angle that is read as degrees; larger ones are placeholders."""
+_DENSITIES = (10.0, 5000.0)
+"""Mass over the cube of the legs' length [kg/m3] of robots with legs; 60 to 400 in those that are known."""
+_LENGTHS = {"mm": 1e-3}
+_MASSES = {"g": 1e-3}
 _MIN_RANGE = 0.15
 """Range [rad] of the widest hinge below which no leg can step."""
 _ROUND = (100.0, 200.0, 500.0, 1000.0, 10000.0, 100000.0)
@@ -75,3 +79,18 @@ def explain_ranges(ranges: Array) -> str | None:
         f"the hinges of its legs turn by {widest:.2g} rad or less; an MJCF counts degrees unless its <compiler> has "
         'angle="radian": add that if its ranges are radians'
     )
+
+
+def explain_size(mass: float, length: float) -> str | None:
+    """Return which units a file may have whose mass [kg] and length of legs [m] are no robot's; None if they may be."""
+    low, high = _DENSITIES
+    density = mass / length**3
+    if low <= density <= high:
+        return None
+    fits = [f"lengths are in {unit}" for unit, size in _LENGTHS.items() if low <= density / size**3 <= high]
+    fits += [f"masses are in {unit}" for unit, size in _MASSES.items() if low <= density * size <= high]
+    if not fits and low <= density * 1e6 <= high:
+        fits = ["lengths are in mm and masses in g"]
+    if not fits:
+        return None
+    return f"{mass:.4g} kg on legs of {length:.3g} m are no robot; it looks as if {' or '.join(fits)}: state m and kg"
