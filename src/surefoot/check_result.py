@@ -19,9 +19,11 @@ class CheckResult:
     message: str
     """What was measured or compared; of a check that failed, also the rule."""
     remedy: str = ""
-    """What to do, unless the check passed."""
+    """What to do, unless the check passed without a warning."""
     value: float | str | None = None
     """What was measured, if it is one number or word; SI units."""
+    warn: bool = False
+    """Whether a check that passed warns: training works, and something is unusual."""
 
 
 def fail_if(name: str, error: str | None, message: str, remedy: str, value: float | str | None = None) -> CheckResult:
@@ -36,6 +38,13 @@ def judge(
 ) -> CheckResult:
     """Return a result; only if it failed, its message ends with the rule."""
     return fail_if(name, None if passed else f"{message}{rule}", message, remedy, value)
+
+
+def warn_if(name: str, warning: str | None, message: str, remedy: str, value: float | str | None = None) -> CheckResult:
+    """Return a result that passed: with a warning as its message, or with `message` if there is none."""
+    if warning is None:
+        return CheckResult(name, True, message, value=value)
+    return CheckResult(name, True, warning, remedy, value, warn=True)
 
 
 def skipped(names: Iterable[str], reason: str, remedy: str = "repair that first") -> list[CheckResult]:

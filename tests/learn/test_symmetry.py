@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from odd_quadrupeds import urdf
 from tensordict import TensorDict
 
+from surefoot.api.training import check_config, symmetry_note
 from surefoot.errors import SurefootError
-from surefoot.learn.symmetry import MirrorSamples, mirror_columns, mirror_name, reference_shift
+from surefoot.learn.config import PPOConfig, TrainConfig, load_train_config
+from surefoot.learn.networks import make_algorithm
+from surefoot.learn.symmetry import (
+    MirrorAugmentation,
+    MirrorSamples,
+    mirror_columns,
+    mirror_name,
+    reference_shift,
+)
+from surefoot.robot.importing.reader import read_robot
+from surefoot.robot.importing.writer import write_robot
 from surefoot.robot.randomization import load_ranges
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
@@ -69,6 +82,36 @@ def test_the_mirror_image_of_a_reference_is_itself_at_once_or_half_a_period_late
 def test_a_reference_that_is_not_symmetric_is_refused():
     with pytest.raises(SurefootError, match=r"ppo\.symmetry.*not left-right symmetric"):
         reference_shift(make_env(wave(0.0, 1.0, 2.0, 3.0)))
+
+
+@pytest.mark.parametrize(("longer", "mirrored"), [(0.0005, True), (0.004, False), (0.02, False)])
+def test_a_robot_whose_sides_differ_trains_with_mirrored_samples_up_to_half_a_percent(
+    longer: float, mirrored: bool, tmp_path: Path
+):
+    (tmp_path / "odd.urdf").write_text(urdf(longer))
+    write_robot(read_robot(tmp_path / "odd.urdf"), tmp_path / "odd", "odd")
+    config = load_train_config("trot", str(tmp_path / "odd"))
+    config = replace(config, num_envs=2, steps_per_update=4, threads=1)
+    assert config.ppo.symmetry
+    check_config(config)
+    env = make_env(config.task)
+    observation, _ = env.reset()
+    groups = {"policy": torch.from_numpy(observation), "privileged": torch.from_numpy(env.privileged())}
+    algorithm = make_algorithm(config, env, TensorDict(groups, batch_size=[2]))
+    assert isinstance(algorithm.symmetry, MirrorAugmentation) is mirrored
+    note = symmetry_note(config)
+    assert (note is None) is mirrored
+    if note is not None:
+        for words in (f"back_left's upper link is {1e3 * longer:.2g} mm longer", "up to 2 mm", "--ppo.no-symmetry"):
+            assert words in note
+    assert symmetry_note(replace(config, ppo=replace(config.ppo, symmetry=False))) is None
+
+
+def test_a_gait_that_is_not_symmetric_is_refused_before_there_is_a_run_and_names_the_option():
+    config = TrainConfig(task=wave(0.0, 1.0, 2.0, 3.0), ppo=PPOConfig(symmetry=True), threads=1)
+    with pytest.raises(SurefootError, match=r"--ppo\.no-symmetry learns without mirrored samples"):
+        check_config(config)
+    check_config(replace(config, ppo=PPOConfig()))
 
 
 @pytest.fixture(scope="module")

@@ -238,7 +238,7 @@ BAD = [
     (
         "dog.urdf",
         '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:macro name="leg"/></robot>',
-        "is a xacro, which is a template; run `xacro dog.urdf > robot.urdf`",
+        "is a xacro, which is a template; in its folder: pip install xacro, then `xacro dog.urdf > robot.urdf`",
     ),
     (
         "dog.urdf",
@@ -349,15 +349,54 @@ def test_torques_are_limited_by_joints_or_by_their_actuators(tmp_path: Path) -> 
     np.testing.assert_array_equal(imported.torque, [(24.0, 27.0, 9.0), *[[np.nan] * 3] * 3])
 
 
-def test_feet_without_spheres_are_the_far_ends_of_boxes(tmp_path: Path) -> None:
+def test_feet_without_spheres_end_where_boxes_end(tmp_path: Path) -> None:
     box = '<geom type="box" size=".015 .01 .1" pos=".005 0 -.1"/>'
     imported = read_robot(write(tmp_path, mjcf(legs(foot=box))))
-    radius = imported.foot_radius[0]
-    # Half of the box's thinnest side.
-    assert radius == pytest.approx(0.01)
-    # The corner that is furthest from the knee, in the box's middle plane, a radius above its end.
-    np.testing.assert_allclose(imported.feet[0], [0.22, 0.14, -0.4 + radius], atol=1e-9)
-    assert f"feet: the far end of the last link's shapes, radius {radius:.3g} m" in imported.notes
+    radius, (x, y, z) = imported.foot_radius[0], imported.feet[0]
+    # The middle of the lower end, which is .2 m below the knee; the sphere is not much wider than the end.
+    assert 0.004 <= radius <= 1.5 * 0.015 + 1e-9
+    assert (x, y) == pytest.approx((0.205, 0.14), abs=2e-3)
+    assert z - radius == pytest.approx(-0.4, abs=1e-3)
+    assert f"feet: a sphere with the lowest point of the last link's shapes, radius {radius:.3g} m" in imported.notes
+
+
+FEET = {
+    # Shapes at the ankle, .2 m below the knee, and radius and lowest point of the sphere that rolls like them.
+    "disc": ('<geom type="cylinder" size=".02 .01" pos="0 0 -.2" euler="1.5707963 0 0"/>', 0.02, 0.22),
+    "narrow disc": ('<geom type="cylinder" size=".006 .002" pos="0 0 -.2" euler="1.5707963 0 0"/>', 0.006, 0.206),
+    "disc off the line": ('<geom type="cylinder" size=".03 .01" pos=".01 0 -.19" euler="1.5707963 0 0"/>', 0.03, 0.22),
+    "capsule along the shank": ('<geom type="capsule" size=".012" fromto="0 0 0 0 0 -.2"/>', 0.012, 0.212),
+    "capsule across": ('<geom type="capsule" size=".015" fromto="0 -.02 -.2 0 .02 -.2"/>', 0.015, 0.215),
+    "round ellipsoid": ('<geom type="ellipsoid" size=".02 .01 .02" pos="0 0 -.2"/>', 0.02, 0.22),
+}
+
+
+@pytest.mark.parametrize("kind", FEET)
+def test_a_foot_is_the_sphere_that_rolls_like_its_shape(kind: str, tmp_path: Path) -> None:
+    shape, radius, reach = FEET[kind]
+    imported = read_robot(write(tmp_path, mjcf(legs(foot=shape))))
+    assert imported.foot_radius == pytest.approx([radius] * 4, rel=0.01)
+    assert 0.2 + imported.feet[0, 2] - radius == pytest.approx(-reach, abs=3e-4)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        '<geom type="box" size=".015 .015 .01" pos="0 0 -.21"/>',
+        '<geom type="cylinder" size=".02 .01" pos="0 0 -.21"/>',  # a stamp: the axis is the shank's
+        '<geom type="ellipsoid" size=".03 .02 .01" pos="0 0 -.21"/>',
+    ],
+)
+def test_a_flat_foot_keeps_its_sole(shape: str, tmp_path: Path) -> None:
+    imported = read_robot(write(tmp_path, mjcf(legs(foot=shape))))
+    assert imported.feet[0, 2] - imported.foot_radius[0] == pytest.approx(-0.42, abs=2e-3)
+    assert imported.feet[0, 0] == pytest.approx(0.2, abs=2e-3)
+
+
+def test_a_sphere_at_the_knee_is_no_foot(tmp_path: Path) -> None:
+    foot = '<geom type="sphere" size=".03"/><geom type="cylinder" size=".02 .01" pos="0 0 -.2" euler="1.5707963 0 0"/>'
+    imported = read_robot(write(tmp_path, mjcf(legs(foot=foot))))
+    assert imported.foot_radius == pytest.approx([0.02] * 4, rel=0.01)
 
 
 def test_a_base_without_a_shape_is_a_box_of_its_inertia(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
 from surefoot.learn.config import LoggerName, TrainConfig
 from surefoot.progress import ProgressBar
+from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 from surefoot.world.registry import find_world
 
@@ -40,9 +41,14 @@ _RANDOMIZED_EPISODES = 100
 def check_config(config: TrainConfig) -> None:
     """Refuse an invalid task, or an invalid run to start from, before a run folder is made."""
     from surefoot.learn.run_folder import RunFolder
+    from surefoot.robot.mirror import is_mirrored
     from surefoot.task.env import LocomotionEnv
 
-    LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
+    env = LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
+    if config.ppo.symmetry and is_mirrored(env.robot):
+        from surefoot.learn.symmetry import MirrorSamples
+
+        MirrorSamples(env)
     if config.start_from is not None:
         RunFolder.open(Path(config.start_from))
     elif config.task.reference.over_holes is not None:
@@ -50,6 +56,15 @@ def check_config(config: TrainConfig) -> None:
             "reference.over_holes is given, and start_from is not: what learns is the gait over holes; name the run "
             "whose policy walks elsewhere: --start-from RUN"
         )
+
+
+def symmetry_note(config: TrainConfig) -> str | None:
+    """Return in one line why a robot does not learn from mirrored samples although it is asked to; None: it does."""
+    if not config.ppo.symmetry:
+        return None
+    from surefoot.learn.symmetry import mirror_note
+
+    return mirror_note(RobotDescription.load(config.task.robot))
 
 
 def start_note(config: TrainConfig) -> str | None:

@@ -135,9 +135,9 @@ def _examine(command: DoctorCommand) -> int:
 
 
 def print_result(console: Console, result: CheckResult) -> None:
-    """Print a result in one line. The remedy of a failed check gets a second one."""
-    label, style = _LABELS[result.passed]
+    """Print a result in one line. The remedy of a check that failed or warns gets a second one."""
+    label, style = ("warn", "yellow") if result.warn else _LABELS[result.passed]
     remedy = f": {result.remedy}" if result.passed is None else ""
     console.print(Text.assemble((f"{label:<8}", style), f"  {result.name:<20}  {result.message}{remedy}"))
-    if result.passed is False:
+    if result.passed is False or result.warn:
         console.print(Text(f"{'':<32}to do: {result.remedy}"))

@@ -22,6 +22,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.appearance import LOOKS
 from surefoot.robot.archive import SHEET
 from surefoot.robot.importing.imported import KNEE_SIGNS, ImportedRobot, Knees
+from surefoot.robot.importing.rules import describe_origins
 from surefoot.robot.importing.writer import URDF, set_servo_step, write_robot
 
 PICTURE = "robot.png"
@@ -52,9 +53,10 @@ class NewCommand:
 
 @dataclass(frozen=True)
 class CheckCommand:
-    """Check a robot's description, one line a check: pass or FAIL, why, and what to do.
+    """Check a robot's description, one line a check: pass, warn or FAIL, why, and what to do.
 
-    Exit code 0: all passed; 3: something failed; 2: the description can't be read.
+    First it prints where each number of the data sheet comes from. Exit code 0: all passed, some perhaps with a
+    warning; 3: something failed; 2: the description can't be read.
     """
 
     robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
@@ -91,6 +93,9 @@ def _new(argv: list[str]) -> int:
             robot = RobotDescription.load(folder)
         for line in guesses:
             print(f"guessed  {line}")
+        for guessed, line in describe_origins(robot):
+            if not guessed:
+                print(f"stated   {line}")
         save_robot_picture(robot, folder / PICTURE)
         print(f"wrote {folder}: robot.toml, robot.urdf, {PICTURE}")
         code = _run_checks(robot)
@@ -140,7 +145,11 @@ def find_knees(robot: ImportedRobot) -> Knees | None:
 
 def _check(argv: list[str]) -> int:
     command = parse(CheckCommand, argv, "surefoot robot check")
-    return _run_checks(RobotDescription.load(command.robot), command.json)
+    robot = RobotDescription.load(command.robot)
+    if not command.json:
+        for guessed, line in describe_origins(robot):
+            print(f"{'guessed' if guessed else 'stated':<8} {line}")
+    return _run_checks(robot, command.json)
 
 
 def _run_checks(robot: RobotDescription, as_json: bool = False) -> int:
@@ -148,15 +157,19 @@ def _run_checks(robot: RobotDescription, as_json: bool = False) -> int:
     from surefoot.world.description_checks import run_description_checks
 
     console, results = make_console(), []
-    for result in chain(run_description_checks(robot), (check_trot(one) for one in [robot])):
+    for result in chain(run_description_checks(robot), check_trot(robot)):
         results.append(result)
         if not as_json:
             print_result(console, result)
     failed = sum(result.passed is False for result in results)
     if as_json:
-        print_json({"robot": robot.name, "passed": not failed, "checks": [asdict(item) for item in results]})
+        checks = [asdict(item) for item in results]
+        numbers = [{"guessed": guessed, "origin": line} for guessed, line in describe_origins(robot)]
+        print_json({"robot": robot.name, "passed": not failed, "checks": checks, "numbers": numbers})
     else:
-        print(f"{len(results) - failed} passed, {failed} failed")
+        warned = sum(result.warn for result in results)
+        counts = f"{len(results) - failed - warned} passed, " + (f"{warned} passed with a warning, " if warned else "")
+        print(f"{counts}{failed} failed")
     return FAILED if failed else 0
 
 

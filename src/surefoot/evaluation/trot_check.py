@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
 
-from surefoot.check_result import CheckResult, judge
+from surefoot.arrays import Array
+from surefoot.check_result import CheckResult, judge, warn_if
 from surefoot.errors import SurefootError
 from surefoot.evaluation.runs import SATURATION
 from surefoot.robot import RobotDescription
+from surefoot.robot.actuator import JointActuatorData
 from surefoot.task.config import load_task
 from surefoot.world.interface import WorldConfig
 from surefoot.world.motor_load import available_torque, describe_torque, measure_load, unlimited
@@ -16,6 +22,10 @@ DURATION = 3.0
 """How long the robot trots [s]: six strides and more."""
 _USUAL = 0.95
 """Share of the time for which the torque is below the one that is reported."""
+_LEAST_SPEED = 0.4
+"""Speed limit, over what a trot asks for, below which no trot comes: at 0.75 ANYmal C trots a tenth slower."""
+_FASTEST = 80.0
+"""Speed [rad/s] that no joint of a leg has."""
 _MOST = 0.5
 """Share of the time at the limit from which a fall is put down to the motor."""
 _SUNK = 0.7
@@ -23,12 +33,12 @@ _SUNK = 0.7
 REMEDY = "take stronger motors or a lighter robot, or trot slower with smaller strides (frequency, stroke of a task)"
 
 
-def check_trot(robot: RobotDescription) -> CheckResult:
-    """Run the reference of the task `trot` without feedback; compare the torque that it asks for with what is there.
+def check_trot(robot: RobotDescription) -> Iterator[CheckResult]:
+    """Run the reference of the task `trot` without feedback; compare speed and torque that it asks for with motors'.
 
-    What it asks for is measured with motors that have any torque. It fails if the robot falls with its own motors, one
-    of them at its limit for most of the time, and does not with those. Many robots fall without feedback, which
-    training mends.
+    The speed follows from the reference; it warns, or fails, if a motor can't have it. The torque is measured with
+    motors that have any torque and speed. It fails if the robot falls with its own motors, one of them at its limit for
+    most of the time, and does not with those. Many robots fall without feedback, which training mends.
     """
     try:
         task, _ = load_task("trot", str(robot.folder))
@@ -40,7 +50,15 @@ def check_trot(robot: RobotDescription) -> CheckResult:
             for one in (robot, unlimited(robot))
         )
     except SurefootError as error:
-        return CheckResult("torque to trot", None, str(error), "training needs a task that fits this robot")
+        yield CheckResult("torque to trot", None, str(error), "training needs a task that fits this robot")
+        return
+    if isinstance(robot.actuator, JointActuatorData):
+        # What legs are to do, without what commands lead by.
+        plain = replace(task, reference=replace(task.reference, velocity_feedforward=0.0)).gait(robot)
+        times = np.arange(0.0, DURATION, robot.timing.control_step)
+        targets = np.concatenate([plain.motor_targets([time], zero) for time in times])
+        speeds = np.abs(np.diff(targets, axis=0)) / robot.timing.control_step
+        yield _check_speed(robot, robot.actuator, np.quantile(speeds, _USUAL, axis=0))
     shares, asked = own.saturation.mean(axis=0), np.quantile(np.abs(free.torque), _USUAL, axis=0)
     worst = int(
         np.argmax(shares if shares.any() else asked / [available_torque(robot, k) for k in range(robot.num_motors)])
@@ -56,4 +74,18 @@ def check_trot(robot: RobotDescription) -> CheckResult:
     down, able = not own.finished or bool(low < _SUNK * usual), free.finished or robot.actuator.kind == "dc"
     weak = down and able and share >= _MOST
     rule = "; the robot goes down, with stronger motors it does not"
-    return judge("torque to trot", not weak, message, rule, REMEDY, share)
+    yield judge("torque to trot", not weak, message, rule, REMEDY, share)
+
+
+def _check_speed(robot: RobotDescription, data: JointActuatorData, asked: Array) -> CheckResult:
+    """Compare the speeds (M,) [rad/s] that a trot asks for with the motors' limits."""
+    limits = np.broadcast_to(np.asarray(data.speed_limit, float), asked.shape)
+    worst = int(np.argmax(asked / limits))
+    need, limit = float(asked[worst]), float(limits[worst])
+    message = f"a trot turns {robot.motor_names[worst]} at up to {need:.2g} rad/s, and its limit is {limit:.3g} rad/s"
+    remedy = "put the drive's no-load speed into actuator.speed_limit, in rad/s at the joint, or trot slower"
+    if 1.2 * need <= math.tau * limit <= _FASTEST:
+        remedy += f"; if these are revolutions per second, it is {math.tau * limit:.3g} rad/s"
+    if limit < _LEAST_SPEED * need:
+        return CheckResult("speed to trot", False, message, remedy, need)
+    return warn_if("speed to trot", message if limit < need else None, message, remedy, need)

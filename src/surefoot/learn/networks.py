@@ -18,6 +18,7 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.gait_switch import GaitSwitchArchitecture
 from surefoot.learn.symmetry import MirrorAugmentation
+from surefoot.robot.mirror import is_mirrored
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 
@@ -70,7 +71,8 @@ def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorD
         observation: a batch of its observations, by group: `policy`, and `privileged` where the critic has that.
 
     Raises:
-        SurefootError: `ppo.symmetry`, and a robot or a reference gait that is not its own mirror image.
+        SurefootError: `ppo.symmetry`, and a reference gait that is not its own mirror image. A robot whose sides
+            differ learns without mirrored samples.
     """
     ppo, actions = config.ppo, len(env.gait.action_names)
     groups = {"actor": ["policy"], "critic": ["policy", "privileged"] if ppo.privileged_critic else ["policy"]}
@@ -106,7 +108,7 @@ def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorD
         schedule=ppo.schedule,
         desired_kl=ppo.desired_kl,
     )
-    if ppo.symmetry:
+    if ppo.symmetry and is_mirrored(env.robot):
         algorithm.symmetry = MirrorAugmentation(env)
     algorithm.train_mode()
     return algorithm

@@ -17,6 +17,7 @@ from tensordict import TensorDict
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, SerialLegs
+from surefoot.robot.mirror import MIRRORED, is_mirrored, side_difference
 from surefoot.task.commands import CommandState
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
@@ -29,6 +30,8 @@ _FLIPPED = (
 _ANGLE_COLUMNS = ("angle", "speed", "joint", "last_joint")
 """Prefixes of the motors' columns that have the sign of the motor's angle."""
 _PHASE = ("phase_sin", "phase_cos")
+_LEG_SPACE_GAIN = 4.0
+"""Difference of poses in leg space, over that of the legs' lengths in lengths of the leg, which bends magnify."""
 
 
 def mirror_name(name: str) -> str:
@@ -82,7 +85,8 @@ def mirror_columns(
         source = np.array([places[other(name)] for name in columns], np.int64)
     except KeyError as error:
         raise SurefootError(
-            f"symmetry: column {error} has no counterpart; legs must be called left and right"
+            f"symmetry: column {error} has no counterpart; legs must be called left and right, or --ppo.no-symmetry "
+            "learns without mirrored samples"
         ) from None
     flipped = {*_FLIPPED, *more_flipped, *(_PHASE if half_period else ())}
     sign = [-1.0 if flipped & {name, name.partition(".")[0]} else 1.0 for name in columns]
@@ -93,13 +97,28 @@ def mirror_columns(
     return source, np.array(sign, np.float32)
 
 
+def mirror_note(robot: RobotDescription) -> str | None:
+    """Return why a robot does not learn from mirrored samples, in one line; None where it may."""
+    if is_mirrored(robot):
+        return None
+    difference = side_difference(robot)
+    most = 1e3 * MIRRORED * robot.leg_geometry.length
+    return (
+        f"{difference.text}: no mirrored samples are learned from (up to {most:.2g} mm they are); if the robot is not "
+        "built so, correct its URDF; --ppo.no-symmetry says the same"
+    )
+
+
 def reference_shift(env: LocomotionEnv) -> bool:
     """Return whether the mirrored reference gait is the reference half a period later (else its own mirror image).
+
+    Legs whose lengths differ, within `MIRRORED`, may differ in leg space by some of that.
 
     Raises:
         SurefootError: it is neither.
     """
     reference, legs = env.gait.reference, env.robot.leg_names
+    tolerance = 1e-4 + _LEG_SPACE_GAIN * side_difference(env.robot).length / env.robot.leg_geometry.length
     period = reference.period or 1.0
     times = np.linspace(0, period, 64, endpoint=False)
     source, _ = mirror_columns(legs)
@@ -111,10 +130,11 @@ def reference_shift(env: LocomotionEnv) -> bool:
         later, cycles = times + half * period / 2, times / period
         here = reference.pose(times, CommandState(command, np.ones(64), cycles))
         there = reference.pose(later, CommandState(command * [1, -1, -1], np.ones(64), later / period))
-        if np.allclose(here[..., source], there, atol=1e-4):
+        if np.allclose(here[..., source], there, atol=tolerance):
             return half
     raise SurefootError(
-        "ppo.symmetry is set, but the task's reference gait is not left-right symmetric, at once or half a period later"
+        "ppo.symmetry is set, but the task's reference gait is not left-right symmetric, at once or half a period "
+        "later; --ppo.no-symmetry learns without mirrored samples"
     )
 
 

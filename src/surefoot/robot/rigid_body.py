@@ -10,10 +10,54 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 
+_MAX_GYRATION = 1.5
+"""Radius of gyration, over the distance of a link's farthest point from its centre of mass, from which it is too large:
+1 is the limit, and shapes may not show all of a link."""
+_MIN_GYRATION = 0.2
+"""Radius of gyration, over that of a solid box around the link, below which it is too small."""
+_SMALL_PART = 0.05
+"""Size of a part, over the robot's, under which shapes do not show all of it."""
+
 
 def are_moments(moments: NDArray[np.floating[Any]]) -> bool:
     """Return whether a rigid body can have these principal moments (3,): over 0, none over the sum of the others."""
     return bool(moments.min() > 0 and 2 * moments.max() <= 1.001 * moments.sum())
+
+
+def box_moments(mass: float, sides: Array) -> Array:
+    """Return the moments of inertia (3,) [kg m2] of a solid box with sides (3,) [m] along its axes."""
+    squares = np.square(sides)
+    moments: Array = mass / 12 * (squares.sum() - squares)
+    return moments
+
+
+def describe_gyration(
+    name: str, mass: float, moments: Array, points: Array | None, robot_size: float
+) -> tuple[bool, str] | None:
+    """Return whether a link's inertia is too large (else too small) for its size, and that in words.
+
+    None if it fits.
+
+    Args:
+        name: the link.
+        mass: its mass [kg].
+        moments: its principal moments (3,) [kg m2].
+        points: points (p, 3) [m] on its shapes and joints, from its centre of mass along the principal axes; None if
+            its size is not known: then it is compared with the robot's.
+        robot_size: length [m] of a straight line through the robot.
+    """
+    radius = float(np.sqrt(moments.max() / mass))
+    text = f"link '{name}': {mass:.3g} kg with a radius of gyration of {radius:.3g} m"
+    if points is None:
+        too_large = f"{text}, and the whole robot is {robot_size:.2g} m long; correct its <inertial>"
+        return (True, too_large) if radius > robot_size else None
+    sides = np.ptp(points, axis=0)
+    box = box_moments(mass, sides)
+    large = radius > _MAX_GYRATION * max(float(np.linalg.norm(points, axis=1).max()), _SMALL_PART * robot_size)
+    if not large and radius >= _MIN_GYRATION * float(np.sqrt(box.max() / mass)):
+        return None
+    span, inertia = (" x ".join(f"{side:.2g}" for side in sides), ", ".join(f"{value:.2g}" for value in box))
+    return large, f"{text}, and its shapes and joints span {span} m; a box of this size has ({inertia}) kg m2"
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from xml.parsers.expat import ErrorString
+from xml.parsers.expat.errors import XML_ERROR_UNBOUND_PREFIX, codes
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -23,6 +24,7 @@ from surefoot.rotations import matrix_rpy, rpy_matrix
 
 KINDS = ("fixed", "revolute", "continuous")
 """Types of joints that robots have here."""
+_UNBOUND_PREFIX = codes[XML_ERROR_UNBOUND_PREFIX]
 _MAX_DEPTH = 200
 """Elements in each other that are read: writers of XML end at Python's own limit."""
 
@@ -38,6 +40,8 @@ def read_xml(path: Path) -> ElementTree.Element:
     except ElementTree.ParseError as error:
         line, column = error.position
         reason = ErrorString(error.code)
+        if error.code == _UNBOUND_PREFIX and b"<xacro:" in content:
+            reason = 'a xacro without xmlns:xacro="http://www.ros.org/wiki/xacro" in its <robot>; add that'
         raise SurefootError(f"{path}: is not well-formed XML in line {line}, column {column + 1}: {reason}") from error
     level, depth = [root], 0
     while level:

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge
+from surefoot.check_result import CheckResult, judge, warn_if
 from surefoot.errors import SurefootError, choices
-from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot import GRAVITY, RobotDescription, SerialLegs
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE, JointActuatorData
-from surefoot.robot.rigid_body import are_moments
+from surefoot.world.body_checks import check_file, check_masses, check_sides
 from surefoot.world.interface import WorldConfig
 from surefoot.world.motor_load import (
     MotorLoad,
@@ -27,8 +27,8 @@ from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 
 MAX_STANDING_TORQUE = 0.6
 """Share of a motor's torque that standing may take: a trot stands on half of the legs."""
-MIRROR_TOLERANCE = 0.02
-"""Share by which mirrored masses and lengths may differ."""
+DRAWN_TOLERANCE = 0.02
+"""Share of the straight leg by which what is drawn of a leg may end beyond or short of its foot's sphere."""
 FOOT_TOLERANCE = 0.05
 """Share by which radii of feet may differ."""
 MAX_TILT = 0.2
@@ -47,9 +47,10 @@ _DAMPER = 1.5
 def run_description_checks(robot: RobotDescription) -> Iterator[CheckResult]:
     """Yield the results for masses, limits, mirrored sides, feet, standing, frequencies and physics step."""
     model = build_model(robot)
-    yield _check_masses(robot)
+    yield from check_file(robot)
+    yield check_masses(robot)
     yield _check_torque_limits(robot)
-    yield _check_sides(robot)
+    yield check_sides(robot)
     yield _check_feet(robot, model)
     yield from _check_stand(robot, model)
     frequencies, limits = _step_limits(robot, model)
@@ -69,15 +70,6 @@ def _round_down(limits: dict[str, float]) -> float:
     return max(math.floor(1e5 * min(limits.values())), 1) / 1e5
 
 
-def _check_masses(robot: RobotDescription) -> CheckResult:
-    links = robot.urdf.fuse_fixed_links().links
-    odd = [name for name, link in links.items() if not are_moments(np.linalg.eigvalsh(link.body.inertia))]
-    share = max(link.mass for link in links.values()) / robot.urdf.total_mass
-    message = f"{robot.urdf.total_mass:.2f} kg, {share:.0%} in one body"
-    rule = f"; no rigid body has the inertia of {choices(odd)}: none of the moments may be over the sum of the others"
-    return judge("masses", not odd, message, rule, "correct these inertias in the URDF", robot.urdf.total_mass)
-
-
 def _check_torque_limits(robot: RobotDescription) -> CheckResult:
     if not isinstance(robot.actuator, JointActuatorData):
         return CheckResult("torque limits", True, "DC motors: by voltage and the torque-current curve")
@@ -89,25 +81,8 @@ def _check_torque_limits(robot: RobotDescription) -> CheckResult:
     return judge("torque limits", real, message, rule, remedy, float(torque.max()))
 
 
-def _check_sides(robot: RobotDescription) -> CheckResult:
-    """Compare the hips and masses of the legs with those of the legs across the middle plane."""
-    links, joints = robot.urdf.fuse_fixed_links().links, robot.urdf.joints
-    masses = [sum(links[joints[name].child].mass for name in (*leg.motors, *leg.knees)) for leg in robot.legs]
-    differing = []
-    for leg, mirror in enumerate(robot.leg_mounts * [1.0, -1.0, 1.0]):
-        distances = np.linalg.norm(robot.leg_mounts - mirror, axis=1)
-        other = int(np.argmin(distances))
-        apart = distances[other] > MIRROR_TOLERANCE * robot.leg_geometry.length
-        if other == leg or apart or abs(masses[leg] - masses[other]) > MIRROR_TOLERANCE * masses[leg]:
-            differing.append(robot.leg_names[leg])
-    rule = f"{choices(differing)}: no mirror image within {MIRROR_TOLERANCE:.0%} of the leg's length and mass"
-    remedy = "correct the places of the hips and the masses of the legs, or go on if the robot is built so"
-    message = rule if differing else "left and right are mirror images"
-    return judge("left and right", not differing, message, "", remedy)
-
-
 def _check_feet(robot: RobotDescription, model: mujoco.MjModel) -> CheckResult:
-    """Compare the radii of the feet left to right and front to back."""
+    """Compare the radii of the feet left to right and front to back, and their lowest points with what is drawn."""
     radii = model.geom_size[foot_geoms(robot, model), 0]
     equal = bool(np.ptp(radii) <= FOOT_TOLERANCE * radii.max())
     sizes = f"{1e3 * radii.mean():.3g} mm"
@@ -115,7 +90,41 @@ def _check_feet(robot: RobotDescription, model: mujoco.MjModel) -> CheckResult:
         sizes = choices(f"{name} {1e3 * radius:.3g} mm" for name, radius in zip(robot.leg_names, radii, strict=True))
     rule = f"; left and right, front and back may differ by {FOOT_TOLERANCE:.0%}"
     remedy = "correct the radii of the feet's spheres in the URDF, or go on if the robot is built so"
-    return judge("feet", equal, f"{len(robot.legs)} spheres of {sizes}", rule, remedy, float(radii.mean()))
+    message = f"{len(robot.legs)} spheres of {sizes}"
+    if not equal:
+        return CheckResult("feet", False, message + rule, remedy, float(radii.mean()))
+    beyond = drawn_beyond_feet(robot)
+    worst = int(np.argmax(np.abs(beyond)))
+    warning = None
+    if abs(beyond[worst]) > DRAWN_TOLERANCE * robot.leg_geometry.length:
+        where = "below" if beyond[worst] > 0 else "above"
+        apart = f"{1e3 * abs(beyond[worst]):.2g} mm {where} its sphere"
+        warning = f"{message}; what is drawn of {robot.leg_names[worst]} ends {apart}"
+    remedy = "correct place and radius of the feet's spheres (links NAME_foot) in robot.urdf, if the drawing is right"
+    return warn_if("feet", warning, message, remedy, float(radii.mean()))
+
+
+def drawn_beyond_feet(robot: RobotDescription) -> Array:
+    """Return how far legs are drawn beyond their feet's spheres (L,) [m], along the shank; 0 without a drawing."""
+    beyond = np.zeros(len(robot.legs))
+    if robot.looks is None or not isinstance(robot.leg_geometry, SerialLegs):
+        return beyond
+    parts, joints = robot.appearance().parts, robot.urdf.joints
+    frames = robot.urdf.frames()
+    for k, leg in enumerate(robot.legs):
+        shank = joints[leg.motors[-1]].child
+        knee, foot = frames[shank], frames[leg.foot][:3, 3]
+        length = float(np.linalg.norm(foot - knee[:3, 3]))
+        points = [
+            part.vertices @ frames[part.link][:3, :3].T + frames[part.link][:3, 3]
+            for part in parts
+            if part.link in (shank, leg.foot)
+        ]
+        if points and length > 0:
+            along = (np.concatenate(points) - knee[:3, 3]) @ (foot - knee[:3, 3]) / length
+            radius = robot.urdf.links[leg.foot].collisions[0].size[0]
+            beyond[k] = float(along.max()) - length - radius
+    return beyond
 
 
 def _check_stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[CheckResult]:

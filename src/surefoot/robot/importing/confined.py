@@ -32,7 +32,8 @@ _MAX_MESH_SECONDS = 120.0
 _PACKAGES = ("mujoco", "trimesh", "collada", "fast_simplification")
 """Packages that the reader needs."""
 _ARRAYS = (
-    *("places", "axes", "limits", "torque", "speed", "damping", "friction", "rotor_inertia", "feet", "foot_radius"),
+    *("places", "axes", "limits", "kp", "kd", "torque", "speed", "damping", "friction", "rotor_inertia"),
+    *("feet", "foot_radius"),
 )
 """Fields of an `ImportedRobot` that are arrays."""
 
@@ -96,7 +97,11 @@ def encode(robot: ImportedRobot) -> bytes:
         "forward": robot.forward,
         "joints": robot.joints,
         "poses": [source for source, _ in robot.poses],
+        "undrawn": robot.undrawn,
+        "damping_is_kd": robot.damping_is_kd,
+        "motor_order": robot.motor_order,
         "notes": robot.notes,
+        "warnings": robot.warnings,
         "parts": [[part.link, part.color] for part in robot.parts],
     }
     arrays = {name: getattr(robot, name) for name in _ARRAYS} | {
@@ -104,7 +109,7 @@ def encode(robot: ImportedRobot) -> bytes:
         "mass": np.array([body.mass for body in bodies]),
         "centre": np.array([body.centre for body in bodies]),
         "inertia": np.array([body.inertia for body in bodies]),
-        "poses": np.array([angles for _, angles in robot.poses]).reshape(-1, 4),
+        "poses": np.array([angles for _, angles in robot.poses]).reshape(-1, *robot.kp.shape),
     }
     for k, part in enumerate(robot.parts):
         arrays |= {f"vertices_{k}": part.vertices, f"faces_{k}": part.faces}
@@ -143,7 +148,11 @@ def decode(data: bytes, path: Path) -> ImportedRobot:
             for k, (link, color) in enumerate(meta["parts"])
         ),
         poses=tuple(zip(meta["poses"], arrays["poses"], strict=True)),
+        undrawn=tuple(meta["undrawn"]),
+        damping_is_kd=meta["damping_is_kd"],
+        motor_order=tuple(meta["motor_order"]),
         notes=tuple(meta["notes"]),
+        warnings=tuple(meta["warnings"]),
     )
 
 

@@ -55,12 +55,16 @@ class ImportedRobot:
     """Directions of the axes (4, m, 3), exactly along x or y."""
     limits: Array
     """Ranges of the angles (4, m, 2) [rad]."""
+    kp: Array
+    """Stiffness of the joints' controllers (4, m) [N m/rad]."""
+    kd: Array
+    """Damping of the joints' controllers (4, m) [N m s/rad]."""
     torque: Array
     """Torque limits (4, m) [N m]."""
     speed: Array
     """Speed limits (4, m) [rad/s]."""
     damping: Array
-    """Viscous friction (4, m) [N m s/rad]."""
+    """Viscous friction (4, m) [N m s/rad]; a damping that is the controllers' kd is none."""
     friction: Array
     """Coulomb friction (4, m) [N m]."""
     rotor_inertia: Array
@@ -71,10 +75,18 @@ class ImportedRobot:
     """Radii of the feet (4,) [m]."""
     parts: tuple[Part, ...] = ()
     """What is drawn, in the frames of the links `base` and `link_names`: along the base's, at their hinges."""
+    undrawn: tuple[str, ...] = ()
+    """Links of which a mesh is missing in `parts`: primitive shapes are drawn of these."""
     poses: tuple[tuple[str, Array], ...] = ()
-    """Poses that the file or one beside it names: where from, and the knees' angles (4,) [rad], NaN where unknown."""
+    """Poses that the file or one beside it names: where from, and the angles (4, m) [rad], NaN where unknown."""
+    damping_is_kd: bool = False
+    """Whether the file's damping of the joints is `kd`."""
+    motor_order: tuple[str, ...] = ()
+    """Names of the hinges in the order of the file's actuators; empty where it does not say."""
     notes: tuple[str, ...] = ()
     """What was guessed or left out."""
+    warnings: tuple[str, ...] = ()
+    """What is likely wrong in the file, and what to do."""
 
     @property
     def link_names(self) -> tuple[tuple[str, ...], ...]:
@@ -110,6 +122,19 @@ class ImportedRobot:
         bends: Array = self.axes[:, -1, 1] * angles + at_zero
         return bends
 
+    def to_leg_space(self, angles: Array) -> Array:
+        """Return poses (4, m) in leg space, (abduction,) swing and extension of each leg, of angles (4, m) [rad]."""
+        upper_length, lower_length = np.linalg.norm(self.links, axis=-1)
+        at_zero = np.arctan2(-self.links[0, :, 0], -self.links[0, :, 1])
+        bend = self._bends(angles[:, -1])
+        ahead, aside = upper_length + lower_length * np.cos(bend), lower_length * np.sin(bend)
+        swing = self.axes[:, -2, 1] * angles[:, -2] + at_zero + np.arctan2(aside, ahead)
+        swing = (swing + math.pi) % (2 * math.pi) - math.pi
+        extension = np.hypot(ahead, aside) / (upper_length + lower_length)
+        side = np.where(self.feet[:, 1] >= 0, 1.0, -1.0)
+        abduction = [side * self.axes[:, 0, 0] * angles[:, 0]] if angles.shape[1] == 3 else []
+        return np.stack([*abduction, swing, extension], axis=1)
+
     def guess_knees(self) -> tuple[Knees, str, bool]:
         """Return where knees point, what shows it, and whether that is a guess.
 
@@ -118,7 +143,7 @@ class ImportedRobot:
         inward, most others backward.
         """
         shown = [("the knees' limits", self.knee_bends.mean(axis=1))]
-        shown += [(source, self._bends(angles)) for source, angles in self.poses]
+        shown += [(source, self._bends(angles[:, -1])) for source, angles in self.poses]
         for source, bends in shown:
             for knees, signs in KNEE_SIGNS.items():
                 if (bends * signs >= _MIN_BEND).all():

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,13 +23,17 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, Part
-from surefoot.robot.importing.foot import fit_sphere
+from surefoot.robot.importing.extra_hinges import describe_play, describe_wheels, find_play, is_wheel
+from surefoot.robot.importing.foot import fit_sphere, sole_sphere, surface_points
 from surefoot.robot.importing.imported import ImportedRobot
+from surefoot.robot.importing.inertias import drop_frame_masses, implausible_inertias, prepare_inertias
 from surefoot.robot.importing.meshes import Color, Surface, merge_surfaces
 from surefoot.robot.importing.named_files import find_mesh
 from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
+from surefoot.robot.importing.servo import motor_order, read_servos
+from surefoot.robot.importing.units import convert_degrees, explain_ranges, explain_size
 from surefoot.robot.importing.visuals import (
     Visual,
     decimate_visuals,
@@ -38,8 +41,8 @@ from surefoot.robot.importing.visuals import (
     read_mjcf_visuals,
     read_urdf_visuals,
 )
-from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
-from surefoot.robot.urdf_file import attribute, read_inertia, read_number, read_xml
+from surefoot.robot.rigid_body import RigidBody, fuse
+from surefoot.robot.urdf_file import attribute, read_xml
 
 FORWARD = {"+x": 0.0, "-x": np.pi, "+y": -np.pi / 2, "-y": np.pi / 2}
 """Directions in the file's frame that may be forward, and the turn about z that brings them to +x [rad]."""
@@ -47,6 +50,12 @@ _FRONT = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IG
 _FOOT = re.compile(r"foot|toe|tip|sole|ankle", re.IGNORECASE)
 _AXIS_TOLERANCE = 1e-3
 """How far an axis may be from the base's, as a cosine: files write pi/2 with five digits."""
+_SOLE = 0.95
+"""How far from the knee points of the sole are, over the farthest one."""
+_CLEARLY = 0.9
+"""Cosine of an axis's angle to x or y from which it is along that."""
+_END = 0.9
+"""How far from the knee a sphere or a link must reach to be the foot, over the farthest point of the last link."""
 _MAX_CHAIN = 100
 """Joints in a row that are looked at."""
 _MESH_SUFFIXES = (".stl", ".obj", ".msh")
@@ -69,9 +78,11 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
     check_kind(root, path)
     notes: list[str] = []
     visuals: list[Visual] = []
-    if meshes:
-        is_urdf = root.tag == "robot"
-        visuals = read_urdf_visuals(root, path, find_mesh, notes) if is_urdf else read_mjcf_visuals(path, notes)
+    incomplete: list[str] = []
+    if meshes and root.tag == "robot":
+        visuals, incomplete = read_urdf_visuals(root, path, find_mesh, notes)
+    elif meshes:
+        visuals = read_mjcf_visuals(path, notes)
     speeds = _prepare_urdf(root, path, meshes, notes) if root.tag == "robot" else {}
     with mujoco_errors(path, explain_mujoco):
         if root.tag == "mujoco":
@@ -82,13 +93,14 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
         if spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
             spec.compiler.inertiafromgeom = mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO  # keeps visual shapes' masses
         spec.compiler.fusestatic = False
+        drop_frame_masses(spec, notes)
         keys = {key.name: list(key.qpos) for key in spec.keys}
         for key in list(spec.keys):
             spec.delete(key)
         model = spec.compile()
     poses = order_poses(itertools.chain(_keyframe_poses(keys, model), srdf_poses(path)))
     file_name = root.get("name" if root.tag == "robot" else "model", "")
-    return _Reader(path, model, speeds, poses, notes, file_name).read(forward, visuals)
+    return _Reader(path, model, speeds, poses, notes, file_name, root.tag == "robot").read(forward, visuals, incomplete)
 
 
 def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iterator[tuple[str, Pose]]:
@@ -126,37 +138,13 @@ def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: li
         root.remove(old)
     compiler = ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler")
     compiler.attrib |= {"strippath": "false", "balanceinertia": "true", "inertiafromgeom": "false"}
-    _prepare_inertias(root, path, notes)
+    prepare_inertias(root, path, notes)
+    convert_degrees(root, notes)
     speeds = {}
     for joint in root.findall("joint"):
         with contextlib.suppress(ValueError):
             speeds[joint.get("name", "")] = float(attribute(joint.find("limit"), "velocity"))
     return speeds
-
-
-def _prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> None:
-    """Remove inertias of links without mass, and note those that no rigid body has, which MuJoCo balances."""
-    count, odd = 0, []
-    for link in root.findall("link"):
-        if (inertial := link.find("inertial")) is None:
-            continue
-        where, tensor = f"{path}: link '{link.get('name')}'", inertial.find("inertia")
-        mass = read_number(inertial.find("mass"), "value", f"{where}: mass")
-        if mass == 0.0 or tensor is None:
-            link.remove(inertial)
-            continue
-        count += 1
-        inertia = read_inertia(tensor, where)
-        moments = np.linalg.eigvalsh(inertia)
-        point_mass = mass > 0 and not np.diag(inertia).any()
-        if not point_mass and not (mass > 0 and are_moments(moments)):
-            odd.append(str(link.get("name")))
-        if not moments.min() > 0:
-            tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-    if not count:
-        raise SurefootError(f"{path}: no link has an <inertial> with a mass; masses and inertias are needed")
-    if odd:
-        notes.append(f"inertias that no rigid body has, balanced: {choices(odd)}")
 
 
 _SPHERE = "the last link's sphere"
@@ -189,64 +177,90 @@ class _Reader:
         poses: Sequence[tuple[str, Pose]],
         notes: list[str],
         file_name: str = "",
+        is_urdf: bool = True,
     ) -> None:
         self.path, self.model, self.speeds, self.poses, self.notes = path, model, speeds, poses, notes
-        self.file_name = file_name
+        self.file_name, self.is_urdf = file_name, is_urdf
+        self.visuals: Sequence[Visual] = ()
         self.data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, self.data)
+        self.play = find_play(model, self.data)
+        if self.play:
+            notes.append(describe_play(model, self.play))
+        self.hinge = np.array([next(iter(self._joints(body)), -1) for body in range(model.nbody)])
+        """The first joint of each body that is no play; -1: none."""
         self.group = self._groups()
 
     def _error(self, text: str) -> SurefootError:
         return SurefootError(f"{self.path}: {text}")
 
     def _joint_names(self, bodies: Iterable[int]) -> list[str]:
-        return [str(self.model.joint(self.model.body_jntadr[body]).name) for body in bodies]
+        return [str(self.model.joint(int(self.hinge[body])).name) for body in bodies]
+
+    def _joints(self, body: int) -> list[int]:
+        """Return the joints of a body that are no play."""
+        return [int(joint) for joint in np.flatnonzero(self.model.jnt_bodyid == body) if joint not in self.play]
 
     def _groups(self) -> NDArray[np.int64]:
         """Return for each body the body whose joint moves it; what has no joint is fixed to its parent."""
         model = self.model
         group = np.zeros(model.nbody, np.int64)
         for body in range(1, model.nbody):
-            kinds = model.jnt_type[model.jnt_bodyid == body].tolist()
+            kinds = self._joints(body)
             # Without a free joint, bodies on the world may be the base.
             top = not kinds and model.body_parentid[body] == 0 and mjtJoint.mjJNT_FREE not in model.jnt_type
             group[body] = body if kinds or top else group[model.body_parentid[body]]
         return group
 
-    def read(self, forward: str | None, visuals: Sequence[Visual]) -> ImportedRobot:
-        """Return the robot; see `read_robot`."""
+    def read(self, forward: str | None, visuals: Sequence[Visual], incomplete: Sequence[str]) -> ImportedRobot:
+        """Return the robot, of whose links `incomplete` not all is drawn; see `read_robot`."""
+        self.visuals = visuals
         chains, base = self._chains()
         model, data = self.model, self.data
-        if (joint := model.body_jntadr[base]) >= 0 and model.jnt_type[joint] == mjtJoint.mjJNT_FREE:
+        if (joint := self.hinge[base]) >= 0 and model.jnt_type[joint] == mjtJoint.mjJNT_FREE:
             data.qpos[model.jnt_qposadr[joint] :][:7] = [0, 0, 0, 1, 0, 0, 0]
         mujoco.mj_kinematics(model, data)
         forward = forward or self._guess_forward(chains)
         self._turn(FORWARD[forward])
-        places = data.xanchor[model.body_jntadr[chains]]
+        places = data.xanchor[self.hinge[chains]]
         feet = [self._foot(chain[-1], place[-1]) for chain, place in zip(chains, places, strict=True)]
         order = self._order(places[:, -2], np.array([foot.centre for foot in feet]))
         chains, feet = [chains[leg] for leg in order], _pair_feet([feet[leg] for leg in order])
-        knees = self._joint_names(chain[-1] for chain in chains)
+        joints = tuple(tuple(self._joint_names(chain)) for chain in chains)
+        knees = [leg[-1] for leg in joints]
         for source in dict.fromkeys(foot.source for foot in feet):
             radii = {name: foot.radius for foot, name in zip(feet, knees, strict=True) if foot.source == source}
             which = "feet" if len(radii) == len(feet) else f"feet of {choices(radii)}"
             radius = choices(dict.fromkeys(f"{radius:.3g}" for radius in radii.values()))
             self.notes.append(f"{which}: {source}, radius {radius} m")
+        points = [self._points(np.flatnonzero(model.geom_bodyid == body)) for body in range(model.nbody)]
+        warnings = implausible_inertias(model, data, points)
         robot = ImportedRobot(
             name=robot_name(self.path, self.file_name),
             path=self.path,
             forward=forward,
             base=self._body(base),
             base_box=self._box(base),
-            joints=tuple(tuple(self._joint_names(chain)) for chain in chains),
+            joints=joints,
             bodies=tuple(tuple(map(self._body, chain)) for chain in chains),
             **self._hinges(chains),
             feet=np.array([foot.centre for foot in feet]),
             foot_radius=np.array([foot.radius for foot in feet]),
-            poses=tuple((source, np.array([pose.get(name, np.nan) for name in knees])) for source, pose in self.poses),
+            poses=tuple(
+                (source, np.array([[pose.get(name, np.nan) for name in leg] for leg in joints]))
+                for source, pose in self.poses
+            ),
+            motor_order=motor_order(self.model, [name for leg in joints for name in leg]),
             notes=tuple(self.notes),
+            warnings=tuple(warnings),
         )
+        if (reason := explain_size(robot.mass, robot.length)) is not None:
+            raise self._error(reason)
         parts = self._parts(visuals, robot, chains, base)
-        return replace(robot, parts=parts, notes=tuple(self.notes))
+        names = dict(zip([base, *itertools.chain(*chains)], ["base", *itertools.chain(*robot.link_names)], strict=True))
+        movers = [int(self.group[model.body(link).id]) for link in incomplete]
+        undrawn = dict.fromkeys(names[mover] for mover in movers if mover in names)
+        return replace(robot, parts=parts, undrawn=tuple(undrawn), notes=tuple(self.notes))
 
     def _parts(
         self, visuals: Sequence[Visual], robot: ImportedRobot, chains: list[list[int]], base: int
@@ -312,6 +326,9 @@ class _Reader:
         if len(children[base]) < 2 and len(children[0]) > len(children[base]):
             raise self._error("its legs hang from nothing that moves; the base needs to be a body")
         chains = [longest(child) for child in children[base]]
+        wheels = [chain[-1] for chain in chains if len(chain) > 2 and self._ends_in_wheel(chain)]
+        if wheels and len(chains) == 4:
+            raise self._error(describe_wheels(self._joint_names(wheels), self.is_urdf))
         legs = [chain for chain in chains if len(chain) in (2, 3)]
         legs = legs if len(legs) == 4 else chains
         for first, *_ in (chain for chain in chains if chain not in legs):
@@ -323,15 +340,22 @@ class _Reader:
             str(model.body(body).name)
             for leg in legs
             for body in leg
-            if model.jnt_type[model.jnt_bodyid == body].tolist() != [mjtJoint.mjJNT_HINGE.value]
+            if [model.jnt_type[joint] for joint in self._joints(body)] != [mjtJoint.mjJNT_HINGE.value]
         ]
         names = [self._joint_names(leg) for leg in legs]
         check_legs(self.path, model.body(base).name, names, next(iter(branches), None), model.neq > 0, slides)
         return legs, base
 
+    def _ends_in_wheel(self, chain: list[int]) -> bool:
+        """Return whether a leg's last hinge turns a wheel."""
+        above, last = (int(self.hinge[body]) for body in chain[-2:])
+        hinges = (self.model.jnt_type[[above, last]] == mjtJoint.mjJNT_HINGE.value).all()
+        points = np.concatenate([np.empty((0, 3)), *map(self._surface, self._geoms(chain[-1]))])
+        return bool(hinges) and is_wheel(self.model, self.data, above, last, points)
+
     def _guess_forward(self, chains: list[list[int]]) -> str:
         """Return the direction that is forward: across the knees' axes, towards the legs whose names say front."""
-        joints = self.model.body_jntadr[chains]
+        joints = self.hinge[chains]
         hips, knee = self.data.xanchor[joints[:, 0]], np.abs(self.data.xaxis[joints[0, -1]])
         axis = 0 if knee[1] > knee[0] else 1
         front = np.array([bool(_FRONT.search(" ".join(self._joint_names(chain)))) for chain in chains])
@@ -364,8 +388,18 @@ class _Reader:
 
     def _hinges(self, chains: list[list[int]]) -> dict[str, Any]:
         """Return what an `ImportedRobot` has of its hinges; refuse axes that are not along the base's x and y."""
-        model, joints, along = self.model, self.model.body_jntadr[chains], np.array((0, 1, 1)[-len(chains[0]) :])
+        model, joints, along = self.model, self.hinge[chains], np.array((0, 1, 1)[-len(chains[0]) :])
         axes = self.data.xaxis[joints]
+        if (
+            len(chains[0]) == 3
+            and (np.abs(axes[:, 0, 1]) > _CLEARLY).all()
+            and (np.abs(axes[:, 1, 0]) > _CLEARLY).all()
+        ):
+            swing, abduction, _ = self._joint_names(chains[0])
+            raise self._error(
+                f"its hips swing before they abduct ('{swing}' turns about y, '{abduction}' about x): such legs can't "
+                "be taken; to train a similar robot, exchange these two joints of every leg in a copy of the file"
+            )
         cosines = np.take_along_axis(axes, along[None, :, None], axis=2)[..., 0]
         for leg, k in np.argwhere(np.abs(np.abs(cosines) - 1) > _AXIS_TOLERANCE):
             (name,), (x, y, z) = self._joint_names([chains[leg][k]]), axes[leg, k]
@@ -375,59 +409,58 @@ class _Reader:
                 f"forward; it must be along {'xy'[along[k]]}"
             )
         dofs = model.jnt_dofadr[joints]
+        damping = model.dof_damping.reshape(model.nv, -1)[dofs, 0]
+        servos = read_servos(model, joints, damping)
+        limits = np.where(model.jnt_limited[joints][..., None], model.jnt_range[joints], np.nan)
+        if (reason := explain_ranges(limits.reshape(-1, 2))) is not None:
+            raise self._error(reason)
         speeds = [[self.speeds.get(name, np.nan) for name in self._joint_names(chain)] for chain in chains]
         return {
             "places": self.data.xanchor[joints],
             "axes": np.eye(3)[along] * np.sign(cosines)[..., None],
-            "limits": np.where(model.jnt_limited[joints][..., None], model.jnt_range[joints], np.nan),
-            "torque": np.vectorize(self._torque, otypes=[float])(joints),
+            "limits": limits,
+            "kp": servos.kp,
+            "kd": servos.kd,
+            "torque": servos.torque,
             "speed": np.array(speeds),
-            "damping": model.dof_damping.reshape(model.nv, -1)[dofs, 0],
+            "damping": np.where(servos.kd_is_damping, 0.0, damping),
+            "damping_is_kd": bool(servos.kd_is_damping.any()),
             "friction": model.dof_frictionloss[dofs],
             "rotor_inertia": model.dof_armature[dofs],
         }
-
-    def _torque(self, joint: int) -> float:
-        """Return the torque limit of a joint: its own, or its actuator's; NaN without one."""
-        model = self.model
-        if model.jnt_actfrclimited[joint]:
-            return float(np.abs(model.jnt_actfrcrange[joint]).max())
-        for k in np.flatnonzero(model.actuator_trnid[:, 0] == joint):
-            gear = abs(float(model.actuator_gear[k, 0]))
-            if model.actuator_forcelimited[k]:
-                return gear * float(np.abs(model.actuator_forcerange[k]).max())
-            if model.actuator_ctrllimited[k] and model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE:
-                return gear * float(np.abs(model.actuator_ctrlrange[k]).max())
-        return math.nan
 
     def _geoms(self, mover: int) -> NDArray[np.int64]:
         """Return the shapes that move with a body."""
         return np.flatnonzero(self.group[self.model.geom_bodyid] == mover)
 
     def _foot(self, body: int, knee: Array) -> _Foot:
-        """Return a leg's foot: the last link's sphere, else a sphere fitted to its end, else a guess of its size.
+        """Return a leg's foot: the last link's sphere, else a sphere that stands in for its shapes, else a guess.
 
         The end is at a link that is named so, else where the last link's shapes are farthest from the knee.
         """
         model, data, geoms = self.model, self.data, self._geoms(body)
+        points = np.concatenate([np.empty((0, 3)), *map(self._surface, geoms)])
+        if not geoms.size:
+            points = np.concatenate([points, *self._drawn_points(body)])
+        reach = np.linalg.norm(points - knee, axis=1).max(initial=0.0)
         spheres = geoms[model.geom_type[geoms] == mjtGeom.mjGEOM_SPHERE]
         if spheres.size:
-            last = spheres[np.argmax(np.linalg.norm(data.geom_xpos[spheres] - knee, axis=1))]
-            return _Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), _SPHERE)
+            away = np.linalg.norm(data.geom_xpos[spheres] - knee, axis=1)
+            last = spheres[np.argmax(away)]
+            if away.max() + model.geom_size[last, 0] >= _END * reach:  # else it is no foot
+                return _Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), _SPHERE)
         named = [b for b in np.flatnonzero(self.group == body) if _FOOT.search(model.body(int(b)).name)]
-        if not geoms.size and not named:
+        if not len(points) and not named:
             raise self._error(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
-        points = np.concatenate([np.empty((0, 3)), *map(self._corners, geoms)])
-        end = data.xpos[named[-1]].copy() if named else points[np.argmax(np.linalg.norm(points - knee, axis=1))]
-        meshes = (model.geom_type[geoms] == mjtGeom.mjGEOM_MESH).all()
-        if geoms.size and meshes and (sphere := fit_sphere(points, knee, end)) is not None:
-            return _Foot(*sphere, "a sphere fitted to the end of the last link's meshes")
-        radius = self._thickness(geoms, end, knee)
-        if named:
-            return _Foot(end, radius, "a link named so")
-        end[1] = (points[:, 1].min() + points[:, 1].max()) / 2  # in the middle plane of the shapes
-        end[2] += radius
-        return _Foot(end, radius, "the far end of the last link's shapes")
+        if not len(points) or (named and np.linalg.norm(data.xpos[named[-1]] - knee) > reach / _END):
+            end = data.xpos[named[-1]].copy()
+            return _Foot(end, self._thickness(geoms, end, knee), "a link named so")
+        away = np.linalg.norm(points - knee, axis=1)
+        end = data.xpos[named[-1]] if named else points[np.argmax(away)]
+        if (sphere := fit_sphere(points, knee, end)) is not None:
+            return _Foot(*sphere, "a sphere fitted to the end of the last link's shapes")
+        end = data.xpos[named[-1]] if named else points[away > _SOLE * reach].mean(axis=0)
+        return _Foot(*sole_sphere(points, knee, end), "a sphere with the lowest point of the last link's shapes")
 
     def _thickness(self, geoms: NDArray[np.int64], place: Array, knee: Array) -> float:
         """Return a radius [m] for a foot: half of the width of the shape that is nearest to it.
@@ -440,6 +473,10 @@ class _Reader:
         nearest = geoms[np.argmin(np.linalg.norm(self.data.geom_xpos[geoms] - place, axis=1))]
         return float(np.clip(self.model.geom_aabb[nearest, 3:].min(), 0.3 * usual, usual))
 
+    def _points(self, geoms: NDArray[np.int64]) -> Array:
+        """Return points (p, 3) of the hulls of shapes."""
+        return np.concatenate([np.empty((0, 3)), *map(self._corners, geoms)])
+
     def _corners(self, geom: int) -> Array:
         """Return points (p, 3) of a shape's hull: vertices of a mesh, or corners of the box around another shape."""
         model = self.model
@@ -450,6 +487,23 @@ class _Reader:
         else:
             signs = np.array(list(itertools.product((-1, 1), repeat=3)))
             points = model.geom_aabb[geom, :3] + model.geom_aabb[geom, 3:] * signs
+        placed: Array = self.data.geom_xpos[geom] + points @ self.data.geom_xmat[geom].reshape(3, 3).T
+        return placed
+
+    def _drawn_points(self, mover: int) -> Iterator[Array]:
+        """Yield the points (p, 3) of what is drawn and moves with a body."""
+        for visual in self.visuals:
+            body = self.model.body(visual.body).id
+            if self.group[body] == mover:
+                placed = visual.surface.place(visual.frame).vertices @ self.data.xmat[body].reshape(3, 3).T
+                yield placed + self.data.xpos[body]
+
+    def _surface(self, geom: int) -> Array:
+        """Return points (p, 3) on a shape's surface."""
+        model, kind = self.model, int(self.model.geom_type[geom])
+        if kind == mjtGeom.mjGEOM_MESH:
+            return self._corners(geom)
+        points = surface_points(kind, model.geom_size[geom])
         placed: Array = self.data.geom_xpos[geom] + points @ self.data.geom_xmat[geom].reshape(3, 3).T
         return placed
 

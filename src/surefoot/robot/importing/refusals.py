@@ -9,6 +9,7 @@ from pathlib import Path
 
 from surefoot.errors import SurefootError, choices
 from surefoot.files import check_readable
+from surefoot.robot.importing.xacro import explain_xacro, is_xacro
 
 QUADRUPED = "robot new reads quadrupeds: four legs of two or three hinges"
 _MESHES = (".stl", ".obj", ".dae", ".ply", ".msh", ".glb", ".gltf", ".fbx", ".3mf", ".step", ".stp")
@@ -53,8 +54,8 @@ def check_kind(root: ElementTree.Element, path: Path) -> None:
         kind = _ROOTS.get(root.tag.split("}")[-1])
         kind = kind or f"the root element is <{root.tag}>; a URDF's is <robot>, an MJCF's <mujoco>"
         raise SurefootError(f"{path}: {kind}")
-    if path.suffix == ".xacro" or any("xacro" in element.tag for element in root.iter() if element.tag[:1] == "{"):
-        raise SurefootError(f"{path}: is a xacro, which is a template; run `xacro {path.name} > robot.urdf`, give that")
+    if root.tag == "robot" and is_xacro(root):
+        raise explain_xacro(path)
     if root.tag == "robot" and root.find("link") is None:
         srdf = path.suffix == ".srdf" or root.find("group") is not None or root.find("group_state") is not None
         kind = "is an SRDF, which names groups and poses" if srdf else "has no links"

@@ -20,7 +20,12 @@ _MAX_FILES = 20
 
 def order_poses(poses: Iterator[tuple[str, Pose]]) -> tuple[tuple[str, Pose], ...]:
     """Return where each pose is from, and the pose; those whose name says that the robot stands come first."""
-    return tuple(sorted(poses, key=lambda item: not _STANDING.search(item[0].split("'")[1])))
+    return tuple(sorted(poses, key=lambda item: not is_standing(item[0])))
+
+
+def is_standing(source: str) -> bool:
+    """Return whether where a pose is from, such as "keyframe 'home'", names one in which the robot stands."""
+    return bool(_STANDING.search(source.split("'")[1]))
 
 
 def srdf_poses(path: Path) -> Iterator[tuple[str, Pose]]:

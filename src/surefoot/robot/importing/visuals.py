@@ -61,12 +61,12 @@ def decimate_visuals(visuals: Sequence[Visual]) -> list[Visual]:
 
 def read_urdf_visuals(
     root: ElementTree.Element, path: Path, find_mesh: Callable[[str, Path], Path], notes: list[str]
-) -> list[Visual]:
-    """Return what a URDF draws; what can't be read is left out and noted.
+) -> tuple[list[Visual], list[str]]:
+    """Return what a URDF draws, and the links of which something can't be read, which is left out and noted.
 
     A mesh has its own colours, else that of the URDF's material, as in RViz.
     """
-    colors, visuals, problems = read_colors(root, path), [], []
+    colors, visuals, problems, incomplete = read_colors(root, path), [], [], []
     meshes: dict[Path, list[Surface]] = {}
     for link in root.findall("link"):
         name = link.get("name", "")
@@ -89,10 +89,11 @@ def read_urdf_visuals(
                     raise SurefootError(f"{where}: scale is {mesh.get('scale')}; a volume is scaled by 1e-15 to 1e+15")
             except SurefootError as error:
                 problems.append(str(error).removeprefix(f"{path}: "))
+                incomplete.append(name)
                 continue
             visuals += [Visual(name, surface, frame, surface.color or (red, green, blue)) for surface in surfaces]
     note_problems("not drawn", problems, notes)
-    return visuals
+    return visuals, incomplete
 
 
 def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:

@@ -5,28 +5,27 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, check_name, describe_os_errors
 from surefoot.files import atomic_write
-from surefoot.robot.actuator import PLACEHOLDER_TORQUE
-from surefoot.robot.appearance import LOOKS, Appearance
+from surefoot.robot.appearance import LOOKS, Appearance, Part, shape_part, visual_shapes
 from surefoot.robot.importing.imported import KNEE_SIGNS, LEGS, ImportedRobot, Knees
+from surefoot.robot.importing.rules import GUESSED, WARNING
+from surefoot.robot.importing.sheet_numbers import actuator, leg_space, motor_order
 from surefoot.robot.rigid_body import RigidBody
-from surefoot.robot.sheet import GRAVITY
+from surefoot.robot.sheet import Leg
 from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
 from surefoot.rotations import rpy_matrix
 
 URDF = "robot.urdf"
-_PLACEHOLDER_SPEED = 100.0
-"""A speed limit [rad/s] from which on it is a placeholder."""
-_GUESSED = "  # guessed: "
+_GUESSED = f"  # {GUESSED}"
 _NEWLINE = "\n"
 
 
@@ -51,9 +50,10 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
     sheet = _sheet(robot, name, knees)
     with describe_os_errors(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
-    _write(folder / URDF, format_urdf(_urdf(robot), name))
+    urdf = _urdf(robot)
+    _write(folder / URDF, format_urdf(urdf, name))
     if robot.parts:
-        Appearance(robot.parts).save(folder / LOOKS)
+        Appearance((*robot.parts, *_substitutes(robot, urdf))).save(folder / LOOKS)
     _write(folder / "robot.toml", sheet)
     guesses = [line.replace(_GUESSED, ": ") for line in sheet.splitlines() if _GUESSED in line]
     return list(dict.fromkeys([*robot.notes, *guesses]))
@@ -87,14 +87,14 @@ knee = "{"forward" if sign > 0 else "backward"}"{comment}"""
     return f"""\
 # {name}: made from {robot.path.name}, whose {robot.forward} is forward. SI units, radians.
 # Lines with 'guessed' are not in that file: replace them by the robot's own numbers.
-
+{"".join(f"{WARNING}{line}{_NEWLINE}" for line in robot.warnings)}
 name = "{name}"
 urdf = "robot.urdf"
 base = "base"
 {f'looks = "{LOOKS}"' if robot.parts else ""}
 # In the order of commands and readings; joint angle in the URDF = sign * motor angle.
 [motors]
-order = {json.dumps(sum(robot.joints, ()))}{_GUESSED}leg by leg; take the order of the robot's own interface
+{motor_order(robot)}
 
 [legs]
 order = {json.dumps(LEGS)}
@@ -102,12 +102,12 @@ order = {json.dumps(LEGS)}
 
 # What commands may ask of legs: abduction and swing in rad, extension in lengths of the straight leg.
 [leg_space]
-{_NEWLINE.join(_leg_space(robot))}{_GUESSED}stands with legs straight down
+{_NEWLINE.join(leg_space(robot))}
 
 # All at the joint: after the gear.
 [actuator]
 kind = "joint"
-{_NEWLINE.join(_actuator(robot))}
+{_NEWLINE.join(actuator(robot))}
 
 [timing]
 servo_step = {0.001 if robot.mass < 5 else 0.002}{_GUESSED}s, of the actuators' controllers
@@ -120,55 +120,12 @@ friction = 0.8{_GUESSED}rubber on a floor
 """
 
 
-def _leg_space(robot: ImportedRobot) -> list[str]:
-    """Return lines with the ranges of commands, which are what all joints can do, within usual ranges."""
-    upper, lower = np.linalg.norm(robot.links, axis=-1)
-    bends = np.sort(np.abs(robot.knee_bends), axis=1)
-    bends[np.prod(robot.knee_bends, axis=1) < 0, 0] = 0.0  # the straight leg is in the knee's range
-    reach = np.hypot(upper + lower * np.cos(bends.T), lower * np.sin(bends.T)) / (upper + lower)
-    low = float(np.fmax.reduce(reach[1] + 0.02, initial=0.35))
-    high = float(np.fmin.reduce(reach[0] - 0.01, initial=0.97))
-    rest = round(min(max(0.75, low + 0.05), high - 0.05), 3)
-    abducts = len(robot.joints[0]) == 3
-    abduction = float(np.fmin.reduce(np.abs(robot.limits[:, 0]), axis=None, initial=0.5))
-    return [
-        *([f"abduction = [{-abduction:.3g}, {abduction:.3g}]"] if abducts else []),
-        "swing = [-1.0, 1.0]",
-        f"extension = [{low:.3g}, {high:.3g}]",
-        f"rest = {[0.0] * (1 + abducts) + [rest]}",
-    ]
-
-
-def _actuator(robot: ImportedRobot) -> list[str]:
-    """Return lines with the actuators' data: the file's, and usual ones in place of missing ones and placeholders."""
-    mass, length, shape = robot.mass, robot.length, robot.torque.shape
-    stiffness = mass * GRAVITY * length
-
-    def line(key: str, values: ArrayLike, unit: str, why: str = "") -> str:
-        """Return a line with a number for all motors, one for each motor of a leg, or one for each motor."""
-        numbers = np.array([[float(f"{value:.4g}") for value in row] for row in np.broadcast_to(values, shape)])
-        value = numbers.ravel().tolist() if np.ptp(numbers, axis=0).any() else numbers[0].tolist()
-        value = value if np.ptp(numbers) else value[0]
-        return f"{key} = {value}{_GUESSED}{why} ({unit})" if why else f"{key} = {value}  # {unit}"
-
-    def limit(values: Array, placeholder: float, usual: float, rule: str) -> tuple[Array, str]:
-        real = (values > 0) & (values < placeholder)
-        return np.where(real, values, usual), "" if real.all() else f"{rule}; the file has no real limit"
-
-    torque, torque_rule = limit(robot.torque, PLACEHOLDER_TORQUE * stiffness, 0.4 * stiffness, ".4 m g l")
-    speed, speed_rule = limit(robot.speed, _PLACEHOLDER_SPEED, 6 * math.sqrt(GRAVITY / length), "6 sqrt(g / l)")
-    has_rotor = robot.rotor_inertia > 0
-    rotor_rule = "" if has_rotor.all() else ".005 m l^2: gear ratio squared times the rotor's"
-    return [
-        line("kp", stiffness, "N m/rad", "m g l, the stiffness that carries the robot"),
-        line("kd", 0.15 * stiffness * math.sqrt(length / GRAVITY), "N m s/rad", ".15 kp sqrt(l / g)"),
-        line("torque_limit", torque, "N m", torque_rule),
-        line("speed_limit", speed, "rad/s", speed_rule),
-        line("full_torque_speed", 0.5 * speed, "rad/s", "half of the speed limit"),
-        line("rotor_inertia", np.where(has_rotor, robot.rotor_inertia, 0.005 * mass * length**2), "kg m2", rotor_rule),
-        line("friction", robot.friction, "N m, Coulomb"),
-        line("viscous_friction", robot.damping, "N m s/rad"),
-    ]
+def _substitutes(robot: ImportedRobot, urdf: Urdf) -> Iterator[Part]:
+    """Yield primitive shapes for links of which meshes are missing, as a robot without meshes is drawn."""
+    feet = {lower: f"{leg}_foot" for leg, (*_, lower) in zip(LEGS, robot.link_names, strict=True)}
+    links = {*robot.undrawn, *(feet[link] for link in robot.undrawn if link in feet)}
+    legs = [Leg(motors, f"{name}_foot", name=name) for name, motors in zip(LEGS, robot.joints, strict=True)]
+    yield from (shape_part(shape) for shape in visual_shapes(urdf, legs) if shape.link in links)
 
 
 def _urdf(robot: ImportedRobot) -> Urdf:

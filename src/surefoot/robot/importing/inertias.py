@@ -1,0 +1,152 @@
+"""Inertias of a file's links: frames without mass, placeholders, and those that no body of the link's size has."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError, choices
+from surefoot.robot.rigid_body import are_moments, box_moments, describe_gyration
+from surefoot.robot.urdf_file import attribute, read_frame, read_inertia, read_number, read_shape
+
+NO_MASS = 1e-6
+"""Mass [kg] below which a fixed link is a frame: CAD exporters give frames such masses."""
+_DENSITY = 1000.0
+"""Density [kg/m3] of a link of which nothing but the mass is known."""
+_THINNEST = 0.2
+"""Thickness of a link between its joints, over its length."""
+_MIN_SHARE = 0.01
+"""Share of the robot's mass from which a link is compared with its own shapes; lighter ones with the robot."""
+
+
+def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> None:
+    """Make a URDF's inertias ready for MuJoCo.
+
+    Links without mass lose theirs. Zero inertias of links that move, or of all links, are made from their shapes.
+    Those that no rigid body has are noted, and MuJoCo balances them.
+    """
+    moved, frames, odd = _moved_links(root), [], []
+    inertials: dict[str, tuple[ElementTree.Element, float, Array]] = {}
+    for link in root.findall("link"):
+        if (inertial := link.find("inertial")) is None:
+            continue
+        name = link.get("name", "")
+        where, tensor = f"{path}: link '{name}'", inertial.find("inertia")
+        mass = read_number(inertial.find("mass"), "value", f"{where}: mass")
+        if mass == 0.0 or tensor is None:
+            link.remove(inertial)
+        elif 0.0 < mass < NO_MASS and name not in moved:
+            link.remove(inertial)
+            frames.append(name)
+        else:
+            inertials[name] = tensor, mass, read_inertia(tensor, where)
+    if not inertials:
+        raise SurefootError(f"{path}: no link has an <inertial> with a mass; masses and inertias are needed")
+    if frames:
+        notes.append(f"frames of less than {NO_MASS:g} kg count as massless: {choices(frames)}")
+    zero = [name for name, (_, mass, inertia) in inertials.items() if mass > 0 and not inertia.any()]
+    made = zero if len(zero) == len(inertials) else [name for name in zero if name in moved]
+    links = {link.get("name", ""): link for link in root.findall("link")}
+    for name in made:
+        tensor, mass, _ = inertials[name]
+        moments = _moments_of_shapes(links[name], root, mass, path)
+        tensor.attrib |= {f"i{axis}": f"{value:.6g}" for axis, value in zip(("xx", "yy", "zz"), moments, strict=True)}
+        inertials[name] = tensor, mass, np.diag(moments)
+    if made:
+        few = choices(made[:4]) + (f" and {len(made) - 4} more" if len(made) > 4 else "")
+        notes.append(f"inertias are 0 in the file, made of masses and shapes: {few}")
+    for name, (tensor, mass, inertia) in inertials.items():
+        moments = np.linalg.eigvalsh(inertia)
+        point_mass = mass > 0 and not np.diag(inertia).any()
+        if not point_mass and not (mass > 0 and are_moments(moments)):
+            odd.append(name)
+        if not moments.min() > 0:
+            tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+    if odd:
+        notes.append(f"inertias that no rigid body has, balanced: {choices(odd)}")
+
+
+def drop_frame_masses(spec: mujoco.MjSpec, notes: list[str]) -> None:
+    """Let fixed bodies of an MJCF that have next to no mass have none."""
+    frames = [
+        body
+        for body in spec.bodies
+        if body.explicitinertial and 0 < body.mass < NO_MASS and not body.joints and not body.geoms
+    ]
+    for body in frames:
+        body.explicitinertial = False
+    if frames:
+        notes.append(f"frames of less than {NO_MASS:g} kg count as massless: {choices(body.name for body in frames)}")
+
+
+def _moved_links(root: ElementTree.Element) -> set[str]:
+    """Return the links that a joint moves."""
+    joints = root.findall("joint")
+    return {attribute(joint.find("child"), "link") for joint in joints if joint.get("type") != "fixed"}
+
+
+def _moments_of_shapes(link: ElementTree.Element, root: ElementTree.Element, mass: float, path: Path) -> Array:
+    """Return the moments (3,) [kg m2] of a box around a link's shapes, else around its joints, else of a ball."""
+    points = list(_shape_corners(link, path))
+    if not points:
+        name = link.get("name")
+        hangs = [joint for joint in root.findall("joint") if attribute(joint.find("parent"), "link") == name]
+        ends = [read_frame(joint.find("origin"), f"{path}: joint '{joint.get('name')}'")[:3, 3] for joint in hangs]
+        points = [np.zeros((1, 3)), *(end[None] for end in ends)]
+    sides = np.ptp(np.concatenate(points), axis=0)
+    if not sides.any():
+        return np.full(3, 0.4 * mass * (3 * mass / (4 * np.pi * _DENSITY)) ** (2 / 3))
+    return box_moments(mass, np.maximum(sides, _THINNEST * sides.max()))
+
+
+def _shape_corners(link: ElementTree.Element, path: Path) -> Iterator[Array]:
+    """Yield the corners (8, 3) of boxes around a link's collision shapes, else around its visuals."""
+    corners = np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)
+    for use in ("collision", "visual"):
+        found = False
+        for element in link.findall(use):
+            shape = read_shape(element, link.get("name", ""), {}, f"{path}: link '{link.get('name')}': {use}")
+            if shape is None:
+                continue
+            found, size = True, shape.size
+            half = size if shape.kind == "box" else [size[0], size[0], size[-1]]
+            yield corners * half @ shape.frame[:3, :3].T + shape.frame[:3, 3]
+        if found:
+            return
+
+
+def implausible_inertias(model: mujoco.MjModel, data: mujoco.MjData, points: Sequence[Array]) -> list[str]:
+    """Return warnings about bodies whose inertia fits another size, one for those too large and one for too small.
+
+    A radius of gyration is at most the distance of the farthest point from the centre of mass.
+
+    Args:
+        model: of the file.
+        data: places at zero angles.
+        points: points (p, 3) on the shapes of each body.
+    """
+    everything = np.concatenate([data.xpos[1:], *points])
+    robot_size, total = float(np.linalg.norm(np.ptp(everything, axis=0))), float(model.body_mass.sum())
+    large, small = [], []
+    for body in range(1, model.nbody):
+        mass, moments = float(model.body_mass[body]), np.array(model.body_inertia[body])
+        if mass <= 0 or not moments.any():
+            continue
+        joints = data.xpos[[body, *np.flatnonzero(model.body_parentid == body)]]
+        own = np.concatenate([points[body], joints])
+        in_frame = (own - data.xipos[body]) @ data.ximat[body].reshape(3, 3)
+        known = len(points[body]) > 0 and mass > _MIN_SHARE * total
+        words = describe_gyration(model.body(body).name, mass, moments, in_frame if known else None, robot_size)
+        if words is not None:
+            (large if words[0] else small).append(words[1])
+
+    return [
+        words[0] + (f"; {len(words) - 1} more links are like this" if words[1:] else "")
+        for words in (large, small)
+        if words
+    ]

@@ -1,0 +1,96 @@
+"""Units that files have in place of SI units and radians: degrees, revolutions per minute, millimetres, grams."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+
+from surefoot.arrays import Array
+
+PLACEHOLDER_SPEED = 100.0
+"""A speed limit [rad/s] from which on it is a placeholder."""
+_USUAL_SPEEDS = (3.0, 80.0)
+"""Speed limits [rad/s] that drives of legs have."""
+_UNITS = {"rpm": math.tau / 60, "degrees per second": math.pi / 180}
+"""Units that speed limits are mistaken for, in rad/s."""
+_MAX_RADIANS = 4 * math.pi
+"""Greatest limit of an angle that is read as radians."""
+_MAX_DEGREES = 360.0
+"""Greatest limit of an angle that is read as degrees; larger ones are placeholders."""
+_DENSITIES = (10.0, 5000.0)
+"""Mass over the cube of the legs' length [kg/m3] of robots with legs; 60 to 400 in those that are known."""
+_LENGTHS = {"mm": 1e-3}
+_MASSES = {"g": 1e-3}
+_MIN_RANGE = 0.15
+"""Range [rad] of the widest hinge below which no leg can step."""
+_ROUND = (100.0, 200.0, 500.0, 1000.0, 10000.0, 100000.0)
+"""Speeds that are written where nobody knew one."""
+
+
+def explain_speeds(speeds: Array) -> str:
+    """Return what speed limits (n,) [rad/s] of a file are that no joint has."""
+    stated = speeds[np.isfinite(speeds) & (speeds > 0)]
+    if not stated.size:
+        return "the file has no real limit"
+    low, high = float(stated.min()), float(stated.max())
+    text = f"the file has {_span(low, high)} rad/s, which no joint reaches"
+    units = [
+        f"if these are {unit}, it is {_span(low * size, high * size)} rad/s"
+        for unit, size in _UNITS.items()
+        if _USUAL_SPEEDS[0] <= low * size and high * size <= _USUAL_SPEEDS[1] and low not in _ROUND
+    ]
+    return "; ".join([text, *units])
+
+
+def _span(low: float, high: float) -> str:
+    return f"{low:.3g}" if math.isclose(low, high, rel_tol=5e-3) else f"{low:.3g} to {high:.3g}"
+
+
+def convert_degrees(root: ElementTree.Element, notes: list[str]) -> None:
+    """Turn a URDF's limits of angles into radians, if they can only be degrees."""
+    limits = []
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        if joint.get("type") != "revolute" or limit is None:
+            continue
+        try:
+            ends = float(limit.get("lower", "0")), float(limit.get("upper", "0"))
+        except ValueError:
+            continue
+        limits.append((limit, ends))
+    largest = [max(map(abs, ends)) for _, ends in limits]
+    degrees = [_MAX_RADIANS < value <= _MAX_DEGREES for value in largest]
+    if not limits or sum(degrees) * 2 < len(limits) or max(largest) > _MAX_DEGREES:
+        return
+    low, high = min(ends[0] for _, ends in limits), max(ends[1] for _, ends in limits)
+    for limit, ends in limits:
+        limit.attrib |= {key: repr(math.radians(end)) for key, end in zip(("lower", "upper"), ends, strict=True)}
+    notes.append(f"limits of angles, {low:g} to {high:g} in the file, are degrees; a URDF has radians")
+
+
+def explain_ranges(ranges: Array) -> str | None:
+    """Return why ranges (n, 2) [rad] of an MJCF's hinges are none, in words; None if they may be."""
+    limited = ranges[np.isfinite(ranges).all(axis=-1)]
+    if not len(limited) or (widest := float(np.ptp(limited, axis=-1).max())) > _MIN_RANGE:
+        return None
+    return (
+        f"the hinges of its legs turn by {widest:.2g} rad or less; an MJCF counts degrees unless its <compiler> has "
+        'angle="radian": add that if its ranges are radians'
+    )
+
+
+def explain_size(mass: float, length: float) -> str | None:
+    """Return which units a file may have whose mass [kg] and length of legs [m] are no robot's; None if they may be."""
+    low, high = _DENSITIES
+    density = mass / length**3
+    if low <= density <= high:
+        return None
+    fits = [f"lengths are in {unit}" for unit, size in _LENGTHS.items() if low <= density / size**3 <= high]
+    fits += [f"masses are in {unit}" for unit, size in _MASSES.items() if low <= density * size <= high]
+    if not fits and low <= density * 1e6 <= high:
+        fits = ["lengths are in mm and masses in g"]
+    if not fits:
+        return None
+    return f"{mass:.4g} kg on legs of {length:.3g} m are no robot; it looks as if {' or '.join(fits)}: state m and kg"
