@@ -28,7 +28,7 @@ import numpy as np
 
 from surefoot.adopt.adoption import FORMATS, load_network
 from surefoot.adopt.builder import NetworkSizes, PolicyMaker, build_policy, check_specification
-from surefoot.adopt.examination import diagnose
+from surefoot.adopt.diagnosis import diagnose
 from surefoot.adopt.mistakes import Correction, corrections
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.policy.runtime import PolicyRuntime

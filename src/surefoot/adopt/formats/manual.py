@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from surefoot.adopt.specification import PolicySpecification
-from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import prefix_errors
+from surefoot.configuration import from_mapping, read_yaml, to_mapping
+from surefoot.errors import describe_os_errors, prefix_errors
+from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 
 
@@ -18,4 +23,23 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
     """
     table = read_yaml(config)
     with prefix_errors(config):
-        return from_mapping(PolicySpecification, {"joints": list(robot.motor_names), **table})
+        if "joints" not in table:
+            table["joints"] = list(robot.motor_names)
+        return from_mapping(PolicySpecification, table)
+
+
+def write(path: Path, specification: PolicySpecification) -> None:
+    """Write a specification as a file that `read` takes; fields that have their defaults are left out."""
+    table = _without_defaults(specification)
+    table["observations"] = [_without_defaults(term) for term in specification.observations]
+    text = yaml.safe_dump(table, sort_keys=False, default_flow_style=None, width=110)
+    with describe_os_errors(path, "written"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        atomic_write(path, f"# For surefoot adopt NETWORK --from manual --config {path.name}\n{text}")
+
+
+def _without_defaults(config: Any) -> dict[str, Any]:
+    """Return a dataclass as a table, without the fields that have their defaults."""
+    made = to_mapping(config)
+    defaults = {item.name: item.default for item in dataclasses.fields(config)}
+    return {name: made[name] for name in made if getattr(config, name) not in (defaults[name], {})}
