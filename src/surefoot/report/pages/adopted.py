@@ -92,7 +92,8 @@ def _tried(answers: Sequence[Answer], count: int) -> str:
         f"{count} changes of the configuration, and other robots, were tried, each with one robot for each of some "
         f"commands; the best again, those below, with {REPEATS} other robots for each command. The most likely is the "
         "first; one that leads to unusual numbers is less likely than its score. Scores: 1 follows the command "
-        f"exactly; 0 falls, or errs by {MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s sideways or {MAX_ERROR[2]:g} rad/s."
+        f"exactly; 0 falls, or errs by {MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s sideways or "
+        f"{MAX_ERROR[2]:g} rad/s."
     )
     return f'<p class="quiet">{note}</p><div class="wide"><table>{"".join(rows)}</table></div>'
 
