@@ -108,7 +108,7 @@ def main() -> None:
     options = parser.parse_args()
     end = time.monotonic() + 60 * options.minutes
     robot = RobotDescription.load("go2")
-    right = {name: FORMATS["rl_sar"].read(path.parent / "config.yaml", robot) for name, path in NETWORKS.items()}
+    right = {name: FORMATS["rl_sar"].read(path.parent / "config.yaml", robot, {}) for name, path in NETWORKS.items()}
     widths = {name: check_specification(one, robot) for name, one in right.items()}
     networks = {name: load_network(path, path.read_bytes(), widths[name]) for name, path in NETWORKS.items()}
     rows: list[dict[str, object]] = []

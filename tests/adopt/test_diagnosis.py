@@ -150,5 +150,5 @@ def test_other_robots_have_other_readings_than_the_simulated_one():
 def test_a_specification_is_written_as_it_is_read(tmp_path):
     path = tmp_path / "folder" / "mine.yaml"
     manual.write(path, SPECIFICATION)
-    assert manual.read(path, None) == SPECIFICATION
+    assert manual.read(path, None, {}) == SPECIFICATION
     assert "action_scale" not in yaml.safe_load(path.read_text())

@@ -20,7 +20,7 @@ from surefoot.adopt.specification import PerJoint, PolicySpecification, Range, T
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.deploy.checks import check_policy
-from surefoot.errors import SurefootError, choices, quote
+from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import add_digest, read_parts
 from surefoot.policy.graph import LARGEST, Graph, Value
@@ -188,10 +188,19 @@ def check_specification(specification: PolicySpecification, robot: RobotDescript
     Raises:
         SurefootError: other joints, a default pose that legs can't have, numbers that do not fit a term.
     """
+    specification.check_commands()
     width = sum(_width(term, robot.num_motors) * len(term.steps) for term in specification.observations)
     maker = PolicyMaker(specification, NetworkSizes(width, len(specification.joints)), robot)
     check_policy(maker.contract("policy", {}), robot)
     return width
+
+
+def _likely_rest(more: int, steps: int, joints: int) -> str:
+    """Return what the numbers that a specification lacks are likely to be, for the end of a message."""
+    likely = {3: "the speed of the base, which no sensor of a robot gives", 4: "the contacts of the feet"}
+    likely |= {joints: "the last action, or another term of the joints"}
+    what = likely.get(more // max(steps, 1)) if more > 0 and more % max(steps, 1) == 0 else None
+    return f"; {more} more could be {what}" if what else ""
 
 
 def _width(term: Term, joints: int) -> int:
@@ -238,13 +247,17 @@ class PolicyMaker:
             sizes = ", ".join(f"{term.term} {_width(term, count)} x {len(term.steps)}" for term in spec.observations)
             raise SurefootError(
                 f"the network takes {net.inputs} numbers; the observations are {len(self.rows)}: {sizes}"
+                f"{_likely_rest(net.inputs - len(self.rows), len(spec.observations[0].steps), count)}"
             )
 
     def _find_motors(self) -> list[int]:
         """Return the motor of each joint."""
         robot, joints = self.robot, self.specification.joints
         if sorted(joints) != sorted(robot.motor_names):
-            raise SurefootError(f"joints are {choices(joints)}; {robot.name} has {choices(robot.motor_names)}")
+            wrong = [joint for joint in joints if joint not in robot.motor_names] or joints
+            raise SurefootError(
+                f"joints are {choices(wrong)}, which {robot.name} has not; it has {choices(robot.motor_names)}"
+            )
         return [robot.motor_names.index(joint) for joint in joints]
 
     @property
@@ -434,16 +447,3 @@ class PolicyMaker:
             unit = graph.apply("Mul", turned, factor)
             values.append(Value(graph.apply("Sub", unit, graph.constant([[0.0, 1.0]])), 2))
         return values
-
-
-def unknown_term(name: object, known: Mapping[str, Any], unmeasured: Mapping[str, str]) -> SurefootError:
-    """Return the error of an observation that can't be adopted.
-
-    Args:
-        name: its name.
-        known: what can be.
-        unmeasured: why others can't be, by name.
-    """
-    if str(name) in unmeasured:
-        return SurefootError(f"observation {quote(name)} {unmeasured[str(name)]}; such a policy can't be adopted")
-    return SurefootError(f"observation {quote(name)} is unknown; known are {choices(known)}")

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import yaml
 
-from surefoot.adopt.specification import PolicySpecification
+from surefoot.adopt.formats.reading import why_unmeasured
+from surefoot.adopt.specification import PolicySpecification, TermName
 from surefoot.configuration import from_mapping, read_yaml, to_mapping
-from surefoot.errors import describe_os_errors, prefix_errors
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote
 from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 
 
-def read(config: Path, robot: RobotDescription) -> PolicySpecification:
-    """Read the specification of a policy.
+def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> PolicySpecification:
+    """Read the specification of a policy; `given` fields replace those of the file.
 
     Raises:
         SurefootError: a file without what is needed, or with a key that a specification does not have.
@@ -25,7 +27,13 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
     with prefix_errors(config):
         if "joints" not in table:
             table["joints"] = list(robot.motor_names)
-        return from_mapping(PolicySpecification, table)
+        terms = table.get("observations")
+        for place, term in enumerate(terms if isinstance(terms, list) else []):
+            name = term.get("term") if isinstance(term, Mapping) else None
+            if isinstance(name, str) and name not in get_args(TermName) and (reason := why_unmeasured(name)):
+                where = f"observations[{place}].term is {quote(name)}, which {reason}"
+                raise SurefootError(f"{where}; such a policy can't be adopted")
+        return from_mapping(PolicySpecification, {**table, **given})
 
 
 def write(path: Path, specification: PolicySpecification) -> None:
