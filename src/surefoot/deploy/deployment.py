@@ -91,6 +91,10 @@ class Deployment:
             self._warm_up()
             if not self.link.lockstep:
                 self._check_timing()
+            if self.link.hears_others:
+                self.monitor.phase("listen for other programs", 0.0)
+            if heard := self.link.listen():
+                raise SurefootError(f"the robot is not armed: {heard}; end it, also on the robot's own computer")
         except LinkLostError as error:
             raise SurefootError(f"the robot was lost before it was armed: {error}") from error
         self.controller.reset()
