@@ -143,6 +143,8 @@ def test_a_policy_sees_its_map_and_follows_commands_while_it_comes(run, monitor)
     seen = done.trace.observation[:, [columns.index(name) for name in columns if name.startswith("ground")]]
     assert seen.shape == (150, len(MAP.ahead) * len(MAP.left))
     sent = done.trace.meta["robot_time_start"] + done.trace.time - 2 * done.policy.contract.control_step
+    np.testing.assert_array_equal(done.trace.height_map, seen)
+    assert done.trace.meta["height_map"]["ahead"] == pytest.approx(done.policy.contract.height_map.ahead)
     assert seen == pytest.approx(-UNDER - FALLS * np.tile(sent, (seen.shape[1], 1)).T, abs=FALLS * 0.025)
 
 

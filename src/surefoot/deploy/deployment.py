@@ -225,7 +225,13 @@ class Deployment:
                 recorder.begin(state, loop.pacer.due(0) - self.link.sync.offset)
             recorder.close(k, state)
             if computed:
-                recorder.open(controller.observation, controller.feedback, controller.target, controller.command)
+                recorder.open(
+                    controller.observation,
+                    controller.feedback,
+                    controller.target,
+                    controller.command,
+                    controller.heights,
+                )
 
         return loop.follow("run", recorder.max_steps, compute, after)
 
