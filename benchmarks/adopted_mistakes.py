@@ -28,7 +28,7 @@ import numpy as np
 
 from surefoot.adopt.adoption import FORMATS, load_network
 from surefoot.adopt.builder import NetworkSizes, PolicyMaker, build_policy, check_specification
-from surefoot.adopt.examination import diagnose
+from surefoot.adopt.diagnosis import diagnose
 from surefoot.adopt.mistakes import Correction, corrections
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.policy.runtime import PolicyRuntime
@@ -108,7 +108,7 @@ def main() -> None:
     options = parser.parse_args()
     end = time.monotonic() + 60 * options.minutes
     robot = RobotDescription.load("go2")
-    right = {name: FORMATS["rl_sar"].read(path.parent / "config.yaml", robot) for name, path in NETWORKS.items()}
+    right = {name: FORMATS["rl_sar"].read(path.parent / "config.yaml", robot, {}) for name, path in NETWORKS.items()}
     widths = {name: check_specification(one, robot) for name, one in right.items()}
     networks = {name: load_network(path, path.read_bytes(), widths[name]) for name, path in NETWORKS.items()}
     rows: list[dict[str, object]] = []

@@ -36,7 +36,7 @@ ALLOWED: dict[str, set[str]] = {
         *("world.ground", "world.terrain"),
         "identify.result",
         "identify.motion.replay_errors",
-        "adopt.examination",
+        *("adopt.examination", "adopt.diagnosis"),
     },
     "adopt": {"policy", "task", "robot", "deploy.checks", "evaluation", "world"},
     "studies": {"report", "learn", "evaluation", "task", "policy", "world", "robot"},

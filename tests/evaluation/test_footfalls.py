@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surefoot.evaluation.footfalls import FEET, Footfalls, analyze_footfalls, stance_intervals
+from surefoot.evaluation.footfalls import FEET, STANDS, Footfalls, analyze_footfalls, classify, stance_intervals
 
 STEP = 0.006
 PHASES = {  # by FEET: front_left, back_left, front_right, back_right
@@ -200,3 +200,20 @@ def test_stance_intervals_by_hand() -> None:
     assert stance_intervals(contact, time, debounce=0.03) == (pytest.approx((0.0175, 0.08)),)
     assert stance_intervals([1] * 10, time, debounce=0.03) == (pytest.approx((0.0, 0.1)),)
     assert stance_intervals([0] * 10, time) == ()
+
+
+def test_a_robot_that_stands_and_feet_that_idle_are_named() -> None:
+    time = np.arange(1, 601) * 0.01
+    touch = np.ones((600, 4))
+    assert analyzed(touch, time).reason == STANDS
+    touch[:, 2] = 0.0
+    touch[:, 3] = np.arange(600) % 40 < 20
+    reason = analyzed(touch, time).reason
+    assert reason == "front_left and back_left never leave the ground; front_right never touches down"
+
+
+def test_the_pair_that_does_not_alternate_is_named() -> None:
+    phase = dict(zip(FEET, (0.0, 0.5, 0.5, 0.5), strict=True))
+    assert classify(phase, 0.5)[2] == "the fore feet alternate and the hind feet do not"
+    phase = dict(zip(FEET, (0.0, 0.0, 0.0, 0.5), strict=True))
+    assert classify(phase, 0.5)[2] == "the hind feet alternate and the fore feet do not"

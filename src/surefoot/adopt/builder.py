@@ -20,7 +20,7 @@ from surefoot.adopt.specification import PerJoint, PolicySpecification, Range, T
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.deploy.checks import check_policy
-from surefoot.errors import SurefootError, choices, quote
+from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import add_digest, read_parts
 from surefoot.policy.graph import LARGEST, Graph, Value
@@ -37,6 +37,10 @@ _REWARD = {"track_velocity": 1.0, "track_yaw_rate": 0.5}
 """Reward of the task in a contract: how well commands are followed; the policy's own is not known."""
 _EPISODE = 20.0
 """Length of an episode [s]."""
+EFFECT = "constants_effect"
+"""Figure of an adopted policy's contract: change of a joint's target [rad] where a constant input changes by 1."""
+_PROBES, _PROBE_NOISE = 64, 0.5
+"""Observations that the effect of constants is measured on, and the standard deviation of their other numbers."""
 PARTS = {
     "command": ("command",),
     "gravity": ("gravity",),
@@ -63,6 +67,13 @@ def adopted_specification(contract: Contract) -> PolicySpecification | None:
     adopted = contract.figures.get("adopted")
     stated = adopted.get("specification") if isinstance(adopted, Mapping) else None
     return from_mapping(PolicySpecification, stated, "specification") if isinstance(stated, Mapping) else None
+
+
+def adopted_notes(contract: Contract) -> dict[str, str]:
+    """Return what was assumed as a policy was adopted, by field of its specification."""
+    adopted = contract.figures.get("adopted")
+    notes = adopted.get("notes") if isinstance(adopted, Mapping) else None
+    return {str(name): str(note) for name, note in notes.items()} if isinstance(notes, Mapping) else {}
 
 
 class ForeignNetwork(Protocol):
@@ -94,6 +105,12 @@ class _Row:
     scale: float
     clip_after: Range | None
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether it never changes."""
+        clipped = any(clip is not None and clip[0] == clip[1] for clip in (self.clip, self.clip_after))
+        return not self.weights or self.scale == 0.0 or clipped
+
 
 def build_policy(
     specification: PolicySpecification,
@@ -115,13 +132,40 @@ def build_policy(
         SurefootError: a specification that does not fit the network or the robot.
     """
     maker = PolicyMaker(specification, network, robot)
-    contract = maker.contract(specification.name or name, source)
+    contract = maker.contract(specification.name or name, {**source, **_effect_of_constants(maker)})
     check_policy(contract, robot)
     model = maker.graph(contract).to_model(contract, robot.archive)
     check_network(read_parts(model).graph)
     data = add_digest(model)
     PolicyRuntime.parse(data)
     return data
+
+
+def _effect_of_constants(maker: PolicyMaker) -> dict[str, float]:
+    """Return how far a joint's target moves [rad] where the most effective constant input changes by 1.
+
+    It is the greatest mean, over constants and joints, for other inputs at random. Empty without constants.
+    """
+    if not maker.constant_places:
+        return {}
+    from surefoot.adopt.onnx_network import run_model
+
+    graph, observation = Graph(), Value("observation", len(maker.rows))
+    states = [Value(f"hidden_{k}", width) for k, width in enumerate(maker.network.hidden)]
+    action, _ = maker.network.add(graph, observation, states)
+    model = graph.to_onnx([observation, *states], [action]).SerializeToString()
+    rows = np.random.default_rng(0).normal(scale=_PROBE_NOISE, size=(_PROBES, observation.width))
+    at_rest = {state.name: np.zeros((_PROBES, state.width), np.float32) for state in states}
+
+    def targets(inputs: Array) -> Array:
+        return np.asarray(run_model(model, {"observation": inputs.astype(np.float32), **at_rest})[0] * scale)
+
+    scale, effects = maker.target_map()[0], []
+    for place in maker.constant_places:
+        changed = rows.copy()
+        changed[:, place] += 1.0
+        effects.append(float(np.abs(targets(changed) - targets(rows)).mean(axis=0).max()))
+    return {EFFECT: max(effects)}
 
 
 @dataclass(frozen=True)
@@ -144,10 +188,19 @@ def check_specification(specification: PolicySpecification, robot: RobotDescript
     Raises:
         SurefootError: other joints, a default pose that legs can't have, numbers that do not fit a term.
     """
+    specification.check_commands()
     width = sum(_width(term, robot.num_motors) * len(term.steps) for term in specification.observations)
     maker = PolicyMaker(specification, NetworkSizes(width, len(specification.joints)), robot)
     check_policy(maker.contract("policy", {}), robot)
     return width
+
+
+def _likely_rest(more: int, steps: int, joints: int) -> str:
+    """Return what the numbers that a specification lacks are likely to be, for the end of a message."""
+    likely = {3: "the speed of the base, which no sensor of a robot gives", 4: "the contacts of the feet"}
+    likely |= {joints: "the last action, or another term of the joints"}
+    what = likely.get(more // max(steps, 1)) if more > 0 and more % max(steps, 1) == 0 else None
+    return f"; {more} more could be {what}" if what else ""
 
 
 def _width(term: Term, joints: int) -> int:
@@ -188,18 +241,23 @@ class PolicyMaker:
         self.gait = self.task.gait(robot)
         self.observer = Observer(robot, self.task.observations, self.gait.action_names)
         self._index = {column: place for place, column in enumerate(self.observer.columns)}
-        self._rows = self._find_rows()
-        if net.inputs is not None and len(self._rows) != net.inputs:
+        self.rows = self._find_rows()
+        self.constant_places = [k for k, row in enumerate(self.rows) if row.is_constant]
+        if net.inputs is not None and len(self.rows) != net.inputs:
             sizes = ", ".join(f"{term.term} {_width(term, count)} x {len(term.steps)}" for term in spec.observations)
             raise SurefootError(
-                f"the network takes {net.inputs} numbers; the observations are {len(self._rows)}: {sizes}"
+                f"the network takes {net.inputs} numbers; the observations are {len(self.rows)}: {sizes}"
+                f"{_likely_rest(net.inputs - len(self.rows), len(spec.observations[0].steps), count)}"
             )
 
     def _find_motors(self) -> list[int]:
         """Return the motor of each joint."""
         robot, joints = self.robot, self.specification.joints
         if sorted(joints) != sorted(robot.motor_names):
-            raise SurefootError(f"joints are {choices(joints)}; {robot.name} has {choices(robot.motor_names)}")
+            wrong = [joint for joint in joints if joint not in robot.motor_names] or joints
+            raise SurefootError(
+                f"joints are {choices(wrong)}, which {robot.name} has not; it has {choices(robot.motor_names)}"
+            )
         return [robot.motor_names.index(joint) for joint in joints]
 
     @property
@@ -251,11 +309,11 @@ class PolicyMaker:
         )
 
     def contract(self, name: str, source: Mapping[str, Any]) -> Contract:
-        """Return the policy's contract; its figures keep the specification, for whoever looks for mistakes in it."""
-        kept = {name: value for name, value in to_mapping(self.specification).items() if name != "notes"}
-        return contract_from_task(
-            self.task, self.robot, figures={"adopted": {**source, "specification": kept}}, name=name
-        )
+        """Return the policy's contract; its figures keep specification and notes, for whoever looks for mistakes."""
+        kept = to_mapping(self.specification)
+        notes = kept.pop("notes")
+        figures = {"adopted": {**source, "notes": notes, "specification": kept}}
+        return contract_from_task(self.task, self.robot, figures=figures, name=name)
 
     def _find_rows(self) -> list[_Row]:
         """Return the rows of the network's observation, in its order."""
@@ -346,7 +404,7 @@ class PolicyMaker:
 
     def observation_map(self) -> tuple[Array, Array, Array]:
         """Return weights (W, O), offsets (O,) and scales (O,): an observation is (raw @ weights + offsets) * scales."""
-        rows = self._rows
+        rows = self.rows
         weight = np.zeros((self.observer.width * self.task.history, len(rows)))
         for k, row in enumerate(rows):
             for column, factor in row.weights.items():
@@ -363,7 +421,7 @@ class PolicyMaker:
 
     def _observation(self, graph: Graph, raw: Value) -> Value:
         """Return the network's observation of a raw one."""
-        rows, (weight, offset, scale) = self._rows, self.observation_map()
+        rows, (weight, offset, scale) = self.rows, self.observation_map()
         if any(row.clip for row in rows):
             value = self._clipped(graph, graph.linear(raw.name, weight, offset), [row.clip for row in rows])
             value = Value(graph.apply("Mul", value.name, graph.constant(scale[None])), value.width)
@@ -389,16 +447,3 @@ class PolicyMaker:
             unit = graph.apply("Mul", turned, factor)
             values.append(Value(graph.apply("Sub", unit, graph.constant([[0.0, 1.0]])), 2))
         return values
-
-
-def unknown_term(name: object, known: Mapping[str, Any], unmeasured: Mapping[str, str]) -> SurefootError:
-    """Return the error of an observation that can't be adopted.
-
-    Args:
-        name: its name.
-        known: what can be.
-        unmeasured: why others can't be, by name.
-    """
-    if str(name) in unmeasured:
-        return SurefootError(f"observation {quote(name)} {unmeasured[str(name)]}; such a policy can't be adopted")
-    return SurefootError(f"observation {quote(name)} is unknown; known are {choices(known)}")

@@ -1,25 +1,26 @@
-"""An adopted policy in simulation: does it stand and answer, and which change of its specification makes it walk?
+"""An adopted policy in simulation: does it stand and answer, as it is, with its specification changed, or the robot?
 
-All corrections run side by side for a short time, each with a robot for each command; then the best of them for longer,
-with other robots. A correction is a linear map in front of the policy file and another one behind it: the raw
-observation for which the file's network gets what the corrected specification would give it.
+All changes run side by side, each with a robot for each command. A correction is a linear map in front of the policy
+file and another one behind it: the raw observation for which the file's network gets what the corrected specification
+would give it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.adopt.builder import NetworkSizes, PolicyMaker, adopted_specification
-from surefoot.adopt.mistakes import Correction, corrections, unusual_numbers
+from surefoot.adopt.mistakes import Correction
+from surefoot.adopt.robot_guesses import RobotGuess
 from surefoot.adopt.specification import PolicySpecification
+from surefoot.adopt.usual_numbers import unusual_numbers
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import Progress, run_to_end
 from surefoot.policy.contract import MEMORY, Contract
@@ -31,12 +32,10 @@ from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.registry import find_world
 
-FIRST, DURATION = 2.0, 4.0
-"""Length of an episode [s] in the first round, with all changes, and in the second one."""
+DURATION = 4.0
+"""Length of an episode [s]."""
 SETTLE = 0.4
 """Share of an episode that is not measured."""
-FINALISTS, REPEATS = 16, 2
-"""Changes in the second round, and robots for each command there."""
 MAX_ERROR = np.array([0.5, 0.4, 0.8])
 """Errors of speeds [m/s, m/s] and yaw rate [rad/s] that are worth nothing."""
 SHARES = {
@@ -50,16 +49,20 @@ SHARES = {
     "curve right": (0.5, 0, -0.75),
 }
 """Commands of an examination, in shares of the policy's range."""
-FIRST_COMMANDS = ("forward", "backward", "left", "turn", "curve left")
-"""Those of the first round."""
+GOOD = 0.4
+"""Score of a command that a robot answers."""
+UNUSUAL = 0.08
+"""What an unusual number of a specification takes from its score."""
+_ROUNDING = 1e-9
+"""Size of a number that is 0."""
 
 
 @dataclass(frozen=True)
 class Answer:
     """How robots with one specification answered commands: R rounds of C commands, by name."""
 
-    correction: Correction | None
-    """The change; None: the policy as it is."""
+    change: Correction | RobotGuess | None
+    """The change of the specification or of the robot; None: the policy as it is on the robot as it is."""
     commands: tuple[str, ...]
     command: Array
     """What was commanded (C, 3) [m/s, m/s, rad/s]."""
@@ -69,6 +72,16 @@ class Answer:
     """Time for which each robot stood, over that of its episode (R, C)."""
     unusual: int = 0
     """How many of the specification's numbers are unusual, of those that `mistakes.unusual_numbers` names."""
+
+    @property
+    def correction(self) -> Correction | None:
+        """The change, if it is one of the specification."""
+        return self.change if isinstance(self.change, Correction) else None
+
+    @property
+    def text(self) -> str:
+        """The change in words."""
+        return "as it is" if self.change is None else self.change.text
 
     @property
     def velocity(self) -> Array:
@@ -184,7 +197,7 @@ def examine(
     policy: PolicyRuntime,
     robot: RobotDescription,
     task: TaskConfig,
-    tried: Sequence[Correction | None],
+    tried: Sequence[Correction | RobotGuess | None],
     world: str = "mujoco",
     seed: int = 0,
     threads: int = 1,
@@ -193,7 +206,7 @@ def examine(
     repeats: int = 1,
     chosen: Sequence[str] = tuple(SHARES),
 ) -> list[Answer]:
-    """Return how robots answer commands with the policy as it is (None) and with corrections.
+    """Return how robots answer commands with the policy as it is (None), with corrections, and with other robots.
 
     Args:
         policy: an adopted policy.
@@ -210,13 +223,13 @@ def examine(
     """
     duration = DURATION if duration is None else duration
     stated = stated_specification(policy.contract)
-    specifications = [stated if one is None else one.specification for one in tried]
+    specifications = [one.specification if isinstance(one, Correction) else stated for one in tried]
     corrected = Corrected(policy, robot, specifications)
     limits = policy.contract.commands
-    names, rows = _commands(limits, chosen)
+    names, asked = _commands(limits, chosen)
     size = repeats * len(names)
     robots = size * len(tried)
-    commands = replace(task.commands, each=tuple(map(tuple, rows.tolist()))) if limits else CommandConfig()
+    commands = replace(task.commands, each=tuple(map(tuple, asked.tolist()))) if limits else CommandConfig()
     task = replace(task, commands=commands, randomize={}, pushes=replace(task.pushes, enabled=False), max_steps=10**6)
     env = LocomotionEnv(task, robots, find_world(world), seed, autoreset=False, threads=threads)
     nominal = env.world.params
@@ -225,7 +238,13 @@ def examine(
         for name, field in (("servo_kp", "kp"), ("servo_kd", "kd"))
     }
     steps = np.repeat([one.control_step for one in specifications], size)
-    env.world.set_params(np.arange(robots), nominal.with_values(robot, control_step=steps, **changed))
+    params = nominal.with_values(robot, control_step=steps, **changed)
+    for k, one in enumerate(tried):
+        if isinstance(one, RobotGuess):
+            rows = np.arange(k * size, (k + 1) * size)
+            own = params.rows(rows)
+            params.set_rows(rows, own.with_values(robot, **one.params(own)))
+    env.world.set_params(np.arange(robots), params)
     observation, _ = env.reset()
     sums, times = np.zeros((robots, 3)), np.zeros(robots)
 
@@ -243,7 +262,7 @@ def examine(
         motion = (sums / times[:, None]).reshape(len(tried), repeats, -1, 3)
     stood = np.where(runs.balanced, 1.0, runs.steps.to_numpy() / limit).reshape(len(tried), repeats, -1)
     return [
-        Answer(one, names, rows, motion[k], stood[k], len(unusual_numbers(specifications[k])))
+        Answer(one, names, asked, motion[k], stood[k], len(unusual_numbers(specifications[k], robot)))
         for k, one in enumerate(tried)
     ]
 
@@ -282,117 +301,3 @@ def _commands(limits: CommandLimits | None, chosen: Sequence[str]) -> tuple[tupl
         if name == "stand" or np.abs(row).max() > 0:
             rows[name] = row
     return tuple(rows), np.array(list(rows.values()))
-
-
-MARGIN = 0.06
-"""How much likelier a change must be than none for it to be named, if it does not lead to usual numbers."""
-ALIKE = 0.03
-"""Difference within which two changes can't be distinguished."""
-UNUSUAL = 0.08
-"""What an unusual number of a specification takes from its score."""
-GOOD = 0.4
-"""Score of a command that a robot answers."""
-_ROUNDING = 1e-9
-"""Size of a number that is 0."""
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """What an examination says of a policy."""
-
-    own: Answer
-    """The policy as it is."""
-    ranked: tuple[Answer, ...]
-    """All changes that were tried, the most likely one first."""
-
-    @classmethod
-    def from_answers(cls, answers: Sequence[Answer], others: Sequence[Answer] = ()) -> Diagnosis:
-        """Return the diagnosis of answers, the first of which is the policy's as it is; others are less likely."""
-        parts = (sorted(part, key=lambda answer: -answer.likelihood) for part in (answers[1:], others))
-        return cls(answers[0], tuple(chain.from_iterable(parts)))
-
-    @property
-    def mistake(self) -> Answer | None:
-        """The change that makes it walk, or walk clearly better or with usual numbers; None: there is none."""
-        best = self.ranked[0] if self.ranked else None
-        if best is None or best.score < GOOD:
-            return None
-        margin = ALIKE if best.unusual < self.own.unusual else MARGIN
-        return best if best.likelihood >= self.own.likelihood + margin else None
-
-    @property
-    def is_shown(self) -> bool:
-        """Whether robots show the mistake; else only numbers that are unusual hint at it."""
-        return self.mistake is not None and self.mistake.score >= self.own.score + MARGIN
-
-    @property
-    def alike(self) -> tuple[Answer, ...]:
-        """Other changes that are as likely."""
-        best = self.mistake
-        if best is None:
-            return ()
-        return tuple(one for one in self.ranked[1:FINALISTS] if one.likelihood >= best.likelihood - ALIKE)
-
-
-def diagnose(
-    policy: PolicyRuntime,
-    robot: RobotDescription,
-    task: TaskConfig,
-    world: str = "mujoco",
-    seed: int = 0,
-    threads: int = 1,
-    progress: Progress | None = None,
-) -> Diagnosis:
-    """Examine a policy as it is and with each of the usual mistakes corrected; arguments as of `examine`."""
-    tried = corrections(stated_specification(policy.contract), robot)
-
-    def half_from(start: float) -> Progress | None:
-        return None if progress is None else lambda share: progress(start + 0.5 * share)
-
-    begun = half_from(0.0)
-    own, *first = examine(policy, robot, task, [None, *tried], world, seed, threads, begun, FIRST, 1, FIRST_COMMANDS)
-    first.sort(key=lambda answer: -answer.likelihood)
-    finalists = [own, *first[:FINALISTS]]
-    again = [one.correction for one in finalists]
-    # Other robots than those by which the finalists were chosen.
-    final = examine(policy, robot, task, again, world, seed + 1, threads, half_from(0.5), DURATION, REPEATS)
-    return Diagnosis.from_answers(final, first[FINALISTS:])
-
-
-def check_answers(diagnosis: Diagnosis) -> list[CheckResult]:
-    """Judge a policy's answers to commands and its specification; one result a rule."""
-    own, mistake = diagnosis.own, diagnosis.mistake
-    remedy = "see the line specification" if mistake else "perhaps it was not trained for that: see its training"
-    results = []
-    for k, (name, command, velocity, score) in enumerate(
-        zip(own.commands, own.command, own.velocity, own.scores, strict=True)
-    ):
-        asked, went = (
-            "forward {:.2f}, left {:.2f} m/s, turn {:.2f} rad/s".format(*(np.round(np.nan_to_num(row), 2) + 0.0))
-            for row in (command, velocity)
-        )
-        end = f"it fell after {DURATION * own.stood[:, k].min():.1f} s" if own.fell[k] else f"it went {went}"
-        message = f"asked {asked}; {end}"
-        results.append(judge(name, bool(score >= GOOD), message, "", remedy, float(score)))
-    tried = f"{len(diagnosis.ranked)} usual mistakes tried"
-    if mistake is None:
-        message = f"{tried}; without any of them it does not walk clearly better (score {own.score:.2f}"
-        message += f", best {diagnosis.ranked[0].score:.2f})" if diagnosis.ranked else ")"
-        fell = bool(own.fell.any())
-        deaf = not fell and not (own.scores[1:] >= GOOD).any()
-        rule = "; what is wrong is another thing, or several things"
-        what = "compare with the training, field by field"
-        results.append(judge("specification", not (fell or deaf), message, rule, what, own.score))
-        return results
-    assert mistake.correction is not None
-    scores = f"(score {own.score:.2f}, then {mistake.score:.2f})"
-    if not diagnosis.is_shown:
-        message = f"{tried}; robots do not show it, but a number is unusual: {mistake.correction.text} {scores}"
-        return [*results, CheckResult("specification", True, message, "", own.score)]
-    message = f"{tried}; {mistake.correction.text} {scores}"
-    others = [one.correction.text for one in diagnosis.alike if one.correction is not None]
-    what = f"correct {mistake.correction.field} and adopt it again"
-    if others:
-        what += f"; as likely: {'; '.join(others[:3])}"
-    results.append(CheckResult("specification", False, message, what, mistake.score))
-    return results

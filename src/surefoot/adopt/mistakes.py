@@ -12,23 +12,15 @@ import numpy as np
 
 from surefoot.adopt.builder import check_specification
 from surefoot.adopt.specification import PolicySpecification, Term
-from surefoot.arrays import Array
+from surefoot.adopt.usual_numbers import VECTORS
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
 _FACTORS = (0.05, 0.25, 0.5, 2.0, 4.0, 20.0, math.pi / 180, 180 / math.pi)
 """Usual scales, and what may have been forgotten or applied twice: .05, .25, .5, 2 and degrees."""
 _RATIOS = (0.25, 0.5, 2.0, 4.0)
-_USUAL_COMMANDS = ((1.0, 1.0, 1.0), (2.0, 2.0, 0.25))
-"""Scales of commands: Isaac Lab's and legged_gym's."""
-_USUAL_RATES = ((0.25, 0.05), (0.2, 0.05), (1.0, 1.0))
-"""Scales of angular velocity and joint speeds: legged_gym's, unitree_rl_lab's and mjlab's."""
-_USUAL_ACTIONS = (0.1, 0.125, 0.2, 0.25, 0.3, 0.5)
-_USUAL_GAINS = (15.0, 60.0)
-"""Range of the proportional gains [N m/rad] of robots of this size."""
-_USUAL_DAMPING = (0.018, 0.07)
-"""Range of derivative over proportional gain [s]."""
-_USUAL_STEP = 0.02
+_GRAVITY = 9.81
+"""Length of gravity in m/s^2, where the unit vector belongs."""
 
 
 class Correction(NamedTuple):
@@ -63,46 +55,6 @@ def fits(specification: PolicySpecification, robot: RobotDescription) -> bool:
     except SurefootError:
         return False
     return True
-
-
-def unusual_numbers(spec: PolicySpecification) -> tuple[str, ...]:
-    """Return which numbers of a specification are not the usual ones of a framework, by what they are."""
-    sizes = {str(term.term): _sizes(term) for term in spec.observations}
-    rates = [sizes.get(name, np.array([np.nan])) for name in ("angular_velocity", "joint_speeds")]
-    kp, kd = np.asarray(spec.kp), np.asarray(spec.kd)
-    ratio = kd / np.maximum(kp, 1e-6)
-    usual = {
-        "scale of command": "command" not in sizes
-        or any(np.allclose(sizes["command"], one) for one in _USUAL_COMMANDS),
-        "scales of angular velocity and joint speeds": any(
-            all(np.isnan(size[0]) or np.allclose(size, number) for size, number in zip(rates, pair, strict=True))
-            for pair in _USUAL_RATES
-        ),
-        "scale of joint positions": np.allclose(sizes.get("joint_positions", 1.0), 1.0),
-        "scale of last action": np.allclose(sizes.get("last_action", 1.0), 1.0),
-        "scale of actions": np.isclose(np.abs(_column(spec.action_scale)), _USUAL_ACTIONS).any(axis=1).all(),
-        "gains": _is_within(kp, _USUAL_GAINS) and _is_within(ratio, _USUAL_DAMPING),
-        "control step": math.isclose(spec.control_step, _USUAL_STEP),
-    }
-    return tuple(name for name, fits in usual.items() if not fits)
-
-
-def _is_within(values: Array, bounds: tuple[float, float]) -> bool:
-    return bool(np.all((values >= bounds[0]) & (values <= bounds[1])))
-
-
-def _column(value: float | Sequence[float]) -> Array:
-    return np.atleast_1d(np.asarray(value, float))[:, None]
-
-
-def _sizes(term: Term) -> Array:
-    """Return the sizes of a term's scales: of a vector's numbers in their own order."""
-    scales = np.abs(np.atleast_1d(term.scale))
-    if term.term not in _VECTORS:
-        return scales
-    sizes, columns = np.full(3, np.nan), list(term.columns or range(3))
-    sizes[columns] = scales
-    return np.where(np.isnan(sizes), np.nanmax(sizes), sizes)
 
 
 def joint_orders(robot: RobotDescription) -> dict[str, tuple[str, ...]]:
@@ -158,21 +110,25 @@ def _reordered(spec: PolicySpecification, order: tuple[str, ...], places: Sequen
 
 def _signs(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
     own = np.array(spec.joint_signs or np.ones(len(spec.joints)))
-    kinds: dict[str, list[bool]] = {}
-    for leg in robot.legs:
-        names = ("hip", "knee") if len(leg.motors) == 2 else ("abduction", "hip", "knee")
-        for kind, motor in zip(names, leg.motors, strict=True):
-            side = "right" if "right" in leg.name else "left"
-            for group in (f"all {kind}s", f"{kind}s of the {side} legs"):
-                kinds.setdefault(group, [False] * len(spec.joints))[spec.joints.index(motor)] = True
-    kinds["all joints"] = [True] * len(spec.joints)
-    for group, chosen in kinds.items():
+    for group, chosen in {**_joint_groups(spec, robot, sides=True), "all joints": [True] * len(own)}.items():
         for keep in (False, True):
             flip = np.where(chosen, -1.0, 1.0)
             change: dict[str, Any] = {"joint_signs": tuple((own * flip).tolist())}
             if keep:  # the pose is in the signs of the URDF already
                 change["default_pose"] = tuple((flip * spec.default_pose).tolist())
             yield Correction("joint_signs", f"sign of {group}: it should be the other one", replace(spec, **change))
+
+
+def _joint_groups(spec: PolicySpecification, robot: RobotDescription, sides: bool) -> dict[str, list[bool]]:
+    """Return which joints of the specification are abductions, hips and knees; on request also those of one side."""
+    groups: dict[str, list[bool]] = {}
+    for leg in robot.legs:
+        names = ("hip", "knee") if len(leg.motors) == 2 else ("abduction", "hip", "knee")
+        side = "right" if "right" in leg.name else "left"
+        for kind, motor in zip(names, leg.motors, strict=True):
+            for group in (f"all {kind}s", *([f"{kind}s of the {side} legs"] if sides else [])):
+                groups.setdefault(group, [False] * len(spec.joints))[spec.joints.index(motor)] = True
+    return groups
 
 
 def _with_term(spec: PolicySpecification, place: int, term: Term) -> PolicySpecification:
@@ -183,19 +139,19 @@ def _with_term(spec: PolicySpecification, place: int, term: Term) -> PolicySpeci
 
 def _scaled(term: Term, factor: float, columns: Sequence[int] = (0, 1, 2)) -> Term:
     """Return a term with some of its numbers scaled by a factor."""
-    width = len(term.scale) if isinstance(term.scale, tuple) else 3 if term.term in _VECTORS else 0
+    width = len(term.scale) if isinstance(term.scale, tuple) else 3 if term.term in VECTORS else 0
     if not width:
         return replace(term, scale=float(np.asarray(term.scale)) * factor)
     scales = np.broadcast_to(term.scale, width) * [factor if k in columns or width > 3 else 1.0 for k in range(width)]
     return replace(term, scale=tuple(scales.tolist()))
 
 
-_VECTORS = ("command", "gravity", "angular_velocity")
-
-
 def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
     for place, term in enumerate(spec.observations):
-        if term.term in ("gravity", "clock", "constant"):
+        if term.term in ("clock", "constant"):
+            continue
+        if term.term == "gravity":
+            yield from _gravity_scales(spec, place, term)
             continue
         what = term.term.replace("_", " ")
         for factor in _FACTORS:
@@ -219,6 +175,23 @@ def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
                 yield Correction("observations", text, _with_term(spec, place, replace(term, scale=scale)))
 
 
+def _gravity_scales(spec: PolicySpecification, place: int, term: Term) -> Iterator[Correction]:
+    """Yield scales of gravity of another length, with the same sign and with the other one."""
+    length = float(np.abs(term.scale).max())
+    unit = math.isclose(length, 1.0)
+    targets = (_GRAVITY, 1 / _GRAVITY) if unit else (1.0,) if length else ()
+    for target in targets:
+        for sign in (1.0, -1.0):
+            scaled = _scaled(term, sign * target / length)
+            now = "" if unit else f" (now {_numbers(term.scale)}{': m/s2' if _is_earths(length) else ''})"
+            text = f"scale of gravity: it should be {_numbers(scaled.scale)}{now}"
+            yield Correction("observations", text, _with_term(spec, place, scaled))
+
+
+def _is_earths(length: float) -> bool:
+    return bool(np.isclose(length, _GRAVITY, rtol=0.01))
+
+
 def _numbers(value: float | Sequence[float]) -> str:
     """Return a number, or the different ones of a sequence, as text."""
     return " and ".join(f"{number:.3g}" for number in np.unique(value))
@@ -233,7 +206,7 @@ def _frames(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
     """Yield other signs, orders and places of the vectors."""
     for place, term in enumerate(spec.observations):
         what = term.term.replace("_", " ")
-        if term.term not in _VECTORS:
+        if term.term not in VECTORS:
             if term.term in ("joint_positions", "joint_speeds", "last_action"):
                 text = f"sign of {what}: it should be the other one"
                 yield Correction("observations", text, _with_term(spec, place, _scaled(term, -1.0)))
@@ -303,6 +276,12 @@ def _actions(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Cor
         scale = _times(spec.action_scale, factor)
         text = f"scale of actions: it should be {_numbers(scale)}, {factor:g} times as large"
         yield Correction("action_scale", text, replace(spec, action_scale=scale))
+    own = np.broadcast_to(spec.action_scale, len(spec.joints))
+    for group, chosen in _joint_groups(spec, robot, sides=False).items():
+        for factor in _RATIOS:
+            scales = np.where(chosen, factor, 1.0) * own
+            text = f"scale of actions ({group}): it should be {_numbers(scales[chosen])}, {factor:g} times as large"
+            yield Correction("action_scale", text, replace(spec, action_scale=tuple(scales.tolist())))
     negated = replace(spec, action_scale=_times(spec.action_scale, -1.0))
     yield Correction("action_scale", "sign of actions: it should be the other one", negated)
 

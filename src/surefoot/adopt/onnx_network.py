@@ -130,7 +130,7 @@ def read_model(data: bytes) -> onnx.ModelProto:
     total = 0
     for tensor in constants:
         if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
-            raise SurefootError(f"constant {quote(tensor.name)} is in another file; export the network as one file")
+            raise SurefootError(f"constant {quote(tensor.name)} is in another file, which was not read")
         if any(size < 0 for size in tensor.dims):
             raise SurefootError(f"constant {quote(tensor.name)} has a size below 0")
         total += math.prod(tensor.dims)
@@ -195,8 +195,11 @@ def _translate(graph: Graph, node: onnx.NodeProto, items: dict[str, Item]) -> No
     if missing:
         raise SurefootError(f"the network has a {kind} of {quote(missing[0])}, which is nothing before it")
     inputs = [items[name] if name else None for name in node.input]
+    attributes = _attributes(node)
+    if kind == "Split":  # before opset 18, as many as there are outputs
+        attributes.setdefault("num_outputs", len(node.output))
     try:
-        results = _OPERATORS[kind](graph, inputs, _attributes(node))
+        results = _OPERATORS[kind](graph, inputs, attributes)
     except (_UnknownUseError, ValueError, IndexError, TypeError, KeyError, AttributeError) as error:
         raise SurefootError(f"the network has operator {kind} in a use that is not understood: {error}") from error
     for name, item in zip(node.output, results, strict=False):
@@ -329,10 +332,14 @@ def _gather(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequ
 def _split(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequence[Item]:
     _axis_is_last(attributes.get("axis", 0))
     sizes = inputs[1] if len(inputs) > 1 and inputs[1] is not None else attributes.get("split")
-    if sizes is None:
-        raise _UnknownUseError("the sizes of the parts are missing")
-    ends = np.cumsum(np.asarray(sizes, int)).tolist()
     value = _value(inputs[0])
+    if sizes is None:  # equal parts; the last one has what is left
+        parts = int(attributes["num_outputs"])
+        part = -(-value.width // parts)
+        sizes = [part] * (parts - 1) + [value.width - part * (parts - 1)]
+    ends = np.cumsum(np.asarray(sizes, int)).tolist()
+    if min(sizes) < 1 or ends[-1] != value.width:
+        raise _UnknownUseError(f"parts of {list(map(int, sizes))} of {value.width} numbers")
     return [graph.select(value, range(start, end)) for start, end in zip([0, *ends], ends, strict=False)]
 
 

@@ -142,7 +142,16 @@ class PolicySpecification:
             raise SurefootError("observations are empty; a policy observes something")
         if self.history_by == "step" and len({term.steps for term in self.observations}) > 1:
             raise SurefootError("history_by is step, so all observations must have the same steps")
-        for name in ("forward", "sideways", "yaw_rate"):
+
+    def check_commands(self) -> None:
+        """Refuse ranges of commands without 0, at which surefoot lets robots stand."""
+        for name, unit in (("forward", "m/s"), ("sideways", "m/s"), ("yaw_rate", "rad/s")):
             low, high = getattr(self, name)
+            if low > high:
+                raise SurefootError(f"{name} is [{low:g}, {high:g}]; the lower bound must come first")
             if not low <= 0.0 <= high:
-                raise SurefootError(f"{name} is [{low:g}, {high:g}]; it must go from 0 or less to 0 or more")
+                option = f"--{name.replace('_', '-')} {min(low, 0.0):g} {max(high, 0.0):g}"
+                raise SurefootError(
+                    f"{name} is [{low:g}, {high:g}] {unit}, without 0: standing was never trained. surefoot lets "
+                    f"robots stand at command 0; give {option} if it stands"
+                )

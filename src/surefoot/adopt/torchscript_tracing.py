@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,12 @@ from torch.fx.experimental.proxy_tensor import make_fx
 
 from surefoot.errors import SurefootError
 from surefoot.policy.graph import Graph, Value
+from surefoot.policy.network import MAX_WIDTH
 from surefoot.policy.torch_graph import ROWS, add_traced
 
 _MAX_ACTIONS = 64
+_MAX_TRIES = 40
+"""Widths that are tried with a module that does not take the expected one."""
 _STATES = ("hidden_state", "cell_state")
 """Buffers in which the exporters of rsl_rl and legged_gym keep the state of a recurrent layer, (1, 1, H)."""
 
@@ -53,6 +57,8 @@ def trace(file: io.BytesIO, width: int, samples: int) -> tuple[bytes, bytes]:
 
     States of a recurrent layer are inputs after the observation and outputs after the action.
 
+    A module that takes another width than `width` is traced with its own, which whoever reads the file compares.
+
     Raises:
         SurefootError: no TorchScript, or a network that can't be adopted.
     """
@@ -73,6 +79,7 @@ def trace(file: io.BytesIO, width: int, samples: int) -> tuple[bytes, bytes]:
         action = module(observation)
         return action, *(getattr(module, name) for name in states)
 
+    width = _taken_width(step, width, module, [buffer.shape[2] for buffer in states.values()])
     widths = [width, *(buffer.shape[2] for buffer in states.values())]
     rows = samples if not states else ROWS
     random = np.random.default_rng(0)
@@ -94,6 +101,21 @@ def trace(file: io.BytesIO, width: int, samples: int) -> tuple[bytes, bytes]:
     model = graph.to_onnx(ends, values, "traced")
     columns = [*inputs, *(result.numpy().reshape(rows, -1).astype(np.float32) for result in results)]
     return model.SerializeToString(), np.concatenate(columns, axis=1).tobytes()
+
+
+def _taken_width(step: Callable[..., Any], width: int, module: Any, hidden: list[int]) -> int:
+    """Return the width of the observations that a module takes: `width`, or else a width of one of its tensors."""
+    tensors = (*module.parameters(), *module.buffers())
+    others = dict.fromkeys(int(tensor.shape[-1]) for tensor in tensors if tensor.ndim)
+    for one in (width, *[size for size in others if 0 < size <= MAX_WIDTH][:_MAX_TRIES]):
+        try:
+            with torch.no_grad():
+                result = step(torch.zeros(1, one), *(torch.zeros(1, 1, size) for size in hidden))
+        except Exception:  # a module of somebody else can raise anything
+            continue
+        if isinstance(result[0], torch.Tensor) and result[0].ndim == 2:
+            return one
+    return width
 
 
 def _last_line(error: Exception) -> str:

@@ -13,7 +13,7 @@ from surefoot.robot import RobotDescription
 
 
 class Examined(NamedTuple):
-    """An adopted policy, examined."""
+    """An adopted policy, examined; `files` are those that were written."""
 
     name: str
     robot: RobotDescription
@@ -28,8 +28,9 @@ def examine_policy(
     seed: int = 0,
     threads: int = 0,
     out: Path | None = None,
+    correct: Path | None = None,
 ) -> Examined:
-    """Simulate an adopted policy as it is and with each of the usual mistakes corrected.
+    """Simulate an adopted policy as it is, with each of the usual mistakes corrected, and on other robots.
 
     Args:
         policy: as of `find_policy`.
@@ -38,21 +39,30 @@ def examine_policy(
         seed: of noise and starts.
         threads: of the simulation; 0: one a core.
         out: folder for a page with videos.
+        correct: file for the corrected specification (.yaml), if a mistake is named.
 
     Raises:
         SurefootError: a policy that was not adopted, or a world that does not exist.
     """
-    from surefoot.adopt.examination import check_answers, diagnose, stated_specification
+    from surefoot.adopt.builder import adopted_notes
+    from surefoot.adopt.diagnosis import check_answers, diagnose
+    from surefoot.adopt.examination import stated_specification
+    from surefoot.adopt.formats import manual
     from surefoot.adopt.mistakes import Correction
     from surefoot.world.registry import find_world
 
     find_world(world)
+    if correct is not None and correct.suffix not in (".yaml", ".yml"):
+        raise SurefootError(f"--correct is {correct}; it is for a specification, whose name must end in .yaml")
     runtime, description, task = load_policy(find_policy(policy), robot)
     if runtime.contract.commands is None:
         raise SurefootError(f"policy '{runtime.contract.name}' follows no commands; only one that does is examined")
     with ProgressBar("usual mistakes") as bar:
         diagnosis = diagnose(runtime, description, task, world, seed, threads, bar.advance)
-    checks, files = check_answers(diagnosis), []
+    checks, files = check_answers(diagnosis, adopted_notes(runtime.contract)), []
+    if correct is not None and diagnosis.mistake is not None and diagnosis.mistake.correction is not None:
+        manual.write(correct, diagnosis.mistake.correction.specification)
+        files = [correct]
     if out is not None:
         from surefoot.adopt.examination import Corrected, run_task
         from surefoot.api.episodes import film
@@ -74,5 +84,5 @@ def examine_policy(
             path = film(description, trace, out / f"{('as-it-is', 'corrected')[k]}.mp4")
             videos.append((f"{title}; it fell after {trace.duration:.1f} s" if trace.fell else title, path))
         page = write_page(out / "examination.html", runtime.contract.name, world, diagnosis, checks, videos)
-        files = [page, *(path for _, path in videos)]
+        files += [page, *(path for _, path in videos)]
     return Examined(runtime.contract.name, description, checks, files)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,13 +27,34 @@ def draw_episode(folder: Path, trace: EpisodeTrace, robot: RobotDescription) -> 
     return [footfall_diagram(trace, folder / "footfalls.png"), plot]
 
 
-def print_summaries(summaries: dict[str, dict[str, Any]]) -> None:
-    """Print the figures of evaluations, a column for each; and a line, if a motor limits the first one's gait."""
+def print_summaries(summaries: dict[str, dict[str, Any]], reward: Mapping[str, float] | None = None) -> None:
+    """Print the figures of evaluations, a column for each; and lines about motors and a robot that only stands.
+
+    Args:
+        summaries: figures by the name of the evaluation.
+        reward: weights of the training's reward terms, which say why a robot stands.
+    """
     from surefoot.tables import print_table
 
     print_table(summary_rows(summaries))
-    if note := saturation_note(next(iter(summaries.values()))):
-        print(note)
+    first = next(iter(summaries.values()))
+    for note in (saturation_note(first), standing_note(first, reward or {})):
+        if note:
+            print(note)
+
+
+def standing_note(summary: dict[str, Any], reward: Mapping[str, float]) -> str | None:
+    """Return a line that says why a policy stands that should walk, by the terms of its reward."""
+    from surefoot.evaluation.footfalls import STANDS
+
+    asked = summary.get("rmse", {}).get("forward")
+    if summary.get("gait_reason") != STANDS or not reward or (asked is not None and asked < _ASKED):
+        return None
+    terms = [f"{name} {weight:g}" for name, weight in sorted(reward.items(), key=lambda one: -one[1]) if weight]
+    return (
+        f"it learned to stand: moving costs more than it earns ({', '.join(terms)}); weigh the costs less, or what "
+        "moving earns more; see docs/troubleshooting.md"
+    )
 
 
 def summary_rows(summaries: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
@@ -56,6 +78,10 @@ def saturation_note(summary: dict[str, Any]) -> str | None:
         f"motors limit this gait: {worst} is at its limit in {shares[worst]:.0%} of the time{others}; "
         "surefoot robot check says what torque a trot asks for"
     )
+
+
+_ASKED = 0.05
+"""Error of the speed forward [m/s] of a robot that stands although it is to move."""
 
 
 def _tracking_texts(summary: dict[str, Any]) -> dict[str, str]:
@@ -83,8 +109,13 @@ def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
         if summary.get(name):
             falls += f", {summary[name]} {name}"
     duty, phases = summary["duty_factor"], summary["phases"]
+    # How it follows its commands is what a steered policy is measured by.
+    followed = _tracking_texts(summary)
+    followed |= {"kept up with commands": f"{summary['success']:.2f}"} if "success" in summary else {}
+    shares = [share for share in summary.get("saturation", {}).values() if share is not None]
     texts = {
         "falls": falls,
+        **followed,
         "steps": f"{summary['steps_mean']:.1f}",
         "speed": text("speed_mean", "m/s", "speed_std"),
         "power": text("power_mean", "W"),
@@ -92,15 +123,30 @@ def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
         "distance": text("distance_mean", "m"),
         "drift": text("drift_mean", "m"),
         "cost of transport": text("cost_of_transport_mean", ""),
-        **_tracking_texts(summary),
-        **({"kept up with commands": f"{summary['success']:.2f}"} if "success" in summary else {}),
+        "heat of the hottest motor": _hottest_text(summary),
+        "motors at their limit": f"{max(shares):.0%} of the time, the most of any motor" if shares else "-",
         # Without any duty factor footfalls were not measured.
-        "gait": summary["gait"] if any(value is not None for value in duty.values()) else "-",
+        "gait": _gait_text(summary) if any(value is not None for value in duty.values()) else "-",
     }
     for leg in duty:
         numbers = ["-" if value is None else f"{value:.2f}" for value in (duty[leg], phases[leg])]
         texts[f"{leg.replace('_', ' ')}: duty factor, phase"] = ", ".join(numbers)
     return texts
+
+
+def _hottest_text(summary: dict[str, Any]) -> str:
+    heat = summary.get("hottest_heat")
+    return "-" if heat is None else f"{heat:.1f} W, {summary['hottest_motor']}"
+
+
+def _gait_text(summary: dict[str, Any]) -> str:
+    """Return the name of a gait; of one that has none, the reason."""
+    from surefoot.evaluation.footfalls import STANDS
+
+    reason = summary.get("gait_reason", "")
+    if summary["gait"] != "other" or not reason:
+        return str(summary["gait"])
+    return f"{'stands' if reason == STANDS else 'other'}: {reason}"
 
 
 def film(robot: RobotDescription, trace: EpisodeTrace, path: Path, ground: Ground | None = None) -> Path:

@@ -66,6 +66,8 @@ class DoctorCommand(LinkOptions):
     threads: Threads = 0
     out: Path | None = None
     """Folder for a page of that simulation, with videos."""
+    correct: Path | None = None
+    """File (.yaml) for the corrected specification, if that simulation names a mistake: for `adopt --from manual`."""
 
 
 def main(argv: list[str]) -> int:
@@ -73,8 +75,9 @@ def main(argv: list[str]) -> int:
     command = parse(DoctorCommand, argv, "surefoot doctor")
     if command.port is None and command.link == "serial":
         return _examine(command)
-    if command.out is not None:
-        raise SurefootError("--out is given; it is for an adopted policy's simulation, without a robot")
+    for name in ("out", "correct"):
+        if getattr(command, name) is not None:
+            raise SurefootError(f"--{name} is given; it is for an adopted policy's simulation, without a robot")
     command.check_link()
     if command.rack and command.ground:
         raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")
@@ -118,7 +121,8 @@ def _examine(command: DoctorCommand) -> int:
         command.check_link()  # a policy that was trained here, or motions, need a robot
     from surefoot.api.adopted import examine_policy
 
-    result = examine_policy(command.policy, command.robot, command.world, command.seed, command.threads, command.out)
+    world, seed, threads = command.world, command.seed, command.threads
+    result = examine_policy(command.policy, command.robot, world, seed, threads, command.out, command.correct)
     failed = any(check.passed is False for check in result.checks)
     if command.json:
         files = [str(file) for file in result.files]
@@ -131,6 +135,8 @@ def _examine(command: DoctorCommand) -> int:
         print_result(console, check)
     for file in result.files:
         console.print(f"wrote {file}", highlight=False, soft_wrap=True)
+    if command.correct is not None and command.correct not in result.files:
+        console.print(f"no mistake was named; {command.correct} was not written", highlight=False, soft_wrap=True)
     return FAILED if failed else 0
 
 

@@ -68,10 +68,11 @@ def main(argv: list[str]) -> int:
     command = parse(EvaluateCommand, words, "surefoot evaluate")
     if command.trace:
         evaluation, robot, about = _load_traces(command, ranges != RangeOptions(None, {}))
+        reward = {}
     elif command.policy is None:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
     else:
-        evaluation, robot, about = _simulate(command, ranges)
+        evaluation, robot, about, reward = _simulate(command, ranges)
     summary, traces = evaluation.summary, evaluation.traces
     summary["faults"] = sum(trace.meta["ended"] == "fault" for trace in traces)
     if command.trace:
@@ -88,7 +89,7 @@ def main(argv: list[str]) -> int:
     if command.json:
         print_json(summary)
     else:
-        print_summaries({f"{summary['policy']} in {summary['world']}": summary})
+        print_summaries({f"{summary['policy']} in {summary['world']}": summary}, reward)
         for file in summary.get("files", []):
             if file.endswith(".png"):
                 print(f"wrote {file}")
@@ -99,8 +100,8 @@ def main(argv: list[str]) -> int:
 
 def _simulate(
     command: EvaluateCommand, range_options: RangeOptions
-) -> tuple[Evaluation, RobotDescription, dict[str, Any]]:
-    """Run the policy; return its evaluation, the robot, and the settings of the run."""
+) -> tuple[Evaluation, RobotDescription, dict[str, Any], dict[str, float]]:
+    """Run the policy; return its evaluation, the robot, the settings of the run, and weights of its reward."""
     from surefoot.api.evaluation import run_evaluation
     from surefoot.api.results import load
     from surefoot.world.registry import find_world
@@ -131,7 +132,7 @@ def _simulate(
         "policy_file": str(policy.path),
         "config_hash": policy.config_hash,
     }
-    return evaluation, policy.robot, about
+    return evaluation, policy.robot, about, task.reward
 
 
 def _command_rows(command: EvaluateCommand, policy: Policy) -> tuple[tuple[float, float, float], ...]:

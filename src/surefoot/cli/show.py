@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 _DURATION = 6.0
 """Minimum duration of a run [s], if none is given."""
 _USAGE = """usage: surefoot show POLICY ...           run a policy once, in a window or as a video
+       surefoot show POLICY --contract     what the policy file says; nothing runs
        surefoot show TRACE [TRACE ...]     recorded runs, on a page in the browser or as one file
 
 A file of a run (.npz), or a folder of them without a policy, is a TRACE; anything else is a POLICY.
@@ -48,6 +49,8 @@ class ShowPolicyCommand(RunOptions):
     """How long the robot runs, in simulated time; 6 s or, with --commands, its file to the end, if not given."""
     out: Path | None = None
     """MP4 to write, display or not; POLICY.mp4 here, if not given and there is no display."""
+    contract: bool = False
+    """Run nothing; print what the policy file says: inputs, ranges of commands, gains, rates, map and notes."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +120,8 @@ def _note(text: str) -> None:
 
 def _show_policy(argv: list[str]) -> int:
     command = parse(ShowPolicyCommand, argv, "surefoot show")
+    if command.contract:
+        return _print_contract(find_policy(command.policy))
     check_suffix("video", command.out, ".mp4")
     from surefoot.api.episodes import film
     from surefoot.api.policies import load_gait, run_policy
@@ -143,6 +148,20 @@ def _show_policy(argv: list[str]) -> int:
         replay(robot, trace, ground)
     else:
         print(f"wrote {film(robot, trace, command.out or Path(f'{path.stem}.mp4'), ground)}")
+    return 0
+
+
+def _print_contract(path: Path) -> int:
+    """Print what a policy file says."""
+    from surefoot.api.policy_text import policy_rows
+    from surefoot.policy.runtime import PolicyRuntime
+
+    if path.suffix != ".onnx":
+        raise SurefootError(f"{path}: --contract is for policy files (.onnx)")
+    rows = policy_rows(PolicyRuntime.load(path).contract, path)
+    width = max(len(row[""]) for row in rows)
+    for row in rows:
+        print(f"{row['']:<{width}}  {row['says']}")
     return 0
 
 

@@ -188,7 +188,8 @@ def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: Logge
     if summaries is None:
         _print_next_commands(console, folder)
         return 130
-    print_summaries({kind.replace("_", " "): summary for kind, summary in summaries.items()})
+    reward = type(folder).open(folder.path)[1].task.reward
+    print_summaries({kind.replace("_", " "): summary for kind, summary in summaries.items()}, reward)
     console.print(f"Policy, table, figures and video are in {folder.path}")
     console.print(show_command([folder.path / "figures" / EPISODE]))
     console.print(next_command("drive it", "drive", folder.policy))

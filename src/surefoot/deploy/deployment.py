@@ -12,13 +12,14 @@ from surefoot.deploy.command_sources import CommandSource
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.loop import ControlLoop, RunMonitor
 from surefoot.deploy.map_channel import MapChannel
+from surefoot.deploy.map_check import check_at_rest, check_standing
 from surefoot.deploy.messages import Handshake, State
 from surefoot.deploy.motion_runner import MotionRunner
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import GO, Act, Verdict
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, prefix_errors
 from surefoot.robot.commands import STAND
 from surefoot.stop_signals import StopSignals
 
@@ -91,15 +92,24 @@ class Deployment:
             self._warm_up()
             if not self.link.lockstep:
                 self._check_timing()
+            if self.link.hears_others:
+                self.monitor.phase("listen for other programs", 0.0)
+            if heard := self.link.listen():
+                raise SurefootError(f"the robot is not armed: {heard}; end it, also on the robot's own computer")
         except LinkLostError as error:
             raise SurefootError(f"the robot was lost before it was armed: {error}") from error
         self.controller.reset()
 
     def _await_map(self) -> None:
         maps = self.maps
-        if maps is None or self.link.wait_for(lambda: maps.read() is not None, _MAP_PATIENCE):
+        if maps is None:
             return
-        refused = f"; {maps.refused} datagrams were none of the policy's grid" if maps.refused else ""
+        if self.link.wait_for(lambda: maps.read() is not None, _MAP_PATIENCE) and maps.newest is not None:
+            with prefix_errors("the robot is not armed"):
+                check_at_rest(maps.newest.sent, maps.grid, self.robot)
+            return
+        why = f" ({maps.why})" if maps.why else ""
+        refused = f"; {maps.refused} datagrams were none of the policy's grid{why}" if maps.refused else ""
         raise SurefootError(
             f"no map of heights arrives at port {maps.port} within {_MAP_PATIENCE:g} s{refused}; start the program "
             "that sends it"
@@ -174,9 +184,22 @@ class Deployment:
             return RunOutcome("fault", "arm", str(error), True)
         self._moved = True
         verdict, ran = runner.stand_up(self.robot.pose_angles(*self.contract.rest)), False
+        if verdict.act is Act.GO and not self.dry_run:
+            verdict = self._check_standing(self.link.last_state())
         if verdict.act is Act.GO:
             verdict, ran = self._run_policy(runner.loop, recorder), True
         return self._finish(runner, verdict, ran)
+
+    def _check_standing(self, state: State) -> Verdict:
+        """Return whether a standing robot may go on: the ground of its map must be under its feet."""
+        maps = self.maps
+        if maps is None or maps.read() is None or maps.newest is None:
+            return GO
+        try:
+            check_standing(maps.newest.sent, maps.grid, self.robot, state.motor_angle, state.roll_pitch_yaw)
+        except SurefootError as error:
+            return Verdict(Act.SIT, "map", str(error))
+        return GO
 
     def _run_policy(self, loop: ControlLoop, recorder: Recorder) -> Verdict:
         controller = self.controller
@@ -202,7 +225,13 @@ class Deployment:
                 recorder.begin(state, loop.pacer.due(0) - self.link.sync.offset)
             recorder.close(k, state)
             if computed:
-                recorder.open(controller.observation, controller.feedback, controller.target, controller.command)
+                recorder.open(
+                    controller.observation,
+                    controller.feedback,
+                    controller.target,
+                    controller.command,
+                    controller.heights,
+                )
 
         return loop.follow("run", recorder.max_steps, compute, after)
 

@@ -3,7 +3,8 @@
 The channel is UDP on this computer's loopback address. A datagram is one JSON object: `heights` [m], of the ground over
 the base's origin, a list for each place of the grid ahead of it, from behind to ahead, each from the right to the left;
 null where a height isn't known. `age` [s] is how old they are, 0 if left out. The contract of the policy has the grid,
-in the heading frame. Other datagrams are counted and ignored.
+in the heading frame. A datagram may state its own, as `ahead` and `left` [m], which must be the policy's. Other
+datagrams are counted and ignored.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.deploy.channel import Channel, send
+from surefoot.deploy.map_check import check_grid
+from surefoot.errors import SurefootError
 from surefoot.policy.contract import HeightMap
 from surefoot.task.height_scan import RANGE
 
@@ -30,7 +33,9 @@ _MAX_AGE = 10.0
 @dataclass(frozen=True)
 class _Map:
     heights: Array
-    """(K,) [m]"""
+    """(K,) [m], within the range of training."""
+    sent: Array
+    """The same as they were sent."""
     age: float
     """When it was sent [s]."""
 
@@ -48,10 +53,19 @@ class MapChannel(Channel[_Map]):
     """
 
     def __init__(self, port: int, grid: HeightMap, clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__("height_map", port, lambda values: _parse_map(values, grid), _MAX_BYTES, clock)
-        self._limit = grid.age + FRESH
+        super().__init__("height_map", port, self._parse_or_explain, _MAX_BYTES, clock)
+        self.grid, self._limit = grid, grid.age + FRESH
+        self.why = ""
+        """Why the last datagram that was refused is no map of the policy's; empty, if it was not even a map."""
         self.age = np.inf
         """Age of the newest map [s], as of the last `read`."""
+
+    def _parse_or_explain(self, values: Any) -> _Map | None:
+        try:
+            return _parse_map(values, self.grid)
+        except SurefootError as error:
+            self.why = str(error)
+            raise
 
     def read(self) -> Array | None:
         """Return the newest map's heights (K,) [m]; None before the first one."""
@@ -66,14 +80,28 @@ class MapChannel(Channel[_Map]):
 
 
 def _parse_map(values: Any, grid: HeightMap) -> _Map | None:
-    """Return the map of a datagram's JSON; None if it is none of this grid, or has no height at all."""
-    if not isinstance(values, dict) or "heights" not in values or not set(values) <= {"heights", "age"}:
+    """Return the map of a datagram's JSON; None if it is none, or has no height at all.
+
+    Raises:
+        SurefootError: a map of another grid.
+    """
+    if (
+        not isinstance(values, dict)
+        or "heights" not in values
+        or not set(values) <= {"heights", "age", "ahead", "left"}
+    ):
         return None
     rows, age = values["heights"], values.get("age", 0.0)
-    if not is_number(age) or not 0 <= age <= _MAX_AGE or not isinstance(rows, list) or len(rows) != len(grid.ahead):
+    if not is_number(age) or not 0 <= age <= _MAX_AGE or not isinstance(rows, list):
         return None
-    if not all(isinstance(row, list) and len(row) == len(grid.left) for row in rows):
+    if not all(isinstance(row, list) for row in rows):
         return None
+    check_grid(values, grid)
+    shape = len(rows), len(rows[0]) if rows else 0
+    if shape != (len(grid.ahead), len(grid.left)) or any(len(row) != shape[1] for row in rows):
+        raise SurefootError(
+            f"the map has {shape[0]} x {shape[1]} points, the policy {len(grid.ahead)} x {len(grid.left)}"
+        )
     if not all(height is None or is_number(height) for row in rows for height in row):
         return None
     heights = np.array(rows, float).ravel()
@@ -83,9 +111,15 @@ def _parse_map(values: Any, grid: HeightMap) -> _Map | None:
     # As in training, what isn't known is as high as what is under the base.
     distance = np.hypot(*np.meshgrid(grid.ahead, grid.left, indexing="ij")).ravel()
     heights[~finite] = heights[np.argmin(np.where(finite, distance, np.inf))]
-    return _Map(np.clip(heights, -RANGE, RANGE), float(age))
+    return _Map(np.clip(heights, -RANGE, RANGE), heights, float(age))
 
 
-def send_map(port: int, heights: Sequence[Sequence[float | None]], age: float = 0.0) -> None:
-    """Send a map of heights [m], `age` [s] old, to the channel on this computer; see the module for its order."""
-    send(port, {"heights": heights, "age": age})
+def send_map(
+    port: int, heights: Sequence[Sequence[float | None]], age: float = 0.0, grid: HeightMap | None = None
+) -> None:
+    """Send a map of heights [m], `age` [s] old, to the channel on this computer; see the module for its order.
+
+    `grid` states where its points are.
+    """
+    places = {} if grid is None else {"ahead": list(grid.ahead), "left": list(grid.left)}
+    send(port, {"heights": heights, "age": age, **places})

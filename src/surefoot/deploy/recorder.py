@@ -34,7 +34,7 @@ class Recorder:
         """Number of rows that are closed, and the rows of missed steps, from 0."""
         self.start = math.nan
         """The robot's time at the start of the episode [s]; infinite, if it is not known."""
-        self._open: tuple[Array, Array, Array, Array] | None = None
+        self._open: tuple[Array, Array, Array, Array, Array | None] | None = None
         self._energy = 0.0
 
     @property
@@ -54,7 +54,7 @@ class Recorder:
         first, end = self.steps, min(until, self.max_steps)
         if self._open is None or end <= first or not is_finite(state):
             return
-        observation, feedback, target, command = self._open
+        observation, feedback, target, command, heights = self._open
         self.missed += range(first + 1, end)
         columns = self.layout.columns(self._rows[first:end])
         columns["time"][:] = np.arange(first + 1, end + 1) * self.control_step
@@ -63,12 +63,16 @@ class Recorder:
         columns["observation"][:], columns["feedback"][:], columns["target"][:] = observation, feedback, target
         if "command" in columns:
             columns["command"][:] = command
+        if "height_map" in columns:
+            columns["height_map"][:] = np.nan if heights is None else heights
         # A counter of energy that has started anew adds nothing, rather than a negative number.
         columns["energy"][0] = max(state.energy - self._energy, 0.0)
         self._energy, self.steps = state.energy, end
         if self._on_rows is not None:
             self._on_rows(self._rows[first:end])
 
-    def open(self, observation: Array, feedback: Array, target: Array, command: Array) -> None:
+    def open(
+        self, observation: Array, feedback: Array, target: Array, command: Array, heights: Array | None = None
+    ) -> None:
         """Take a control step whose target has just been sent: what its row has of its start."""
-        self._open = observation, feedback, target, command
+        self._open = observation, feedback, target, command, heights

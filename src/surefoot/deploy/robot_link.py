@@ -17,7 +17,9 @@ from surefoot.errors import SurefootError
 
 STATE_PERIOD = 0.010
 """Time [s] between two states while a robot receives no commands."""
-_POLL = 0.002
+LISTEN = 5.0
+"""Time [s] for which nobody else must have commanded the motors before they are armed."""
+_POLL, _PING = 0.002, 0.05
 
 
 class LinkLostError(RuntimeError):
@@ -66,6 +68,8 @@ class RobotLink(ABC):
 
     advice = "check that it is switched on"
     """Remedy for a robot that does not answer."""
+    hears_others = False
+    """Whether the link would tell of other programs that command the motors."""
 
     def __init__(self, clock: Clock, lead: float, session: int | None = None) -> None:
         self.clock, self.session = clock, session or 1 + secrets.randbelow(2**16 - 1)
@@ -86,6 +90,10 @@ class RobotLink(ABC):
         """Called for each state with the robot's time [s] and this computer's [s]."""
         self.preliminary_checks: list[CheckResult] = []
         """Results of checks that were done before the link was opened."""
+        self.foreign_commands: list[float] = []
+        """When the robot reported that another program commands its motors, while it was not armed [s]."""
+        self.connected = -math.inf
+        """When the handshake came [s]."""
         self._tokens = 0
 
     # What carries the messages.
@@ -192,9 +200,11 @@ class RobotLink(ABC):
             elif isinstance(message, Fault):
                 if message.session in (0, self.session):
                     self.faults.append(message)
+                    if message.reason == Reason.OTHER_PROGRAM:
+                        self.foreign_commands.append(arrival.time)
             elif isinstance(message, Handshake) and message.session == self.session and self.handshake is None:
                 # States before it were meant for another operator.
-                self.handshake, self.state = message, None
+                self.handshake, self.state, self.connected = message, None, arrival.time
                 self.sync.forget()
             self.sync.add(packet.time, arrival.time)
 
@@ -211,6 +221,35 @@ class RobotLink(ABC):
     def fault_text(self, reason: int) -> str:
         """Return the text of the last fault with a reason; empty if there was none."""
         return next((fault.text for fault in reversed(self.faults) if fault.reason == reason), "")
+
+    def listen(self) -> str:
+        """Wait until the link has heard for `LISTEN` whether other programs command the motors.
+
+        Return what was heard in that time, empty if nothing.
+        """
+        if not self.hears_others:
+            return ""
+        left = self.connected + LISTEN - self.clock.now()
+        if left > 0:
+            self.wait_for(lambda: bool(self.foreign_commands), left, self._ping_now_and_then())
+        now = self.clock.now()
+        heard = [now - at for at in self.foreign_commands if now - at < LISTEN]
+        if not heard:
+            return ""
+        count = f"{len(heard)} message{'s' if len(heard) > 1 else ''}"
+        return f"another program commands the motors: {count}, the last {heard[-1]:.1f} s ago"
+
+    def _ping_now_and_then(self) -> Callable[[], None]:
+        """Return a function that pings where it is called, at most 20 times a second: it keeps the session alive."""
+        last = -math.inf
+
+        def ping() -> None:
+            nonlocal last
+            if self.clock.now() - last >= _PING:
+                last = self.clock.now()
+                self.ping()
+
+        return ping
 
     def state_age(self) -> float:
         """Return how long ago the newest state was sent [s], the transmission time of the quickest packet left out."""

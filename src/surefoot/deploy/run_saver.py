@@ -63,6 +63,8 @@ class RunSaver:
             config_hash=contract.config_hash,
             dry_run=deployment.dry_run,
         )
+        if contract.height_map is not None:
+            meta["height_map"] = {"ahead": contract.height_map.ahead, "left": contract.height_map.left}
         commands = contract.commands is not None
         self._head = TraceHead.of_robot(meta, len(contract.action_names), commands, robot.archive)
         self.recorder = Recorder(self._head.layout, contract.control_step, max_steps, self._keep)

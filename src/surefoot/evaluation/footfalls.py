@@ -40,6 +40,8 @@ MIN_STRIDES = 3
 TRANSIENT = 1.0  # s at the start that are left out, never more than a third of the episode
 DEBOUNCE = 0.015  # s
 MIN_STRIDE_PERIOD = 0.08  # s
+STANDS = "no foot leaves the ground"
+"""Reason of a gait that is none, since the robot stands."""
 
 Intervals = tuple[tuple[float, float], ...]
 
@@ -136,7 +138,8 @@ def classify(phase: dict[str, float], duty: float) -> tuple[str, str, str]:
         sides = [phase["front_left"] - phase["back_left"], phase["front_right"] - phase["back_right"]]
         return _symmetrical(_circular_mean(sides)[0], duty)
     if any(paired):
-        return "other", "other", "one pair of feet alternates and the other does not"
+        alternate, others = ("fore", "hind") if paired[0] else ("hind", "fore")
+        return "other", "other", f"the {alternate} feet alternate and the {others} feet do not"
 
     fore = _circular_mean([phase["front_left"], phase["front_right"]])[0]
     hind = _circular_mean([phase["back_left"], phase["back_right"]])[0]
@@ -270,10 +273,20 @@ def _irregularity(
     """Return why these footfalls cannot be named, or an empty string."""
     if set(names) != set(FEET):
         return f"gaits are named for the feet {choices(FEET)}"
-    for name in names:
-        if not len(touchdowns[name]):
-            always = any(a <= window[0] and b >= window[1] for a, b in intervals[name])
-            return f"{name} {'never leaves the ground' if always else 'never touches down'}"
+    idle = [name for name in names if not len(touchdowns[name])]
+    down = [name for name in idle if any(a <= window[0] and b >= window[1] for a, b in intervals[name])]
+    if len(down) == len(names):
+        return STANDS
+    parts = (
+        f"{' and '.join(feet)} never {verb if len(feet) > 1 else one}"
+        for feet, verb, one in (
+            (down, "leave the ground", "leaves the ground"),
+            ([name for name in idle if name not in down], "touch down", "touches down"),
+        )
+        if feet
+    )
+    if idle:
+        return "; ".join(parts)
     if not math.isfinite(period):
         return "no stride repeats"
     strides = (window[1] - window[0]) / period

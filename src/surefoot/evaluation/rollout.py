@@ -90,7 +90,8 @@ class EpisodeRecorder:
     def __init__(self, env: LocomotionEnv, pushed: bool) -> None:
         self.env, self._pushed, self._started = env, pushed, env.state.readings.time.copy()
         sizes = trace_sizes(0, env.state.feedback.shape, self._meta(0))
-        self.layout = row_layout(tuple(columns_of(EpisodeTrace)), sizes)
+        # A simulation has the ground itself.
+        self.layout = row_layout(tuple(name for name in columns_of(EpisodeTrace) if name != "height_map"), sizes)
         self.rows: list[Array] = []
         """Rows (N, width) of the control steps."""
         self._start = {name: values.copy() for name, values in self._base().items()}

@@ -120,7 +120,8 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         a dict that JSON can hold (None for NaN): episodes, falls, steps_mean, distance_mean (m), speed_mean and
         speed_std (m/s), power_mean (W), return_mean, return_std, drift_mean (m to either side), cost_of_transport_mean
         (energy over weight times distance, where that is over 0: along the commands, if there are any), with commands
-        what `following` returns, gait, and by leg name duty_factor, phases (strides after front_left) and stance
+        what `following` returns, gait and why it is "other" (gait_reason), hottest_motor and its mean hottest_heat (W),
+        and by leg name duty_factor, phases (strides after front_left) and stance
         (s), by motor name saturation (share of time at the motor's limit), world, policy.
 
     Raises:
@@ -144,10 +145,12 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         "drift_mean": _mean([abs(t.base_position_world[-1, 1] - t.base_position_world[0, 1]) for t in traces]),
         "cost_of_transport_mean": _mean([_cost_of_transport([trace], total_mass * GRAVITY) for trace in traces]),
         "gait": gait,
+        "gait_reason": Counter(one.reason for one in feet).most_common(1)[0][0],
         "duty_factor": _by_leg(feet, "duty_factor"),
         "phases": _phases(feet),
         "stance": _by_leg(feet, "stance"),
         "saturation": dict(zip(traces[0].meta["motor_names"], map(plain_value, saturation), strict=True)),
+        **_hottest(traces),
         "world": runs.world.iloc[0],
         "policy": policy,
         **following(traces),
@@ -173,13 +176,21 @@ def summarize_load(traces: Sequence[EpisodeTrace], weight: float) -> dict[str, A
         heat [W] of the hottest_motor.
     """
     time = sum(trace.duration for trace in traces)
-    heat = np.sum([trace.motor_heat.sum(axis=0) for trace in traces], axis=0)
-    hottest = int(heat.argmax())
     return {
         "power": sum(map(_energy, traces)) / time,
         "cost_of_transport": _cost_of_transport(traces, weight),
+        **_hottest(traces),
+    }
+
+
+def _hottest(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
+    """Return the motor with the highest mean heat [W] and that heat; None where it was not measured."""
+    time = sum(trace.duration for trace in traces)
+    heat = np.sum([trace.motor_heat.sum(axis=0) for trace in traces], axis=0)
+    hottest = int(heat.argmax())
+    return {
         "hottest_motor": traces[0].meta["motor_names"][hottest],
-        "hottest_heat": float(heat[hottest] / time),
+        "hottest_heat": plain_value(float(heat[hottest] / time)),
     }
 
 

@@ -55,8 +55,8 @@ class TraceHead:
 
     @classmethod
     def of_robot(cls, meta: dict[str, Any], actions: int, commands: bool, robot_archive: bytes) -> TraceHead:
-        """Return the head of what a robot measures, with commands if its policy is steered."""
-        names = (*MEASURED, "command") if commands else MEASURED
+        """Return the head of what a robot measures, with commands if it is steered, and its map if it has one."""
+        names = (*MEASURED, *(["command"] if commands else []), *(["height_map"] if meta.get("height_map") else []))
         return cls(row_layout(names, trace_sizes(0, (actions,), meta)), meta, robot_archive=robot_archive)
 
     def line(self) -> bytes:

@@ -105,6 +105,9 @@ class FurtherMeta:
     """Of a robot: lateness and times of inference."""
     frames_missing: int = 0
     """Of a robot: frames that were lost on the link."""
+    height_map: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    """Of a robot whose policy sees the ground: places of the map `ahead` and `left` of the base's origin [m]; heights
+    have an order: by `ahead`, then by `left`."""
     source: str = ""
     """Of an imported log: name of its file."""
     read_at_row: bool = False
@@ -135,7 +138,7 @@ _column_of_some = functools.partial(column, known=False, always_in_file=False)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EpisodeTrace:
-    """An episode of T control steps of a robot with M motors, L legs, O observations and A numbers of feedback.
+    """An episode of T control steps: M motors, L legs, O observations, A numbers of feedback, K points of a map.
 
     Arrays are float64 and read-only. World and base frames: x forward, y left, z up. In columns with T+1 rows, row 0 is
     the start and row k is after control step k.
@@ -177,6 +180,9 @@ class EpisodeTrace:
         is_fraction=True,
     )
     motor_heat: Array = _column_of_some("T, M", "J", "energy that the motor's windings turned into heat")
+    height_map: Array = _column_of_some(
+        "T, K", "m", "heights of the ground over the base's origin, at the points of meta's height_map", "heading"
+    )
     meta: dict[str, Any] = field(default_factory=dict)
     """The entries of `TraceMeta`, those of `FurtherMeta` that apply, and others that JSON can hold."""
     robot_archive: bytes = b""
@@ -283,7 +289,9 @@ def trace_sizes(steps: int, feedback: tuple[int, ...], meta: Mapping[str, Any]) 
     memory = sum(str(name).startswith(f"{MEMORY}.") for name in meta["observation_names"])
     actions = feedback[-1] if feedback and feedback[-1] - memory in (3 * legs, motors) else 2 * legs + memory
     observations = len(meta["observation_names"])
-    return {"T": steps, "T+1": steps + 1, "M": motors, "L": legs, "O": observations, "A": actions}
+    grid = meta.get("height_map") or {"ahead": (), "left": ()}
+    points = len(grid.get("ahead", ())) * len(grid.get("left", ()))
+    return {"T": steps, "T+1": steps + 1, "M": motors, "L": legs, "O": observations, "A": actions, "K": points}
 
 
 def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:

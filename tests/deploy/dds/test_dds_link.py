@@ -11,9 +11,12 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from surefoot.deploy.doctor.examination import check_foreign_commands
 from surefoot.deploy.messages import Mode, Reason
+from surefoot.deploy.motion_runner import MotionRunner
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.stop_signals import StopSignals
 
 pytest.importorskip("cyclonedds")
 from go2_robot import Go2, worker_domain
@@ -174,3 +177,26 @@ def test_another_robot_is_refused(robot: RobotDescription) -> None:
 def test_an_interface_that_does_not_exist(go2: RobotDescription) -> None:
     with pytest.raises(SurefootError, match=r"there is no network interface 'eth9'; it must be one of .*lo"):
         DdsLink(make_config(go2, "eth9", DOMAIN))
+
+
+@pytest.mark.realtime
+def test_a_command_of_another_program_before_the_arming_is_remembered(
+    operator: Operator, body: Go2, go2: RobotDescription
+) -> None:
+    from surefoot.deploy.dds import bus, types
+    from surefoot.deploy.dds.low_level import encode, new_command
+
+    writer = bus.Bus("lo", DOMAIN).writer(bus.LOW_COMMAND_TOPIC, types.LowCmd)
+    time.sleep(0.3)
+    link = operator.link
+    assert link.hears_others
+    assert link.foreign_commands == []
+    writer.write(encode(new_command()))
+    assert link.wait_for(lambda: bool(link.foreign_commands), 2.0, link.ping)
+    time.sleep(1.0)  # longer than other hazards are shown
+    assert link.listen().startswith("another program commands the motors: 1 message, the last ")
+    check = check_foreign_commands(link)
+    assert check.passed is False
+    assert check.message.startswith("1 message of another program, the last 1.")
+    with pytest.raises(SurefootError, match="another program commands the motors, on rt/lowcmd"):
+        MotionRunner(link, go2, 0.02, StopSignals()).arm()

@@ -215,6 +215,8 @@ while time.monotonic() < end:
     other = subprocess.Popen([sys.executable, "-c", script, str(DOMAIN)])
     try:
         assert any(listener.observe(0.2).commands for _ in range(50))
+        (writer,) = listener._bus.writers_of(bus.LOW_COMMAND_TOPIC)
+        assert f"(process {other.pid} on " in writer
     finally:
         other.kill()
         other.wait()

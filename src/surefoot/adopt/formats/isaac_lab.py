@@ -6,7 +6,7 @@ full from the start: the first value fills it.
 
 from __future__ import annotations
 
-from surefoot.adopt.builder import unknown_term
+from surefoot.adopt.formats.reading import unknown_term
 from surefoot.adopt.specification import PerJoint, Range, Term, TermName
 
 TERMS: dict[str, TermName] = {
@@ -19,12 +19,6 @@ TERMS: dict[str, TermName] = {
     "gait_phase": "clock",
 }
 """Terms by the names that they usually have, mjlab's own first."""
-UNMEASURED = {
-    "base_lin_vel": "is the speed of the base, which no sensor of a robot gives",
-    "height_scan": "is the height of the ground, which the robot does not see",
-    "base_height": "is the height of the base, which no sensor of a robot gives",
-    "feet_contact": "is the contact of the feet, which contracts do not have",
-}
 
 
 def make_term(name: str, scale: PerJoint, clip: Range | None, length: int, period: float | None = None) -> Term:
@@ -41,6 +35,6 @@ def make_term(name: str, scale: PerJoint, clip: Range | None, length: int, perio
         SurefootError: a term that is not known or not measured.
     """
     if name not in TERMS:
-        raise unknown_term(name, TERMS, UNMEASURED)
+        raise unknown_term(name, TERMS)
     steps = tuple(reversed(range(max(length, 1))))
     return Term(TERMS[name], scale=scale, clip=clip, steps=steps, period=period or 1.0)

@@ -1,17 +1,19 @@
 """legged_gym (github.com/leggedrobotics/legged_gym) and what comes of it: the Python file of a robot's configuration.
 
-The file is parsed and not run: only the numbers, texts and tables that its classes assign are read. What it does not
-assign has legged_gym's defaults. Joints are in Isaac Gym's order.
+The file is parsed and not run: only the numbers, texts and tables that its classes assign are read, and arithmetic of
+these. What it does not assign has legged_gym's defaults. Joints are in Isaac Gym's order.
 """
 
 from __future__ import annotations
 
-import ast
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from surefoot.adopt.formats.python_values import Computed, read_classes
+from surefoot.adopt.formats.reading import plain_joint_name, unread, unread_note
 from surefoot.adopt.specification import PolicySpecification, Range, Term
-from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors, quote
+from surefoot.errors import SurefootError, choices, describe_os_errors, nearest, prefix_errors, quote
 from surefoot.files import read_configuration
 from surefoot.robot import RobotDescription
 
@@ -32,22 +34,50 @@ _DEFAULTS: dict[str, Any] = {
     "commands.ranges.ang_vel_yaw": [-1.0, 1.0],
 }
 """legged_gym's own, where a robot's file says nothing (`legged_robot_config.py`)."""
-_MAX_DEPTH = 8
+_NEEDED = ("init_state.default_joint_angles", "control.stiffness", "control.damping")
+_OPTIONAL = ("env.num_observations",)
+_HIP_SCALES = ("control.hip_scale_reduction", "control.hip_reduction")
+"""Factors of the first joint of each leg, as walk-these-ways and HIMLoco name them."""
+_DEFAULT_KEYS = (
+    *("init_state.pos", "init_state.rot", "init_state.lin_vel", "init_state.ang_vel"),
+    *("commands.curriculum", "commands.max_curriculum", "commands.num_commands", "commands.resampling_time"),
+    *("commands.ranges.heading", "normalization.obs_scales.height_measurements"),
+    *("env.num_envs", "env.num_privileged_obs", "env.num_actions", "env.env_spacing", "env.send_timeouts"),
+    *("env.episode_length_s", "sim.substeps", "sim.gravity", "sim.up_axis"),
+)
+"""legged_gym's keys that change neither observations nor actions of a policy."""
+_JUDGED = ("control", "init_state", "normalization", "commands", "env", "sim")
+"""Sections whose unread keys are named."""
+_SECTIONS = (
+    *_JUDGED,
+    *("terrain", "asset", "domain_rand", "rewards", "noise", "viewer", "policy", "algorithm", "runner"),
+)
+"""Classes of legged_gym's configurations of an environment and of its learner."""
 _WITHOUT_SPEED = 45
 """Numbers of an observation without the speed of the base: angular velocity, gravity, commands, joints, last action."""
 
 
-def read(config: Path, robot: RobotDescription) -> PolicySpecification:
-    """Read the specification of a policy.
+def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> PolicySpecification:
+    """Read the specification of a policy; fields that are `given` need not be in the file.
 
     Raises:
-        SurefootError: no Python, a value that is missing, or an observation that no sensor gives.
+        SurefootError: no Python, values that are missing or computed, or an observation that no sensor gives.
     """
     with describe_os_errors(config):
         source = read_configuration(config)
     with prefix_errors(config):
-        values = _DEFAULTS | _read_classes(source)
-        if values["control.control_type"] != "P":
+        found = read_classes(source, _SECTIONS)
+        values = _DEFAULTS | found
+        for field, key in (("kp", "control.stiffness"), ("kd", "control.damping")):
+            if given.get(field) is not None and key not in values:
+                values[key] = {"": given[field]}
+        if given.get("control_step") is not None:
+            values |= {"sim.dt": given["control_step"], "control.decimation": 1}
+        if missing := [key for key in _NEEDED if key not in values]:
+            near = [nearest(key.rpartition(".")[2], [one.rpartition(".")[2] for one in found]) for key in missing]
+            hints = [f"{key}{f' (did you mean {one}?)' if one else ''}" for key, one in zip(missing, near, strict=True)]
+            raise SurefootError(f"{', '.join(hints)} {'is' if len(missing) == 1 else 'are'} missing")
+        if _known(values, "control.control_type") != "P":
             raise SurefootError(f"control_type is {quote(values['control.control_type'])}; P alone can be adopted")
         joints = _isaac_gym_order(robot)
         count = int(_number(values, "env.num_observations")) if "env.num_observations" in values else _WITHOUT_SPEED
@@ -62,6 +92,7 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
         }
         limit = _number(values, "normalization.clip_actions")
         forward, sideways, yaw_rate = (_pair(values, f"commands.ranges.{name}") for name in _RANGES)
+        action_scale, hips = _action_scale(values, robot, joints)
         return PolicySpecification(
             joints=joints,
             default_pose=tuple(
@@ -78,7 +109,7 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
                 Term("joint_speeds", scale=_number(values, "normalization.obs_scales.dof_vel")),
                 Term("last_action"),
             ),
-            action_scale=_number(values, "control.action_scale"),
+            action_scale=action_scale,
             action_clip=(-limit, limit),
             observation_clip=_number(values, "normalization.clip_observations"),
             notes={
@@ -86,6 +117,8 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
                 "file does not say",
                 "observations": "observation: angular velocity, gravity, commands, joint positions and speeds, last "
                 "action is assumed; the file does not say it",
+                **hips,
+                **unread_note(_unread_keys(found)),
             },
             forward=forward,
             sideways=sideways,
@@ -96,61 +129,72 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
 _RANGES = ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
 
 
+def _action_scale(
+    values: Mapping[str, Any], robot: RobotDescription, joints: tuple[str, ...]
+) -> tuple[float | tuple[float, ...], dict[str, str]]:
+    """Return the scale of actions with the reduction of the hips, and a note about that."""
+    scale = _number(values, "control.action_scale")
+    factor = 1.0
+    for key in _HIP_SCALES:
+        factor *= _number(values, key) if key in values else 1.0
+    if factor == 1.0:
+        return scale, {}
+    hips = {leg.motors[0] for leg in robot.legs}
+    note = f"scale of actions: that of the first joint of each leg is {scale * factor:g} rad, as the file reduces it"
+    return tuple(scale * (factor if joint in hips else 1.0) for joint in joints), {"action_scale": note}
+
+
+def _unread_keys(found: Mapping[str, Any]) -> list[str]:
+    """Return the keys of sections that concern a policy, and whole sections of unknown names, that are not read."""
+    read = [*_DEFAULTS, *_NEEDED, *_OPTIONAL, *_HIP_SCALES]
+    judged, sections = {}, {}
+    for key, value in found.items():
+        section, _, name = key.partition(".")
+        shown = value.text if isinstance(value, Computed) else value
+        if section in _JUDGED and not key.startswith("sim.physx."):
+            judged[key] = shown
+        elif name and section not in _SECTIONS:
+            sections[section] = "a class"
+    return unread(judged, read, _DEFAULT_KEYS) + unread(sections, _SECTIONS)
+
+
 def _isaac_gym_order(robot: RobotDescription) -> tuple[str, ...]:
     """Return the joints leg by leg, the legs by the names of their first joints: FL FR RL RR."""
     legs = sorted(robot.legs, key=lambda leg: leg.motors[0])
     return tuple(motor for leg in legs for motor in leg.motors)
 
 
-def _read_classes(source: bytes) -> dict[str, Any]:
-    """Return what the classes of a Python file assign, by dotted name below the outermost class.
-
-    Where several classes of the outermost level assign the same, the last one counts.
-    """
-    try:
-        tree = ast.parse(source)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise SurefootError(f"is not Python: {error}") from error
-    values: dict[str, Any] = {}
-
-    def visit(body: list[ast.stmt], prefix: str, depth: int) -> None:
-        for item in body:
-            if isinstance(item, ast.ClassDef) and depth < _MAX_DEPTH:
-                visit(item.body, f"{prefix}{item.name}.", depth + 1)
-            elif isinstance(item, ast.Assign | ast.AnnAssign) and item.value is not None:
-                targets = item.targets if isinstance(item, ast.Assign) else [item.target]
-                try:
-                    value = ast.literal_eval(item.value)
-                except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError):
-                    continue  # computed: it is not run
-                values.update({f"{prefix}{one.id}": value for one in targets if isinstance(one, ast.Name)})
-
-    for outer in tree.body:
-        if isinstance(outer, ast.ClassDef):
-            visit(outer.body, "", 0)
-    return values
-
-
-def _number(values: dict[str, Any], key: str) -> float:
+def _known(values: Mapping[str, Any], key: str) -> Any:
+    """Return a value; refuse one that is computed."""
     value = values.get(key)
+    if isinstance(value, Computed):
+        raise SurefootError(f"{key} is computed ({quote(value.text)}); write the value itself")
+    return value
+
+
+def _number(values: Mapping[str, Any], key: str) -> float:
+    value = _known(values, key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SurefootError(f"{key} is {'missing' if value is None else quote(value)}; it must be a number")
     return float(value)
 
 
-def _pair(values: dict[str, Any], key: str) -> Range:
-    value = values.get(key)
+def _pair(values: Mapping[str, Any], key: str) -> Range:
+    value = _known(values, key)
     if not isinstance(value, list | tuple) or len(value) != 2 or not all(isinstance(x, int | float) for x in value):
         raise SurefootError(f"{key} is {quote(value)}; it must be two numbers")
     return float(value[0]), float(value[1])
 
 
-def _joint_value(values: dict[str, Any], key: str, joint: str, whole: bool = False) -> float:
+def _joint_value(values: Mapping[str, Any], key: str, joint: str, whole: bool = False) -> float:
     """Return the value of a joint in a table: under its own name or, in tables of gains, under a part of it."""
-    table = values.get(key)
+    table = _known(values, key)
     if not isinstance(table, dict):
         raise SurefootError(f"{key} is {'missing' if table is None else quote(table)}; it must be a table of joints")
     found = [value for name, value in table.items() if name == joint or (not whole and str(name) in joint)]
+    if not found:
+        plain = plain_joint_name(joint)
+        found = [value for name, value in table.items() if plain_joint_name(str(name)) == plain]
     if len(found) != 1 or isinstance(found[0], bool) or not isinstance(found[0], int | float):
         raise SurefootError(f"{key} is for {choices(table)}; it must have one number for {joint}")
     return float(found[0])

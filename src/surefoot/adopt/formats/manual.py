@@ -2,20 +2,52 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, get_args
 
-from surefoot.adopt.specification import PolicySpecification
-from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import prefix_errors
+import yaml
+
+from surefoot.adopt.formats.reading import why_unmeasured
+from surefoot.adopt.specification import PolicySpecification, TermName
+from surefoot.configuration import from_mapping, read_yaml, to_mapping
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote
+from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 
 
-def read(config: Path, robot: RobotDescription) -> PolicySpecification:
-    """Read the specification of a policy.
+def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> PolicySpecification:
+    """Read the specification of a policy; `given` fields replace those of the file.
 
     Raises:
         SurefootError: a file without what is needed, or with a key that a specification does not have.
     """
     table = read_yaml(config)
     with prefix_errors(config):
-        return from_mapping(PolicySpecification, {"joints": list(robot.motor_names), **table})
+        if "joints" not in table:
+            table["joints"] = list(robot.motor_names)
+        terms = table.get("observations")
+        for place, term in enumerate(terms if isinstance(terms, list) else []):
+            name = term.get("term") if isinstance(term, Mapping) else None
+            if isinstance(name, str) and name not in get_args(TermName) and (reason := why_unmeasured(name)):
+                where = f"observations[{place}].term is {quote(name)}, which {reason}"
+                raise SurefootError(f"{where}; such a policy can't be adopted")
+        return from_mapping(PolicySpecification, {**table, **given})
+
+
+def write(path: Path, specification: PolicySpecification) -> None:
+    """Write a specification as a file that `read` takes; fields that have their defaults are left out."""
+    table = _without_defaults(specification)
+    table["observations"] = [_without_defaults(term) for term in specification.observations]
+    text = yaml.safe_dump(table, sort_keys=False, default_flow_style=None, width=110)
+    with describe_os_errors(path, "written"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        atomic_write(path, f"# For surefoot adopt NETWORK --from manual --config {path.name}\n{text}")
+
+
+def _without_defaults(config: Any) -> dict[str, Any]:
+    """Return a dataclass as a table, without the fields that have their defaults."""
+    made = to_mapping(config)
+    defaults = {item.name: item.default for item in dataclasses.fields(config)}
+    return {name: made[name] for name in made if getattr(config, name) not in (defaults[name], {})}

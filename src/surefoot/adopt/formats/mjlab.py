@@ -7,15 +7,18 @@ not written.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from surefoot.adopt.formats.isaac_lab import make_term
+from surefoot.adopt.formats.reading import unread, unread_note
 from surefoot.adopt.onnx_network import read_model
+from surefoot.adopt.onnx_weights import read_network
 from surefoot.adopt.specification import PolicySpecification, Range, Term
-from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote
-from surefoot.policy.network import MAX_BYTES
+from surefoot.errors import SurefootError, prefix_errors, quote
 from surefoot.robot import RobotDescription
 
 _CONTROL_STEP = 0.02
@@ -29,40 +32,53 @@ _OPTIONAL = {
     "observation_history_lengths": "history",
 }
 """Properties of some versions, with a value for each observation."""
+_HARMLESS = ("run_path", "command_names", "observation_terms_flatten_history_dim", "git", "version", "task", "date")
+"""Properties that change neither observations nor actions."""
 
 
-def read(path: Path, robot: RobotDescription) -> PolicySpecification:
-    """Read the specification of a policy from the properties of its network.
+def read(path: Path, robot: RobotDescription, given: Mapping[str, Any]) -> PolicySpecification:
+    """Read the specification of a policy from the properties of its network; `given` fields need not be in it.
 
     Raises:
         SurefootError: no ONNX, a property that is missing, or an observation that is not known.
     """
-    with describe_os_errors(path), path.open("rb") as file:
-        data = file.read(MAX_BYTES + 1)
+    data = read_network(path)
     with prefix_errors(path):
         properties = {one.key: one.value for one in read_model(data).metadata_props}
+        for field, name in (("kp", "joint_stiffness"), ("kd", "joint_damping")):
+            if given.get(field) is not None and name not in properties:
+                properties[name] = ",".join([f"{given[field]}"] * len(properties.get("joint_names", "").split(",")))
         if missing := [name for name in _LISTS if name not in properties]:
-            raise SurefootError(f"has no property {missing[0]}; mjlab's exporter writes {', '.join(_LISTS)}")
+            raise SurefootError(f"has no property {', '.join(missing)}; mjlab's exporter writes {', '.join(_LISTS)}")
         joints = tuple(name.strip().rpartition("/")[2] for name in properties["joint_names"].split(","))
         stiffness, damping = (_numbers(properties, name) for name in ("joint_stiffness", "joint_damping"))
         scale, offset = _numbers(properties, "action_scale"), None
         if "action_offset" in properties:
             offset = _numbers(properties, "action_offset")
+        step, silent = (
+            _CONTROL_STEP,
+            {
+                "control_step": f"control step: mjlab does not write it, {1e3 * _CONTROL_STEP:g} ms is assumed; "
+                "--control-step sets it"
+            },
+        )
+        if "control_step" in properties:
+            (step,), silent = _numbers(properties, "control_step")[:1], {}
         return PolicySpecification(
             joints=joints,
             default_pose=_numbers(properties, "default_joint_pos"),
             kp=stiffness,
             kd=damping,
-            control_step=_CONTROL_STEP,
+            control_step=step,
             observations=_terms(properties),
             action_scale=scale[0] if len(scale) == 1 else scale,
             action_offset=offset,
             history_by="term",
             notes={
-                "control_step": f"control step: mjlab does not write it, {1e3 * _CONTROL_STEP:g} ms is assumed; "
-                "--control-step sets it",
+                **silent,
                 "forward": "commands: mjlab does not write their ranges; --forward and others set them",
                 **_doubts(joints, stiffness, damping),
+                **unread_note(unread(properties, (*_LISTS, *_OPTIONAL, "action_offset", "control_step"), _HARMLESS)),
             },
         )
 

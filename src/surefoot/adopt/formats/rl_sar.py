@@ -1,17 +1,20 @@
-"""rl_sar (github.com/fan-ziqi/rl_sar): `config.yaml` of a policy, and `base.yaml` of its robot, of version 3.
+"""rl_sar (github.com/fan-ziqi/rl_sar): `config.yaml` of a policy, and `base.yaml` of its robot.
 
-Observations are scaled, then clipped; histories are clipped observations, 0 the newest. Joint k of the policy is motor
-`joint_mapping[k]` of the robot.
+Observations are scaled, then clipped; histories are clipped observations, 0 the newest. Since version 3, joint k of the
+policy is motor `joint_mapping[k]` of the robot. Before, one flat table named a framework: lists are leg by leg in the
+order of `joint_controller_names`, and those of isaacsim with `rows` and `cols` are transposed to all hips first.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from surefoot.adopt.builder import unknown_term
-from surefoot.adopt.formats.reading import pick
+import numpy as np
+
+from surefoot.adopt.formats.reading import field_names, matched_joints, pick, unknown_term, unread, unread_note
 from surefoot.adopt.specification import PerJoint, PolicySpecification, Term, TermName
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors
@@ -28,7 +31,14 @@ TERMS: dict[str, TermName] = {
 """Terms by their names."""
 _CLOCKS = {"phase": (4.0, 8.0, 16.0), "g1_phase": (0.8,)}
 """Periods [s] of the clocks of an observation."""
-_UNMEASURED = {"lin_vel": "is the speed of the base, which no sensor of a robot gives"}
+_HARMLESS = (
+    *("model_name", "framework", "rows", "cols", "num_observations", "num_of_dofs", "torque_limits", "lin_vel_scale"),
+    *("fixed_kp", "fixed_kd", "joint_names", "joint_controller_names", "command_mapping", "state_mapping"),
+    *("action_scale_wheel", "stiffness", "damping"),
+)
+"""Keys that change neither observations nor actions, or that are read as others."""
+_BEFORE_3 = "framework"
+"""Key of files before version 3."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +47,9 @@ class _Config:
 
     observations: tuple[str, ...]
     default_dof_pos: tuple[float, ...]
-    rl_kp: tuple[float, ...]
-    rl_kd: tuple[float, ...]
-    action_scale: tuple[float, ...]
+    rl_kp: tuple[float, ...] | float
+    rl_kd: tuple[float, ...] | float
+    action_scale: tuple[float, ...] | float
     dt: float
     decimation: int
     joint_mapping: tuple[int, ...]
@@ -54,50 +64,159 @@ class _Config:
     gravity_vec_scale: float = 1.0
     commands_scale: tuple[float, ...] = (1.0, 1.0, 1.0)
     wheel_indices: tuple[int, ...] = ()
+    hip_scale_reduction: float = 1.0
+    hip_scale_reduction_indices: tuple[int, ...] = ()
+    use_history: bool = False
 
 
-def read(config: Path, robot: RobotDescription) -> PolicySpecification:
+def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> PolicySpecification:
     """Read the specification of a policy.
 
     Args:
         config: its `config.yaml`; `base.yaml` is taken from the same folder or the one above.
         robot: the robot; its motors are in the order of the hardware, where `base.yaml` has no names.
+        given: fields of the specification that the user gives, so that the files need not state them.
 
     Raises:
-        SurefootError: a file without what is needed, or an observation that is not known.
+        SurefootError: files without what is needed, or an observation that is not known.
     """
     own = _only_table(config)
     bases = [folder / "base.yaml" for folder in (config.parent, config.parent.parent)]
     base = next((_only_table(path) for path in bases if path.is_file() and path != config), {})
     with prefix_errors(config):
-        table = pick(_Config, {**base, **own})
+        data, notes = {**base, **own, **_given_keys(given)}, {}
+        names = _hardware_names(base, robot)
+        if _BEFORE_3 in own and "joint_mapping" not in data:
+            with prefix_errors("rl_sar's format before version 3"):
+                names, note = _names_before_3(data, robot)
+            data["joint_mapping"], notes["joints"] = list(range(len(names))), note
+            table = _pick(data, "rl_sar's format before version 3; ")
+        else:
+            table = _pick(data, "")
         if table.wheel_indices:
             raise SurefootError("wheel_indices are given; robots with wheels can't be adopted")
-        names = _hardware_names(base, robot)
+        if table.use_history and not table.observations_history:
+            raise SurefootError(
+                "use_history is true; state its steps as observations_history, such as [0, 1, 2, 3, 4, 5]"
+            )
         if sorted(table.joint_mapping) != sorted(range(len(names))):
             raise SurefootError(
                 f"joint_mapping is {list(table.joint_mapping)}; each of {len(names)} motors must be in it"
             )
+        order, why = _order(table, own)
+        if why:
+            notes["joints"] = f"{notes.get('joints', 'order of joints')}; {why}"
+        scale, reduced = _action_scale(table, order)
+        if reduced:
+            notes["action_scale"] = reduced
         steps = table.observations_history or (0,)
-        clip = (table.clip_actions_lower, table.clip_actions_upper)
+        joints = [names[motor] for motor in table.joint_mapping]
+        clip = [_reordered(one, order) for one in (table.clip_actions_lower, table.clip_actions_upper)]
         return PolicySpecification(
-            joints=tuple(names[motor] for motor in table.joint_mapping),
-            default_pose=table.default_dof_pos,
-            kp=table.rl_kp,
-            kd=table.rl_kd,
+            joints=tuple(joints[place] for place in order),
+            default_pose=_reordered(table.default_dof_pos, order),
+            kp=_reordered(table.rl_kp, order),
+            kd=_reordered(table.rl_kd, order),
             control_step=table.dt * table.decimation,
             observations=tuple(term for name in table.observations for term in _terms(name, table, steps)),
-            action_scale=table.action_scale,
-            action_clip=clip if all(clip) else None,
+            action_scale=scale,
+            action_clip=(clip[0], clip[1]) if all(clip) else None,
             observation_clip=table.clip_obs,
             history_by="term" if table.observations_history_priority == "term" else "step",
-            notes={"forward": "commands: rl_sar's files do not say which were trained; --forward and others set them"},
+            notes={
+                "forward": "commands: rl_sar's files do not say which were trained; --forward and others set them",
+                **notes,
+                **unread_note(unread(data, field_names(_Config), _HARMLESS)),
+            },
         )
 
 
+def _pick(data: Mapping[str, Any], what: str) -> _Config:
+    """Return what is read of a table; an error names all that is missing, after what format it is."""
+    try:
+        return pick(_Config, data)
+    except SurefootError as error:
+        ways = {"dt": "--control-step", "rl_kp": "--kp", "rl_kd": "--kd"}
+        missing = [option for name, option in ways.items() if data.get(name) is None]
+        hint = f" ({', '.join(missing)} would do)" if missing and "missing" in str(error) else ""
+        raise SurefootError(f"{what}{error}{hint}") from error
+
+
+def _given_keys(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of a table that say what the user gives."""
+    keys: dict[str, Any] = {
+        name: given[field] for field, name in (("kp", "rl_kp"), ("kd", "rl_kd")) if given.get(field) is not None
+    }
+    if given.get("control_step") is not None:
+        keys |= {"dt": given["control_step"], "decimation": 1}
+    return keys
+
+
+def _names_before_3(data: dict[str, Any], robot: RobotDescription) -> tuple[list[str], str]:
+    """Return the joints in the order of the lists of an old file, and a note about it.
+
+    Gains that it states as one number each are put in their places.
+    """
+    for old, new in (("stiffness", "rl_kp"), ("damping", "rl_kd")):
+        if new not in data and isinstance(data.get(old), int | float):
+            data[new] = data[old]
+    controllers = data.get("joint_controller_names") or data.get("joint_names")
+    if not controllers:
+        first = ", ".join(robot.motor_names[:4])
+        return [
+            *robot.motor_names
+        ], f"order of joints: the file does not say it; the robot's is assumed, {first} and so on"
+    found = matched_joints(map(str, controllers), robot.motor_names)
+    if found is None or {*found} != {*robot.motor_names}:
+        raise SurefootError(
+            f"joint_controller_names are {choices(controllers)}; {robot.name} has {choices(robot.motor_names)}"
+        )
+    return [*found], "order of joints: that of joint_controller_names"
+
+
+def _order(table: _Config, own: Mapping[str, Any]) -> tuple[tuple[int, ...], str]:
+    """Return the place in the file's lists of each joint of the network, and a note about it."""
+    count, sizes = len(table.joint_mapping), [own.get("rows"), own.get("cols")]
+    same = tuple(range(count))
+    if own.get(_BEFORE_3) != "isaacsim" or not all(isinstance(size, int) and size > 0 for size in sizes):
+        return same, ""
+    rows, columns = sizes
+    if rows * columns != count:
+        raise SurefootError(f"rows and cols are {rows} and {columns}; there are {count} joints")
+    if table.hip_scale_reduction_indices == same[::columns]:
+        return same, "leg by leg, as hip_scale_reduction_indices have them, although framework is isaacsim"
+    order = tuple(np.arange(count).reshape(rows, columns).T.ravel().tolist())
+    return order, "all hips first, then all thighs, then all calves, as framework isaacsim with rows and cols has them"
+
+
+def _reordered(values: Any, order: tuple[int, ...]) -> Any:
+    """Return numbers of joints in the network's order."""
+    return (
+        tuple(values[place] for place in order) if isinstance(values, tuple) and len(values) == len(order) else values
+    )
+
+
+def _action_scale(table: _Config, order: tuple[int, ...]) -> tuple[PerJoint, str]:
+    """Return the scale of the network's joints with the reduction of the hips, and a note about that."""
+    own: PerJoint = _reordered(table.action_scale, order)
+    if table.hip_scale_reduction == 1.0 or not table.hip_scale_reduction_indices:
+        return own, ""
+    hips = list(table.hip_scale_reduction_indices)
+    if not {*hips} <= {*range(len(order))}:
+        raise SurefootError(f"hip_scale_reduction_indices are {hips}; there are {len(order)} joints")
+    scale = np.array(np.broadcast_to(own, len(order)), float)
+    scale[hips] *= table.hip_scale_reduction
+    note = (
+        f"scale of actions: hip_scale_reduction is in it, {scale.min():g} to {scale.max():g} rad; the last action is "
+    )
+    return tuple(scale.tolist()), f"{note}observed without it"
+
+
 def _only_table(path: Path) -> dict[str, Any]:
-    """Return the one table of a file, or that of its folder's name."""
+    """Return the one table of a file, or that of its folder's name; the file itself, if it is one flat table."""
     data = read_yaml(path)
+    if "observations" in data or (_BEFORE_3 in data and "decimation" in data):
+        return data
     tables = {name: table for name, table in data.items() if isinstance(table, dict)}
     if len(tables) == 1:
         return next(iter(tables.values()))
@@ -132,4 +251,4 @@ def _terms(name: str, table: _Config, steps: tuple[int, ...]) -> list[Term]:
     if name in _CLOCKS:
         step = table.dt * table.decimation
         return [Term("clock", period=period, start=step / period, steps=steps) for period in _CLOCKS[name]]
-    raise unknown_term(name, {**TERMS, **_CLOCKS}, _UNMEASURED)
+    raise unknown_term(name, {**TERMS, **_CLOCKS})

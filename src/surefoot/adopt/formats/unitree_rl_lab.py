@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from surefoot.adopt.formats.isaac_lab import make_term
-from surefoot.adopt.formats.reading import pick
+from surefoot.adopt.formats.reading import field_names, pick, unread, unread_note
 from surefoot.adopt.specification import PolicySpecification, Range, Term
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors, quote
 from surefoot.robot import RobotDescription
 
 _ACTION = "JointPositionAction"
+_ACTION_HARMLESS = ("joint_names", "preserve_order", "use_default_offset", "class_type", "asset_name")
 _SWITCHES = ("use_gym_history", "scale_first")
 
 
@@ -58,16 +59,23 @@ class _Config:
     commands: dict[str, Any] = field(default_factory=dict)
 
 
-def read(config: Path, robot: RobotDescription) -> PolicySpecification:
+def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> PolicySpecification:
     """Read the specification of a policy; the robot's motors are in the vendor's order.
+
+    Fields that are `given` need not be in the file.
 
     Raises:
         SurefootError: a file without what is needed, or an observation that is not known.
     """
     data = read_yaml(config)
     with prefix_errors(config):
-        table = pick(_Config, data)
         count = robot.num_motors
+        stated = {"step_dt": given.get("control_step")}
+        stated |= {
+            name: [given[field]] * count for field, name in (("kp", "stiffness"), ("kd", "damping")) if field in given
+        }
+        data = {**{name: value for name, value in stated.items() if value is not None}, **data}
+        table = pick(_Config, data)
         if sorted(table.joint_ids_map) != [*range(count)]:
             raise SurefootError(f"joint_ids_map is {list(table.joint_ids_map)}; each of {count} motors must be in it")
         for name in ("stiffness", "damping"):
@@ -76,7 +84,9 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
         if list(table.actions) != [_ACTION]:
             raise SurefootError(f"actions are {choices(table.actions) or 'none'}; {_ACTION} alone can be adopted")
         action = pick(_Action, table.actions[_ACTION] or {})
-        terms, by_step = _terms(table)
+        terms, by_step, ignored = _terms(table)
+        ignored += unread(data, field_names(_Config))
+        ignored += unread(table.actions[_ACTION] or {}, field_names(_Action), _ACTION_HARMLESS, f"actions.{_ACTION}.")
         ranges = _command_ranges(table)
         silent = {} if ranges else {"forward": "commands: the file states no ranges; --forward and others set them"}
         low_high = np.array(action.clip or [], float).T
@@ -91,13 +101,13 @@ def read(config: Path, robot: RobotDescription) -> PolicySpecification:
             action_offset=action.offset,
             target_clip=(tuple(low_high[0].tolist()), tuple(low_high[1].tolist())) if action.clip else None,
             history_by="step" if by_step else "term",
-            notes=silent,
+            notes={**silent, **unread_note(ignored)},
         )
         return replace(specification, **ranges)
 
 
-def _terms(table: _Config) -> tuple[tuple[Term, ...], bool]:
-    """Return the terms, and whether their histories are in order of steps."""
+def _terms(table: _Config) -> tuple[tuple[Term, ...], bool, list[str]]:
+    """Return the terms, whether their histories are in order of steps, and keys that are not read."""
     group = table.observations
     names = [name for name in group if name not in _SWITCHES]
     if names and all(isinstance(group[name], Mapping) and "params" not in group[name] for name in names):
@@ -106,11 +116,12 @@ def _terms(table: _Config) -> tuple[tuple[Term, ...], bool]:
             raise SurefootError(f"observations are for {len(names)} inputs ({choices(names)}); one can be adopted")
         group = group[names[0]]
         names = [name for name in group if name not in _SWITCHES]
-    terms = []
+    terms, ignored = [], []
     for name in names:
         if not isinstance(group[name], Mapping):
             raise SurefootError(f"observations.{name} is {quote(group[name])}; it must be a table")
         one = pick(_Observation, group[name])
+        ignored += unread(group[name], field_names(_Observation), where=f"observations.{name}.")
         period = one.params.get("period")
         if not isinstance(period, int | float):
             period = None
@@ -121,7 +132,7 @@ def _terms(table: _Config) -> tuple[tuple[Term, ...], bool]:
             term = replace(term, clip=None, clip_after=one.clip)
         # The phase counts a control step before it is first observed.
         terms.append(replace(term, start=table.step_dt / period) if period else term)
-    return tuple(terms), bool(group.get("use_gym_history"))
+    return tuple(terms), bool(group.get("use_gym_history")), ignored
 
 
 def _command_ranges(table: _Config) -> dict[str, Any]:

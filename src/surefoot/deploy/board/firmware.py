@@ -123,6 +123,10 @@ class Firmware:
         self.watch.note_damage()
         self._refuse(now, 0, Reason.SCHEMA, text)
 
+    def announce(self, now: int, hazard: Hazard) -> None:
+        """Tell the operator of something outside, also while the motors are not armed."""
+        self._refuse(now, self.owner, *hazard)
+
     def receive(self, now: int, packet: Packet) -> None:
         """Handle a packet of a host."""
         message = packet.message

@@ -63,6 +63,15 @@ def check_interface(name: str) -> str:
     return socket.inet_ntoa(answer[20:24])
 
 
+def _program(participant: Any) -> str:
+    """Return the name, process and computer of a participant that another program has announced."""
+    told = {one.key: one.value for one in participant.qos if type(one).__name__ == "Property"}
+    name, place = told.get("__ProcessName", "a program"), told.get("__Hostname")
+    process = f"process {told['__Pid']}" if "__Pid" in told else ""
+    where = " on ".join(part for part in (process, place) if part)
+    return f"{name} ({where})" if where else name
+
+
 class Bus:
     """A participant of a DDS domain on one interface; a process has one domain, and at most one bus of it at a time.
 
@@ -95,6 +104,16 @@ class Bus:
 
         found = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication).take(1000)
         return sorted({entry.type_name for entry in found if entry.topic_name == name})
+
+    def writers_of(self, name: str) -> list[str]:
+        """Return the programs that announce to write a topic, as far as DDS has found them, by name and process."""
+        from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsParticipant, BuiltinTopicDcpsPublication
+
+        writers = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication).take(1000)
+        programs = BuiltinDataReader(self.participant, BuiltinTopicDcpsParticipant).take(1000)
+        keys = {str(one.participant_key) for one in writers if one.topic_name == name}
+        found = {str(one.key): _program(one) for one in programs if one.key != self.participant.guid}
+        return sorted(found.get(key, "an unknown program") for key in keys)
 
     def close(self) -> None:
         """Leave the domain, with all readers and writers of this bus."""

@@ -94,6 +94,7 @@ class DdsLink(SerialLink):
         SurefootError: the keeper or the watcher does not start.
     """
 
+    hears_others = True
     advice = "the keeper process does not answer: close other programs"
 
     def __init__(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,7 +146,7 @@ class Inspection:
             CheckResult("interface", True, f"{self._interface}, {address}", value=self._interface),
             check_states(seen),
             _check_controller(name, seen.sport),
-            _check_strangers(seen),
+            _check_strangers(seen, self._bus.writers_of(LOW_COMMAND_TOPIC)),
             check_motors(seen.records),
             check_cells(seen.records[-1], robot.battery.low),
             check_gains(kp, kd),
@@ -193,11 +193,12 @@ def _check_controller(name: str | None, sport: int) -> CheckResult:
     return CheckResult("own controller", True, "released")
 
 
-def _check_strangers(seen: Observation) -> CheckResult:
+def _check_strangers(seen: Observation, writers: Sequence[str]) -> CheckResult:
+    announced = f"; announced as its writers: {choices(writers)}" if writers else ""
     return judge(
         "other programs",
         not seen.commands,
-        f"{seen.commands} messages on {LOW_COMMAND_TOPIC} in {seen.time:.1f} s",
+        f"{seen.commands} messages on {LOW_COMMAND_TOPIC} in {seen.time:.1f} s{announced}",
         "; nobody else may command the motors",
         "end the other program, also on the robot's own computer",
         seen.commands,

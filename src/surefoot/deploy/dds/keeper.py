@@ -18,7 +18,7 @@ from typing import Any
 from surefoot.arrays import Array
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.host_frames import HostFrames
-from surefoot.deploy.board.signals import Hazard, MotorOrder, Sensors
+from surefoot.deploy.board.signals import Hazard, MotorOrder, Sensors, microseconds
 from surefoot.deploy.dds import types
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus, RawReader
 from surefoot.deploy.dds.low_level import LOW_STATE, STATE_PERIOD, BadMessageError, decode, encode, new_command
@@ -26,7 +26,7 @@ from surefoot.deploy.dds.processes import LinkConfig, await_readers, serve
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.dds.state_monitor import MOTORS, SHOWN, StateMonitor
 from surefoot.deploy.messages import Mode, Reason
-from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.robot_link import LISTEN, LinkLostError
 
 PERIOD = round(STATE_PERIOD * 1e6)
 """Time [us] between two commands to the robot."""
@@ -36,6 +36,9 @@ DAMPED = 500_000
 """Time [us] for which the keeper damps the motors after the loop has gone."""
 IDLE, ACTIVE, DONE = b"\0", b"\1", b"\2"
 """What the keeper tells the watcher: no command was written yet; commands are written; the end."""
+_REMEMBERED = {Reason.OTHER_PROGRAM: microseconds(LISTEN)}
+"""Time [us] for which a message keeps the robot from arming, where that is not `SHOWN`: a program that commands rarely
+goes on."""
 _BEAT_EVERY = 2
 """Cycles between two of these."""
 WATCHER_SILENCE = 100_000
@@ -171,11 +174,14 @@ class Keeper:
         if self._controller:
             return Reason.OWN_CONTROLLER, f"the robot's own controller '{self._controller}' is active"
         if self._cycles % _EVERY == 0:
-            for k, (reader, _) in enumerate(self._strangers):
+            for k, (reader, hazard) in enumerate(self._strangers):
                 if reader.take():
                     self._seen[k] = now
+                    if not self.firmware.armed and self.firmware.owner:
+                        self.firmware.announce(now, hazard)
             seen = zip(self._seen, self._strangers, strict=True)
-            self._stranger = next((hazard for at, (_, hazard) in seen if now - at < SHOWN), None)
+            shown = (hazard for at, (_, hazard) in seen if now - at < _REMEMBERED.get(hazard[0], SHOWN))
+            self._stranger = next(shown, None)
         return self._stranger
 
     def _cycle(self, now: int) -> None:

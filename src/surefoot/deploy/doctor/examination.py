@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge, skipped
+from surefoot.check_result import CheckResult, fail_if, judge, skipped
 from surefoot.deploy.checks import check_contract
 from surefoot.deploy.clock import MonotonicClock
 from surefoot.deploy.doctor import rack_check, tilt_check
@@ -83,6 +83,9 @@ def examine(
         else:
             inference = time_inference(policy, steps)
             yield from note_failures(check_computer(inference, *time_loop(policy, link, steps), contract.control_step))
+        if link.hears_others:
+            link.listen()
+            yield from note_failures([check_foreign_commands(link)])
         tilt_robot = partial(tilt_check.tilt_robot, at_rest=at_rest)
         hang, sit = "hang the robot free, legs in the air, and run with", "put the robot on flat ground and run with"
         for moves, names, motion, remedy in (
@@ -105,6 +108,17 @@ def examine(
     except LinkLostError as error:
         remedy = "check plug and cable; the robot damps its motors by itself"
         yield CheckResult("link", False, f"{error}; all further checks are left out", remedy)
+
+
+def check_foreign_commands(link: RobotLink) -> CheckResult:
+    """Judge whether another program has commanded the motors since the link was opened."""
+    now, count = link.clock.now(), len(link.foreign_commands)
+    message = f"in {now - link.connected:.0f} s since the connection nobody else has commanded the motors"
+    error = None
+    if count:
+        last = now - link.foreign_commands[-1]
+        error = f"{count} message{'s' if count > 1 else ''} of another program, the last {last:.1f} s ago"
+    return fail_if("foreign commands", error, message, "end the other program, also on the robot's own computer", count)
 
 
 def time_inference(policy: PolicyRuntime, count: int) -> Array:

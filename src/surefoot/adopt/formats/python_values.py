@@ -1,0 +1,153 @@
+"""Numbers, texts and tables that the classes of a Python file assign, read without running the file.
+
+Arithmetic of literals and of names that were assigned before is folded. Whatever else is assigned is a `Computed`.
+"""
+
+from __future__ import annotations
+
+import ast
+import operator
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from surefoot.errors import SurefootError
+
+_MAX_DEPTH = 8
+_MAX_ITEMS = 1000
+_MAX_POWER = 64
+_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: operator.mod,
+    ast.Pow: operator.pow,
+}
+Scope = dict[str, Any]
+
+
+class Computed(NamedTuple):
+    """A value that only a run of the file would give."""
+
+    text: str
+    """The expression, as the file has it."""
+
+
+class _NotLiteralError(Exception):
+    """An expression that is not made of literals."""
+
+
+def read_classes(source: bytes, sections: tuple[str, ...]) -> dict[str, Any]:
+    """Return what the classes of a Python file assign, by dotted name below the outermost class.
+
+    Where several classes of the outermost level assign the same, the last one counts.
+
+    Args:
+        source: the file.
+        sections: names of classes that count as inside of one where they are the outermost themselves.
+
+    Raises:
+        SurefootError: no Python.
+    """
+    try:
+        tree = ast.parse(source)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise SurefootError(f"is not Python: {error}") from error
+    values: dict[str, Any] = {}
+    module: Scope = {}
+    for item in tree.body:
+        if isinstance(item, ast.ClassDef):
+            _visit(item.body, f"{item.name}." if item.name in sections else "", 0, module, values)
+        else:
+            _assign(item, "", {}, module, {}, module)
+            values.update(_from_outside(item, module))
+    return values
+
+
+def _visit(body: list[ast.stmt], prefix: str, depth: int, module: Scope, values: dict[str, Any]) -> None:
+    own: Scope = {}
+    for item in body:
+        if isinstance(item, ast.ClassDef):
+            if depth < _MAX_DEPTH:
+                _visit(item.body, f"{prefix}{item.name}.", depth + 1, module, values)
+        else:
+            _assign(item, prefix, own, module, values, own)
+
+
+def _assign(item: ast.stmt, prefix: str, own: Scope, module: Scope, values: dict[str, Any], scope: Scope) -> None:
+    """Put what a statement assigns to names into `scope` and, by dotted name, into `values`."""
+    if isinstance(item, ast.Assign | ast.AnnAssign) and item.value is not None:
+        targets = item.targets if isinstance(item, ast.Assign) else [item.target]
+        made = _fold_or_computed(item.value, {**module, **own})
+        names = {one.id: made for one in targets if isinstance(one, ast.Name)}
+    elif isinstance(item, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Import | ast.ImportFrom):
+        return
+    else:  # a branch, a loop, an addition: only a run says what it leaves
+        stored = (one.id for one in ast.walk(item) if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store))
+        names = {name: Computed(_text(item)) for name in stored}
+    scope.update(names)
+    values.update({f"{prefix}{name}": value for name, value in names.items()})
+
+
+def _from_outside(item: ast.stmt, module: Scope) -> dict[str, Any]:
+    """Return what a statement of the outermost level assigns to attributes, such as `Config.control.decimation = 4`."""
+    found = {}
+    for one in ast.walk(item):
+        if isinstance(one, ast.Attribute) and isinstance(one.ctx, ast.Store):
+            names, inner = [one.attr], one.value
+            while isinstance(inner, ast.Attribute):
+                names.insert(0, inner.attr)
+                inner = inner.value
+            plain = isinstance(item, ast.Assign | ast.AnnAssign) and item.value is not None
+            value = _fold_or_computed(item.value, module) if plain else Computed(_text(item))  # type: ignore[attr-defined]
+            found[".".join(names)] = value
+    return found
+
+
+def _fold_or_computed(node: ast.expr, scope: Mapping[str, Any]) -> Any:
+    try:
+        return _fold(node, scope, 0)
+    except (_NotLiteralError, ArithmeticError, ValueError, TypeError, RecursionError, MemoryError):
+        return Computed(_text(node))
+
+
+def _text(node: ast.AST) -> str:
+    return " ".join(ast.unparse(node).split())[:80]
+
+
+def _fold(node: ast.expr, scope: Mapping[str, Any], depth: int) -> Any:
+    """Return the value of an expression of literals, of arithmetic and of names in a scope."""
+    if depth > 50:
+        raise _NotLiteralError
+    fold = lambda part: _fold(part, scope, depth + 1)  # noqa: E731
+    if isinstance(node, ast.Constant):
+        return node.value
+    if isinstance(node, ast.Name) and node.id in scope and not isinstance(scope[node.id], Computed):
+        return scope[node.id]
+    if isinstance(node, ast.List | ast.Tuple | ast.Set):
+        return [fold(part) for part in node.elts]
+    if isinstance(node, ast.Dict):
+        if None in node.keys:
+            raise _NotLiteralError
+        return {fold(key): fold(value) for key, value in zip(node.keys, node.values, strict=True) if key is not None}
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+        value = fold(node.operand)
+        return -_number(value) if isinstance(node.op, ast.USub) else _number(value)
+    if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
+        left, right = fold(node.left), fold(node.right)
+        if isinstance(node.op, ast.Mult) and isinstance(left, list) and isinstance(right, int):
+            if not 0 <= right * len(left) <= _MAX_ITEMS:
+                raise _NotLiteralError
+            return left * right
+        left, right = _number(left), _number(right)
+        if isinstance(node.op, ast.Pow) and abs(right) > _MAX_POWER:
+            raise _NotLiteralError
+        return _number(_BINARY[type(node.op)](left, right))
+    raise _NotLiteralError
+
+
+def _number(value: Any) -> int | float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > 1e15:
+        raise _NotLiteralError
+    return value
