@@ -5,8 +5,8 @@ A fit has intervals that allow for residuals that correlate in time, correlation
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mujoco import minimize
@@ -40,6 +40,12 @@ class Fit:
     """Of the values' errors (n, n)."""
     residuals: Array
     """(m,), in standard deviations."""
+    jacobian: Array
+    """Derivatives of the residuals (m, n)."""
+    held: NDArray[np.bool_] | None = None
+    """Which unknowns kept their start (n,), as the data do not determine them; None: none did."""
+    considers: bool = False
+    """Whether the last unknowns were never fitted, see `hold_unidentifiable`."""
 
     @property
     def deviation(self) -> Array:
@@ -55,8 +61,12 @@ class Fit:
     @property
     def identifiable(self) -> NDArray[np.bool_]:
         """Which unknowns the data determine (n,): those whose deviation is clearly less than before."""
-        before = np.array([u.prior if u.prior is not None else (u.high - u.low) / 4 for u in self.unknowns])
-        return self.deviation < MAX_DEVIATION * before
+        return self.deviation < MAX_DEVIATION * self.prior_deviation
+
+    @property
+    def prior_deviation(self) -> Array:
+        """Standard deviations before the fit (n,)."""
+        return np.array([u.prior if u.prior is not None else (u.high - u.low) / 4 for u in self.unknowns])
 
     def strongest_correlations(self, count: int = 5) -> list[tuple[str, str, float]]:
         """Return pairs of unknowns that are hardly distinguishable, strongest first."""
@@ -167,7 +177,52 @@ def fit_least_squares(
     own = forward_jacobian(model, values, final[:count])
     prior = np.diag((high - low) ** -2.0)
     prior[with_prior, with_prior] += spread**-2.0
-    return Fit(unknowns, values, _covariance(own, final[:count], model.blocks, prior, high - low), final[:count])
+    covariance = _covariance(own, final[:count], model.blocks, prior, high - low)
+    return Fit(unknowns, values, covariance, final[:count], own)
+
+
+def hold_unidentifiable(
+    model: ReplayModel,
+    fit: Fit,
+    considered: Sequence[Unknown] = (),
+    report: Callable[[int, float], None] | None = None,
+) -> Fit:
+    """Return a fit in which all that the data do not determine keeps its start, and the rest is fitted again.
+
+    With the held unknowns' prior covariance P, their derivatives J_h, and J' J + prior = H of the others, the errors of
+    these have the covariance C + S P S' with S = H^-1 J' J_h: what is held is off as the prior says (Schmidt 1966).
+
+    Args:
+        model: with the unknowns of the fit, then the considered ones.
+        fit: of the former, with the latter held.
+        considered: unknowns that are not fitted, but known with the deviation of their prior only.
+        report: callback as of `fit_least_squares`.
+    """
+    unknowns = (*fit.unknowns, *considered)
+    free = np.concatenate([fit.identifiable, np.zeros(len(considered), np.bool_)])
+    values = np.array([unknown.start for unknown in unknowns])
+    values[: len(fit.values)] = np.where(fit.identifiable, fit.values, values[: len(fit.values)])
+    covariance = np.diag(replace(fit, unknowns=unknowns).prior_deviation ** 2.0)
+    if free.all():
+        return fit
+    residuals = fit.residuals
+    again = fit
+    if free.any():
+        again = fit_least_squares(model.holding(free, values), fit.values[fit.identifiable], report)
+        values[free], residuals = again.values, again.residuals
+    held = forward_jacobian(model.holding(~free, values), values[~free], residuals)
+    jacobian = np.empty((len(residuals), len(unknowns)))
+    jacobian[:, ~free] = held
+    if free.any():
+        jacobian[:, free] = again.jacobian
+        prior = np.array([0.0 if u.prior is None else u.prior**-2.0 for u in again.unknowns])
+        hessian = again.jacobian.T @ again.jacobian + np.diag(prior)
+        shift = -np.linalg.lstsq(hessian, again.jacobian.T @ held, rcond=None)[0]
+        outside = covariance[np.ix_(~free, ~free)]
+        covariance[np.ix_(free, free)] = again.covariance + shift @ outside @ shift.T
+        covariance[np.ix_(free, ~free)] = shift @ outside
+        covariance[np.ix_(~free, free)] = outside @ shift.T
+    return Fit(unknowns, values, covariance, residuals, jacobian, ~free, bool(considered))
 
 
 def _covariance(jacobian: Array, residuals: Array, blocks: NDArray[np.int64], prior: Array, width: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
@@ -77,7 +78,7 @@ def save_and_print(
     console = Console(highlight=False, emoji=False)
     console.print(_estimates_table(robot, prior, result))
     if result.checks:
-        table = _table("RMS error on data that were not fitted", "quantity", "before", "after", "unit")
+        table = _table(result.checks_title, "quantity", "before", "after", "unit")
         for check in result.checks:
             table.add_row(Text(check.what), f"{check.before:.3g}", f"{check.after:.3g}", check.unit)
         console.print(table)
@@ -87,6 +88,17 @@ def save_and_print(
     ]
     for line in [*lines, *(f"note: {note}" for note in result.notes), f"wrote {choices(map(str, files))}"]:
         console.print(line, markup=False, soft_wrap=True)
+
+
+def print_failure(result: Identification, as_json: bool) -> None:
+    """Print why a fit does not explain its data, and what to try; nothing was written."""
+    if as_json:
+        print_json({"experiment": result.experiment, "failure": list(result.failure), "files": []})
+        return
+    reason, *hints = result.failure
+    print(f"surefoot: {reason}; nothing was written", file=sys.stderr)
+    for hint in hints or ["are units, signs and the order of joints right? See surefoot identify replay"]:
+        print(f"  {hint}", file=sys.stderr)
 
 
 def _estimates_table(robot: RobotDescription, prior: ParamsFile, result: Identification) -> Table:
@@ -124,7 +136,7 @@ def _as_mapping(robot: RobotDescription, prior: PhysicalParams, result: Identifi
         "date": result.date,
         "digest": result.digest,
         "estimates": [
-            {name: getattr(item, name) for name in ("name", "index", "value", "interval", "unit", "identifiable")}
+            {name: getattr(item, name) for name in ("name", "index", "value", "interval", "unit", "identifiable", "of_robot")}
             | {"label": full_name(item.label, robot), "before": prior_value(item, prior)}
             for item in result.estimates
         ],
@@ -132,4 +144,5 @@ def _as_mapping(robot: RobotDescription, prior: PhysicalParams, result: Identifi
         "correlations": result.correlations,
         "notes": result.notes,
         "sensors": result.sensors,
+        "gains": result.gains,
     }
