@@ -7,21 +7,23 @@ fitted robot does not repeat the logs.
 from __future__ import annotations
 
 import datetime
+import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
+from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment, show_plan
 from surefoot.cli.helpers.options import Json, Seed, Settings, check_folder, check_suffix
-from surefoot.cli.helpers.output import Actions, next_command, print_json, run_action, table_lines
+from surefoot.cli.helpers.output import Actions, make_console, next_command, print_json, run_action, table_lines
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, suggest
+from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.overlay import check_new_logs, missing_experiments, read_gains, read_prior
 from surefoot.identify.recording import COMPLETE, Recording, load_recording, recorded_robot
 from surefoot.identify.registry import EXPERIMENTS, Experiment
-from surefoot.robot import DEFAULT_ROBOT, FiveBar, RobotDescription
+from surefoot.robot import DEFAULT_ROBOT, FiveBar, PhysicalParams, RobotDescription
 from surefoot.robot.params import parse_settings
 from surefoot.robot.params_file import ParamsFile
 
@@ -77,6 +79,8 @@ class TracesCommand:
     """Logs, by the names of their files, of a robot that hung with its base held still."""
     hold_out: tuple[str, ...] = ()
     """Logs, by the names of their files, that are not fitted but replayed with the estimates."""
+    plan: bool = False
+    """Do not fit: print what logs of a robot that hangs can tell."""
     settings: Settings = ()
     """Parameters that are known, such as servo_kp=20 servo_kd=1.5: they are kept and not fitted."""
     duration: Annotated[float | None, Within(0.5, 3600)] = None
@@ -88,8 +92,12 @@ class TracesCommand:
     json: Json = False
 
 
-def check_identifiable(robot: RobotDescription) -> None:
-    """Refuse a robot without five-bar legs and DC motors, which the experiments need."""
+def check_identifiable(robot: RobotDescription, experiment: Experiment | None = None) -> None:
+    """Refuse a robot whose legs and motors are not those that an experiment, or a fit to traces, needs."""
+    if experiment is not None and experiment.joints:
+        if robot.actuator.kind != "joint" or robot.loops:
+            raise SurefootError(f"{experiment.name} takes robots with joint actuators; {robot.name} has others")
+        return
     if robot.actuator.kind != "dc" or not isinstance(robot.leg_geometry, FiveBar):
         raise SurefootError(f"identify takes robots with five-bar legs and DC motors; {robot.name} has others")
 
@@ -103,7 +111,8 @@ def main(argv: list[str]) -> int:
     if word in ACTIONS:
         return run_action(argv, "identify", ACTIONS)
     if word.startswith("--"):
-        return _identify_from_traces(argv)
+        # Its own help needs no value of --trace.
+        return _identify_from_traces(["--help"] if {"-h", "--help"} & set(argv) else argv)
     if word in EXPERIMENTS:
         return _run_experiment(EXPERIMENTS[word], argv[1:])
     raise SurefootError(f"'{word}' is no experiment; {suggest(word, [*EXPERIMENTS, *ACTIONS])}, or {TRACE} FOLDER")
@@ -125,11 +134,14 @@ def _identify_from_traces(argv: list[str]) -> int:
     check_folder(command.out)
     if command.robot is not None and (robot := RobotDescription.load(command.robot)).actuator.kind == "joint":
         return _identify_from_logs(command, robot)
-    for name, option in {"rack": "rack", "hold_out": "hold-out", "generations": "generations", "settings": "set"}.items():
+    for name, option in {
+        "rack": "rack",
+        "hold_out": "hold-out",
+        "generations": "generations",
+        "settings": "set",
+    }.items():
         if getattr(command, name):
-            raise SurefootError(
-                f"--{option} is of logs of a robot with joint actuators; name it: --robot"
-            )
+            raise SurefootError(f"--{option} is of logs of a robot with joint actuators; name it: --robot")
     from surefoot.evaluation.recorded import find_traces, load_robot
 
     traces = find_traces(command.trace)
@@ -181,6 +193,8 @@ def _identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     from surefoot.identify.motion.robot_fit import fit_robot
 
     runs = {name: replace(log, rack=name in command.rack) for name, log in logs.items()}
+    if command.plan:
+        return _print_foresight(robot, [runs[name] for name in fitted], prior.params, tuple(stated), command)
     held = [runs[name] for name in command.hold_out]
     with fit_progress("logs") as report:
         result = fit_robot(robot, [runs[name] for name in fitted], held, command.fit or None, prior.params,
@@ -193,9 +207,29 @@ def _identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     return 0
 
 
+def _print_foresight(
+    robot: RobotDescription,
+    motions: list[RecordedMotion],
+    prior: PhysicalParams,
+    stated: tuple[str, ...],
+    command: TracesCommand,
+) -> int:
+    if on_ground := [motion.name for motion in motions if not motion.rack]:
+        raise SurefootError(f"--plan is of robots that hang; {on_ground[0]} is not named by --rack")
+    from surefoot.cli.helpers.identify_results import print_foresight
+    from surefoot.identify.motion.foresight import foresee
+    from surefoot.identify.motion.robot_model import fitted_part
+
+    parts = [fitted_part(motion, command.duration) for motion in motions]
+    print_foresight(robot, foresee(robot, parts, prior, stated), prior, command.trace.name, command.json)
+    return 0
+
+
 def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
     name = experiment.name
     command = parse(ExperimentCommand, argv, f"surefoot identify {name}")
+    if command.plan:
+        return _print_plan(command, experiment)
     _check_options(command)
     path = command.recording
     if path is not None and path.is_dir():
@@ -203,7 +237,7 @@ def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
     robot = RobotDescription.load(command.robot or DEFAULT_ROBOT)
     if path is not None and command.robot is None:
         robot = recorded_robot(path)
-    check_identifiable(robot)
+    check_identifiable(robot, experiment)
     prior = read_prior(command.params, robot)
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
 
@@ -230,11 +264,37 @@ def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
     return 0
 
 
+def _print_plan(command: ExperimentCommand, experiment: Experiment) -> int:
+    """Show the plan of an experiment in the air, and what it would tell."""
+    if not experiment.joints or command.robot is None:
+        raise SurefootError(
+            "--plan shows what air would tell; name the robot: surefoot identify air --plan --robot NAME"
+        )
+    robot = RobotDescription.load(command.robot)
+    check_identifiable(robot, experiment)
+    plan, stated = experiment.plan(robot), parse_settings([word for group in command.settings for word in group])
+    prior = read_prior(command.params, robot).params.with_values(robot, **stated)
+    if not command.json:
+        show_plan(plan, robot.name, (-math.inf, math.inf), make_console())
+    from surefoot.cli.helpers.identify_results import check_installed, print_foresight
+
+    check_installed()
+    from surefoot.identify.motion.foresight import foresee, planned_motion
+
+    foresight = foresee(robot, [planned_motion(plan)], prior, tuple(stated))
+    print_foresight(robot, foresight, prior, "this plan", command.json)
+    return 0
+
+
 def _check_options(command: ExperimentCommand) -> None:
-    if (command.port is None) == (command.recording is None):
-        number = "none" if command.port is None else "both"
+    robot = command.port is not None or command.link == "dds"
+    if robot == (command.recording is not None):
+        number = "both" if robot else "none"
         raise SurefootError(f"--port of a robot, or --recording of an experiment: give one of them; {number} is given")
-    if command.recording is not None:
+    if robot:
+        command.check_link()
+        command.gains()
+    else:
         for name in ("record_only", "yes", "lockstep"):
             if getattr(command, name):
                 option = name.replace("_", "-")

@@ -20,7 +20,6 @@ from surefoot.robot.params_file import ParamValue, find_params, load_params, rea
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
 
-
 GAINS = ("servo_kp", "servo_kd")
 
 

@@ -187,7 +187,7 @@ def hold_unidentifiable(
     considered: Sequence[Unknown] = (),
     report: Callable[[int, float], None] | None = None,
 ) -> Fit:
-    """Return a fit in which all that the data do not determine keeps its start, and the rest is fitted again.
+    """Return a fit in which all that the data neither determine nor move keeps its start, the rest being fitted again.
 
     With the held unknowns' prior covariance P, their derivatives J_h, and J' J + prior = H of the others, the errors of
     these have the covariance C + S P S' with S = H^-1 J' J_h: what is held is off as the prior says (Schmidt 1966).
@@ -199,29 +199,31 @@ def hold_unidentifiable(
         report: callback as of `fit_least_squares`.
     """
     unknowns = (*fit.unknowns, *considered)
-    free = np.concatenate([fit.identifiable, np.zeros(len(considered), np.bool_)])
-    values = np.array([unknown.start for unknown in unknowns])
-    values[: len(fit.values)] = np.where(fit.identifiable, fit.values, values[: len(fit.values)])
-    covariance = np.diag(replace(fit, unknowns=unknowns).prior_deviation ** 2.0)
+    start = np.array([unknown.start for unknown in fit.unknowns])
+    # Values that contradict the prior belong to the fit, even if they are not known better than before.
+    known = fit.identifiable | (np.abs(fit.values - start) > fit.deviation)
+    free = np.concatenate([known, np.zeros(len(considered), np.bool_)])
     if free.all():
         return fit
-    residuals = fit.residuals
-    again = fit
-    if free.any():
-        again = fit_least_squares(model.holding(free, values), fit.values[fit.identifiable], report)
-        values[free], residuals = again.values, again.residuals
-    held = forward_jacobian(model.holding(~free, values), values[~free], residuals)
+    values = np.array([unknown.start for unknown in unknowns])
+    values[: len(fit.values)] = np.where(known, fit.values, start)
+    covariance = np.diag(replace(fit, unknowns=unknowns).prior_deviation ** 2.0)
+    residuals = model.residuals(values[None])[0]
     jacobian = np.empty((len(residuals), len(unknowns)))
-    jacobian[:, ~free] = held
-    if free.any():
-        jacobian[:, free] = again.jacobian
-        prior = np.array([0.0 if u.prior is None else u.prior**-2.0 for u in again.unknowns])
-        hessian = again.jacobian.T @ again.jacobian + np.diag(prior)
-        shift = -np.linalg.lstsq(hessian, again.jacobian.T @ held, rcond=None)[0]
-        outside = covariance[np.ix_(~free, ~free)]
-        covariance[np.ix_(free, free)] = again.covariance + shift @ outside @ shift.T
-        covariance[np.ix_(free, ~free)] = shift @ outside
-        covariance[np.ix_(~free, free)] = outside @ shift.T
+    if not free.any():
+        jacobian = forward_jacobian(model, values, residuals)
+        return Fit(unknowns, values, covariance, residuals, jacobian, ~free, bool(considered))
+    again = fit_least_squares(model.holding(free, values), fit.values[known], report)
+    values[free], residuals = again.values, again.residuals
+    jacobian[:, free] = again.jacobian
+    jacobian[:, ~free] = held = forward_jacobian(model.holding(~free, values), values[~free], residuals)
+    prior = np.array([0.0 if u.prior is None else u.prior**-2.0 for u in again.unknowns])
+    hessian = again.jacobian.T @ again.jacobian + np.diag(prior)
+    shift = -np.linalg.lstsq(hessian, again.jacobian.T @ held, rcond=None)[0]
+    outside = covariance[np.ix_(~free, ~free)]
+    covariance[np.ix_(free, free)] = again.covariance + shift @ outside @ shift.T
+    covariance[np.ix_(free, ~free)] = shift @ outside
+    covariance[np.ix_(~free, free)] = outside @ shift.T
     return Fit(unknowns, values, covariance, residuals, jacobian, ~free, bool(considered))
 
 

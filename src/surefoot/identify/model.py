@@ -113,7 +113,8 @@ class ReplayModel:
         params_of: Callable[[PhysicalParams, Sequence[Unknown], Array], PhysicalParams] = candidate_params,
     ) -> None:
         self.unknowns: Sequence[Unknown] = tuple(unknowns)
-        self._all, self._complete = self.unknowns, _as_given
+        self._all = self.unknowns
+        self._complete: Callable[[Array], Array] = _as_given
         self.prior, self.observations = prior, observations
         self._batch, self._limit, self._params_of = batch, limit, params_of
         self._compared = [np.isfinite(one.noise) for one in observations]
@@ -144,7 +145,7 @@ class ReplayModel:
 
     def holding(self, free: NDArray[np.bool_], values: Array) -> ReplayModel:
         """Return the model of some of the unknowns (n,); the others keep their values (n,)."""
-        columns, before = np.flatnonzero(free), self._complete
+        columns, before = np.flatnonzero(free).tolist(), self._complete
 
         def complete(some: Array) -> Array:
             whole = np.tile(values, (len(some), 1))

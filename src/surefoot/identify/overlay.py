@@ -67,8 +67,9 @@ def overlay(prior: ParamsFile, result: Identification, robot: RobotDescription, 
     for name in dict.fromkeys(item.name for item in result.estimates if item.identifiable and item.of_robot):
         intervals[name] = _interval(result, name, intervals.get(name), robot)
         identified_by[name] = result.experiment
-    data = {"date": result.date, "data": result.digest, "file": source, "surefoot": __version__}
-    data |= {"logs": {**_fitted_logs(prior, result.experiment), **{digest: name for name, digest in result.parts.items()}}}
+    data: dict[str, Any] = {"date": result.date, "data": result.digest, "file": source, "surefoot": __version__}
+    seen = _fitted_logs(prior, result.experiment) | {digest: name for name, digest in result.parts.items()}
+    data["logs"] = seen
     tables.setdefault("identified", {})[result.experiment] = {key: value for key, value in data.items() if value}
     names = {*prior.names, *result.identified_names()}
     written = tuple(name for name in PhysicalParams.names() if name in names)
@@ -97,7 +98,8 @@ def check_new_logs(path: Path | None, prior: ParamsFile, digests: Mapping[str, s
         seen = {digest: name for name, digest in digests.items()}
     if again := [name for name, digest in digests.items() if digest in seen]:
         raise SurefootError(
-            f"{path} was fitted to {again[0]} already: logs that count twice give too narrow intervals; give another file"
+            f"{path} was fitted to {again[0]} already; logs that count twice give too narrow intervals: give another "
+            "file"
         )
 
 

@@ -141,7 +141,7 @@ class SimWorld:
         self.engine.set_motors(rows, angle - self.actuation.motor_offset, velocity)
         self.actuation.filtered_speed[:] = velocity
         self.engine.observe(rows)
-        for i in rows:
+        for i in range(self.num_envs):
             record_sample(self.actuation, i)
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:

@@ -18,6 +18,7 @@ from rich.text import Text
 from surefoot.api.extras import install_command
 from surefoot.cli.helpers.output import print_json
 from surefoot.errors import SurefootError, choices
+from surefoot.identify.motion.foresight import Foresight
 from surefoot.identify.overlay import overlay, write_overlay
 from surefoot.identify.result import Identification, ParameterEstimate
 from surefoot.progress import ProgressDisplay
@@ -90,6 +91,21 @@ def save_and_print(
         console.print(line, markup=False, soft_wrap=True)
 
 
+def print_foresight(
+    robot: RobotDescription, foresight: Foresight, prior: PhysicalParams, source: str, as_json: bool
+) -> None:
+    """Print what logs or a planned motion would tell, before anything is fitted."""
+    result = Identification(source, robot.name, foresight.estimates, notes=foresight.sentences)
+    if as_json:
+        print_json(_as_mapping(robot, prior, result))
+        return
+    console = Console(highlight=False, emoji=False)
+    console.print(f"what {source} can tell of {robot.name}, if it is as before; intervals that a fit would leave:")
+    console.print(_estimates_table(robot, ParamsFile(prior, ()), result))
+    for sentence in foresight.sentences:
+        console.print(sentence, markup=False, soft_wrap=True)
+
+
 def print_failure(result: Identification, as_json: bool) -> None:
     """Print why a fit does not explain its data, and what to try; nothing was written."""
     if as_json:
@@ -109,6 +125,10 @@ def _estimates_table(robot: RobotDescription, prior: ParamsFile, result: Identif
         groups.setdefault(item.name, []).append(item)
     for name, items in groups.items():
         unit = items[0].unit if items[0].unit != "1" else ""
+        if items[0].index is not None and not any(item.identifiable for item in items):
+            # One row says it for all motors.
+            table.add_row(Text(name), "", "not identifiable", "", unit, style="dim")
+            continue
         if items[0].index is not None:
             table.add_row(Text(name), "", "", "", unit)
             unit = ""
@@ -136,7 +156,10 @@ def _as_mapping(robot: RobotDescription, prior: PhysicalParams, result: Identifi
         "date": result.date,
         "digest": result.digest,
         "estimates": [
-            {name: getattr(item, name) for name in ("name", "index", "value", "interval", "unit", "identifiable", "of_robot")}
+            {
+                name: getattr(item, name)
+                for name in ("name", "index", "value", "interval", "unit", "identifiable", "of_robot")
+            }
             | {"label": full_name(item.label, robot), "before": prior_value(item, prior)}
             for item in result.estimates
         ],

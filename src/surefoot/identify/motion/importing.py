@@ -8,7 +8,8 @@
     imu: {roll: "imu[0]", pitch: "imu[1]", roll_rate: "imu[2]", pitch_rate: "imu[3]", unit: rad, sign: 1}
 
 A motor's angle is sign x column + offset, its command too; `velocity` and `torque` may be mapped beside them. Readings
-without a column are NaN; so are the commands of a log of states, in whose mapping no motor has one. Times and rows stay as they are, uneven and repeated ones too.
+without a column are NaN; so are the commands of a log of states, in whose mapping no motor has one. Times and rows stay
+as they are, uneven and repeated ones too.
 """
 
 from __future__ import annotations

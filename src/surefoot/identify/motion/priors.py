@@ -26,7 +26,14 @@ RATIOS = {
 }
 """Ratio of one motor to its kind of joint, and the parameter that it multiplies."""
 GAINS = ("servo_kp", "servo_kd")
-STRICTLY_POSITIVE = ("servo_kp", "leg_mass_ratio", "base_mass_ratio", "torque_limit", "contact_stiffness", "contact_friction")
+STRICTLY_POSITIVE = (
+    "servo_kp",
+    "leg_mass_ratio",
+    "base_mass_ratio",
+    "torque_limit",
+    "contact_stiffness",
+    "contact_friction",
+)
 """Numbers that are never near 0."""
 MAX_FACTOR = 8.0
 """Bound of numbers with a relative prior, as a factor of their scale."""
@@ -63,19 +70,19 @@ PRIORS = {
     "torque_lag": Prior(0.0),
     "rotor_inertia": Prior(0.7),
     "inertia_ratio": Prior(0.2, each=True, step=0.05),
-    "torque_limit": Prior(0.2, step=0.05),
+    "torque_limit": Prior(0.0, step=0.05),
     "control_latency": Prior(1.0),
     "motor_offset": Prior(0.03, relative=False, each=True, step=0.002),
     "base_mass_ratio": Prior(0.01, contact=True),
     "base_offset": Prior(0.005, relative=False, each=True, step=0.002, contact=True),
-    "leg_mass_ratio": Prior(0.05),
+    "leg_mass_ratio": Prior(0.1),
     "contact_friction": Prior(0.3, contact=True),
     "contact_stiffness": Prior(0.5, step=0.05, contact=True),
     "contact_shear_ratio": Prior(0.7, step=0.05, start=0.2, contact=True),
 }
 """Numbers that logs can identify, with priors as wide as drives differ. A deviation of 0 leaves a number as it is,
-unless the sheet's [priors] has another. Masses are known to some percent. Legs bend sideways: feet start softer along
-the ground."""
+unless the sheet's [priors] has another. Published masses of a Go2's legs differ by more than 10 %. Legs bend sideways:
+feet start softer along the ground."""
 _SCALES = {
     "motor_friction": 0.01,
     "motor_viscous_friction": 0.003,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.identify.fitting import MAX_DEVIATION, Fit
+from surefoot.identify.fitting import Fit
 from surefoot.identify.motion.priors import DAMPING_RATIO, GAINS, RATIOS, gains_are_commanded
 from surefoot.identify.motion.robot_model import CONSIDERED, robot_params
 from surefoot.identify.result import ParameterEstimate
@@ -42,19 +42,19 @@ def robot_estimates(
     for name in _changed(fit):
         value = getattr(params, name)[0]
         slopes = parameter_slopes(prior, fit, name)
+        free = np.ones(len(slopes), np.bool_) if fit.held is None else ~fit.held
+        determined = np.any(np.abs(slopes[free]) > 0, axis=0)
         variances = np.einsum("in,ij,jn->n", slopes, fit.covariance, slopes)
-        before = np.einsum("in,i,in->n", slopes, fit.prior_deviation**2, slopes)
         values = np.atleast_1d(value)
         same = np.ptp(values) == 0 and np.ptp(slopes, axis=1).max() == 0
         indices: Sequence[int | None] = [None] if len(values) == 1 or same else range(_count(name, values))
         for index in indices:
             number, deviation = float(values[index or 0]), float(np.sqrt(variances[index or 0]))
-            known = deviation < MAX_DEVIATION * float(np.sqrt(before[index or 0]))
             if fit.considers:
                 size = max(abs(number), abs(float(np.atleast_1d(getattr(prior, name)[0])[index or 0])))
                 size = abs(number) if name in GAINS else size
                 deviation = float(np.hypot(deviation, MODEL_ACCURACY.get(name, 0.0) * size))
-            item = ParameterEstimate.within_bounds(robot, name, number, deviation, index, known)
+            item = ParameterEstimate.within_bounds(robot, name, number, deviation, index, bool(determined[index or 0]))
             estimates.append(replace(item, of_robot=not (commanded and name in GAINS)))
     return estimates
 

@@ -41,7 +41,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 MOUNTS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 """Yaw of an IMU in the base [rad] that is tried."""
 FIRST_NOISE = 0.02
-"""Standard deviation of angles in the first round of a fit to logs on a rack [rad]; then it is that of the residuals."""
+"""Standard deviation of angles in the first round of a fit to logs on a rack [rad]; later that of the residuals."""
 MAX_ROUNDS = 3
 SAME_NOISE = 1.25
 """Factor within which the residuals' noise agrees with the assumed one, so that no further round is needed."""
@@ -209,9 +209,10 @@ def _checks(
 
 
 def _notes(fit: Fit) -> tuple[str, ...]:
+    held = np.zeros(len(fit.values), np.bool_) if fit.held is None else fit.held
     at_bound = [
         unknown.label
-        for unknown, value in zip(fit.unknowns, fit.values, strict=True)
+        for unknown, value in zip(np.array(fit.unknowns)[~held], fit.values[~held], strict=True)
         if min(value - unknown.low, unknown.high - value) < 1e-6 * (unknown.high - unknown.low)
     ]
     return (f"at a bound: {', '.join(at_bound)}",) if at_bound else ()

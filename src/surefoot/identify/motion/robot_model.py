@@ -9,13 +9,14 @@ one number for all motors; times a ratio of each motor.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, suggest
+from surefoot.identify.joint_kinds import kinds_of_joints
 from surefoot.identify.model import Nuisance, Observations, ReplayModel, Unknown, candidate_params
 from surefoot.identify.motion.priors import (
     CLOCK,
@@ -89,25 +90,6 @@ def robot_unknowns(
     return unknowns
 
 
-def kinds_of_joints(robot: RobotDescription, prior: PhysicalParams, name: str) -> dict[str, tuple[int, ...]]:
-    """Return the motors of each kind of joint by its name, where the prior has a number for each kind; else none."""
-    if name not in PARAMETERS or PARAMETERS[name].per != "motors":
-        return {}
-    values, places = getattr(prior, name)[0], robot.leg_motor_index.T
-    means = [float(np.mean(values[motors])) for motors in places]
-    if np.allclose(means, means[0]):
-        return {}
-    return {kind_of_joint(robot, k): tuple(motors.tolist()) for k, motors in enumerate(places)}
-
-
-def kind_of_joint(robot: RobotDescription, place: int) -> str:
-    """Return the name of the joints at a place of every leg: what their motors' names have in common at the end."""
-    ends = [robot.motor_names[motor][::-1] for motor in robot.leg_motor_index[:, place]]
-    common = next((k for k in range(min(map(len, ends))) if len({end[: k + 1] for end in ends}) > 1), len(ends[0]))
-    word = ends[0][:common][::-1].strip("_-. ").removesuffix("joint").removesuffix("Motor").strip("_-. ")
-    return f"{word} joints" if word else f"joints {place + 1} of legs"
-
-
 def _own_unknowns(
     robot: RobotDescription, prior: PhysicalParams, name: str, rule: Prior, colour: int | None
 ) -> list[Unknown]:
@@ -118,7 +100,9 @@ def _own_unknowns(
     unknowns = []
     for motor, whose in enumerate(robot.motor_names):
         leg, place = np.argwhere(legs == motor)[0].tolist()
-        more = {} if colour is None else {"colour": colour * legs.shape[1] + place, "affects": ("leg", leg)}
+        more: dict[str, Any] = (
+            {} if colour is None else {"colour": colour * legs.shape[1] + place, "affects": ("leg", leg)}
+        )
         unknowns.append(_unknown(robot, prior, name, rule, motor, whose=whose, **more))
     return unknowns
 
@@ -130,7 +114,7 @@ def _unknown(
     rule: Prior,
     index: int | None = None,
     motors: tuple[int, ...] = (),
-    **more: object,
+    **more: Any,
 ) -> Unknown:
     values = _prior_values(prior, name)
     start = float(np.mean(values[list(motors)] if motors else values) if index is None else values[index])
@@ -141,9 +125,17 @@ def _unknown(
         least, most = (size / MAX_FACTOR if name in STRICTLY_POSITIVE else 0.0), size * MAX_FACTOR
     else:
         least, most, size = start - 6 * rule.deviation, start + 6 * rule.deviation, 1.0
-    bounds = max(low, least), min(high, most)
-    make = partial(Unknown, **more)  # type: ignore[arg-type]
-    return make(name, start, *bounds, rule.step * size, index, rule.deviation * size, motors=motors)
+    return Unknown(
+        name,
+        start,
+        max(low, least),
+        min(high, most),
+        rule.step * size,
+        index,
+        rule.deviation * size,
+        motors=motors,
+        **more,
+    )
 
 
 def _prior_values(prior: PhysicalParams, name: str) -> Array:

@@ -90,7 +90,7 @@ def _other_place(robot: RobotDescription, motion: RecordedMotion, error: float, 
 
 
 def _wrong_columns(robot: RobotDescription, motion: RecordedMotion) -> list[str]:
-    """Return signs and orders of motors that contradict the log: angles that follow another command, or its negative."""
+    """Return doubts about signs and order of motors: angles that follow another command, or the negative of theirs."""
     hints = []
     similar = command_correlation(motion)
     for motor in np.flatnonzero(motion.moving):

@@ -10,12 +10,14 @@ from surefoot.arrays import Array
 from surefoot.identify.fitting import Fit
 from surefoot.identify.motion.priors import CLOCK
 from surefoot.identify.motion.robot_estimates import parameter_slopes
+from surefoot.identify.motion.robot_model import CONSIDERED
 from surefoot.identify.result import NORMAL_95
 from surefoot.robot import PhysicalParams, RobotDescription
 
 EXCHANGED = 0.7
 """Correlation of the errors of two numbers from which they are exchanged for each other."""
-MAX_PAIRS = 6
+EXCHANGED_WITH_HELD = 0.5
+"""The same where one of them keeps the value of before."""
 
 
 @dataclass(frozen=True)
@@ -79,16 +81,17 @@ def describe_unknown(robot: RobotDescription, fit: Fit, params: PhysicalParams) 
 
 def _describe_exchange(exchange: _Exchange, fit: Fit, params: PhysicalParams) -> str:
     """Return a sentence on two parameters whose errors are exchanged; nothing, if they are not, or were not fitted."""
-    fitted = {u.name for k, u in enumerate(fit.unknowns) if fit.held is None or not fit.held[k]}
-    if not set(exchange.names) <= fitted:
+    held = np.zeros(len(fit.unknowns), np.bool_) if fit.held is None else fit.held
+    free = [
+        any(u.name == name and not off for u, off in zip(fit.unknowns, held, strict=True)) for name in exchange.names
+    ]
+    if not any(free) or not set(exchange.names) <= {unknown.name for unknown in fit.unknowns}:
         return ""
     slopes = [_mean_slope(params, fit, name) for name in exchange.names]
     one, two = (float(np.mean(getattr(params, name)[0])) for name in exchange.names)
-    (a, shared), (_, b) = (
-        [float(first @ fit.covariance @ second) for second in slopes] for first in slopes
-    )
+    (a, shared), (_, b) = ([float(first @ fit.covariance @ second) for second in slopes] for first in slopes)
     correlation = shared / np.sqrt(max(a * b, 1e-300))
-    if abs(correlation) < EXCHANGED:
+    if abs(correlation) < (EXCHANGED if all(free) else EXCHANGED_WITH_HELD):
         return ""
     who = f"{exchange.names[0]} and {exchange.names[1]}"
     if not exchange.text:
@@ -115,6 +118,6 @@ def _held_labels(fit: Fit) -> list[str]:
         return []
     by_name: dict[str, list[str]] = {}
     for unknown, held in zip(fit.unknowns, fit.held.tolist(), strict=True):
-        if held and unknown.name != CLOCK and (unknown.whose or not fit.considers or unknown.prior is not None):
+        if held and unknown.name not in (CLOCK, *(CONSIDERED if fit.considers else ())):
             by_name.setdefault(unknown.name, []).append(unknown.label)
     return [labels[0] if len(labels) == 1 else f"{name} (of {len(labels)})" for name, labels in by_name.items()]
