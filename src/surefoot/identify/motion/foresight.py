@@ -57,7 +57,7 @@ def foresee(
     residuals = model.residuals(values[None])[0]
     jacobian = forward_jacobian(model, values, residuals)
     deviation = Fit(everything, values, np.eye(len(values)), residuals, jacobian).prior_deviation
-    covariance: Array = np.linalg.inv(jacobian.T @ jacobian + np.diag(deviation**-2.0))
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + np.diag(deviation**-2.0)), np.float64)
     held = np.zeros(len(values), np.bool_)
     held[len(unknowns) :] = True
     fit = Fit(everything, values, covariance, residuals, jacobian, held, True)

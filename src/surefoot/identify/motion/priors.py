@@ -4,7 +4,7 @@ Gains that come with every command are no property of a robot: nothing is known 
 so. A robot whose gains are fixed on its own board, or that is known better, says so in its sheet:
 
     [priors]
-    servo_kp = 0.1          # standard deviation, relative; 0: as on the sheet
+    servo_kp = 0.1          # standard deviation, relative; 0: as on the sheet, unless --fit names it
     motor_offset = 0.008    # rad
 """
 
@@ -19,6 +19,8 @@ DAMPING_RATIO = "damping_ratio"
 """servo_kd over servo_kp [s], which determines how far a joint lags behind its command."""
 CLOCK = "clock"
 """Seconds that a second of the log's clock takes."""
+COMMAND_SHIFT = "command_shift"
+"""Time [s] by which commands were sent later than their log says."""
 RATIOS = {
     "friction_ratio": "motor_friction",
     "viscous_ratio": "motor_viscous_friction",
@@ -54,23 +56,25 @@ class Prior:
     """Mean; the parameter before the fit, if not given."""
     contact: bool = False
     """Whether only a robot on the ground shows it."""
+    usual: bool = True
+    """Whether it is identified by default; else only where a sheet's [priors] or the user names it."""
 
 
 PRIORS = {
     "servo_kp": Prior(1.0),
-    DAMPING_RATIO: Prior(0.0),
+    DAMPING_RATIO: Prior(0.5, usual=False),
     "servo_kd": Prior(1.0),
     "motor_friction": Prior(1.0, step=0.05),
     "friction_ratio": Prior(0.3, each=True, step=0.05),
-    "load_friction": Prior(0.0),
-    "presliding": Prior(0.0),
+    "load_friction": Prior(1.0, usual=False),
+    "presliding": Prior(1.0, usual=False),
     "motor_viscous_friction": Prior(1.0, step=0.1),
     "viscous_ratio": Prior(0.3, each=True, step=0.05),
-    "speed_filter": Prior(0.0),
-    "torque_lag": Prior(0.0),
+    "speed_filter": Prior(1.0, usual=False),
+    "torque_lag": Prior(1.0, usual=False),
     "rotor_inertia": Prior(0.7),
     "inertia_ratio": Prior(0.2, each=True, step=0.05),
-    "torque_limit": Prior(0.0, step=0.05),
+    "torque_limit": Prior(0.2, step=0.05, usual=False),
     "control_latency": Prior(1.0),
     "motor_offset": Prior(0.03, relative=False, each=True, step=0.002),
     "base_mass_ratio": Prior(0.01, contact=True),
@@ -80,8 +84,7 @@ PRIORS = {
     "contact_stiffness": Prior(0.5, step=0.05, contact=True),
     "contact_shear_ratio": Prior(0.7, step=0.05, start=0.2, contact=True),
 }
-"""Numbers that logs can identify, with priors as wide as drives differ. A deviation of 0 leaves a number as it is,
-unless the sheet's [priors] has another. Published masses of a Go2's legs differ by more than 10 %. Legs bend sideways:
+"""Numbers that logs can identify, with priors as wide as drives differ. Published masses of a Go2's legs differ by more than 10 %. Legs bend sideways:
 feet start softer along the ground."""
 _SCALES = {
     "motor_friction": 0.01,
@@ -103,7 +106,8 @@ def priors_of(robot: RobotDescription) -> dict[str, Prior]:
     for name, deviation in robot.priors.items():
         if name not in priors:
             raise SurefootError(f"priors.{name} of {robot.name} is unknown; {suggest(name, priors)}")
-        priors[name] = replace(priors[name], deviation=deviation)
+        usual = deviation > 0
+        priors[name] = replace(priors[name], deviation=deviation or priors[name].deviation, usual=usual)
     return priors
 
 
@@ -114,9 +118,7 @@ def gains_are_commanded(robot: RobotDescription) -> bool:
 
 def default_names(robot: RobotDescription, rack: bool) -> tuple[str, ...]:
     """Return what logs of a robot identify by default; `rack`: none of them is of a robot on the ground."""
-    return tuple(
-        name for name, prior in priors_of(robot).items() if prior.deviation > 0 and not (rack and prior.contact)
-    )
+    return tuple(name for name, prior in priors_of(robot).items() if prior.usual and not (rack and prior.contact))
 
 
 def prior_scale(robot: RobotDescription, name: str, value: float) -> float:

@@ -118,6 +118,14 @@ class RecordedMotion:
         steps = np.diff(self.time)
         return len(steps) > MIN_STEPS and float(np.ptp(steps)) < COMPUTED * max(float(np.median(steps)), 1e-9)
 
+    @property
+    def command_interval(self) -> float:
+        """Median time between rows that change the command [s]; 0, if commands change in most rows or never."""
+        changes = np.flatnonzero(np.any(np.diff(self.command, axis=0) != 0, axis=1))
+        if len(changes) < MIN_STEPS or np.median(np.diff(changes)) < 2:
+            return 0.0
+        return float(np.median(np.diff(self.time[changes])))
+
     def missing(self) -> list[str]:
         """Return the names of the readings that are missing in every row."""
         names = ("motor_angle", "motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base")

@@ -9,6 +9,7 @@ one number for all motors; times a ratio of each motor.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from surefoot.identify.joint_kinds import kinds_of_joints
 from surefoot.identify.model import Nuisance, Observations, ReplayModel, Unknown, candidate_params
 from surefoot.identify.motion.priors import (
     CLOCK,
+    COMMAND_SHIFT,
     DAMPING_RATIO,
     MAX_FACTOR,
     RATIOS,
@@ -51,6 +53,9 @@ RACK_SECONDS = 24.0
 """The same of a robot that hangs."""
 BATCH = 20
 """Candidates that are simulated at once."""
+RACK_STEP = 0.01
+"""Steps of finite differences of a robot on a rack, over those of one on the ground, whose contacts are rough. Gains,
+masses and friction may all be greater alike: only exact derivatives show that a log does not tell."""
 NOISE_BLOCK = 1.0
 """Length of the blocks of time [s] over which residuals of logs on a rack are taken to correlate."""
 CONSIDERED = {"servo_latency": 0.001, "presliding": 0.002}
@@ -87,7 +92,7 @@ def robot_unknowns(
         else:
             groups = kinds_of_joints(robot, prior, name) or {"": ()}
             unknowns += [_unknown(robot, prior, name, rule, motors=m, whose=kind) for kind, m in groups.items()]
-    return unknowns
+    return [replace(unknown, step=RACK_STEP * unknown.step) for unknown in unknowns] if rack else unknowns
 
 
 def _own_unknowns(
@@ -141,8 +146,8 @@ def _unknown(
 def _prior_values(prior: PhysicalParams, name: str) -> Array:
     if name == DAMPING_RATIO:
         return np.atleast_1d(np.mean(prior.servo_kd[0]) / np.mean(prior.servo_kp[0]))
-    if name == CLOCK:
-        return np.ones(1)
+    if name in (CLOCK, COMMAND_SHIFT):
+        return np.ones(1) if name == CLOCK else np.zeros(1)
     if name in RATIOS:
         values = getattr(prior, RATIOS[name])[0]
         return np.ones_like(values)
@@ -206,9 +211,12 @@ def considered_unknowns(
     if any(motion.computed_clock for motion in motions):
         deviations[CLOCK] = CLOCK_DEVIATION
     unknowns = []
+    if (interval := max(motion.command_interval for motion in motions)) > 0:
+        # A row repeats a command that is up to an interval old, or rows were looked up in a slower table.
+        deviations[COMMAND_SHIFT] = interval / np.sqrt(12)
     for name, deviation in deviations.items():
         start = float(np.mean(_prior_values(prior, name)))
-        low, high = robot.allowed.get(name, (0.5, 2.0))
+        low, high = robot.allowed.get(name, (-1.0, 2.0))
         unknowns.append(Unknown(name, start, low, high, deviation, prior=deviation))
     return unknowns
 
@@ -245,10 +253,11 @@ def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Rep
 
     def errors(params: PhysicalParams, nuisance: Nuisance) -> Array:
         clock = nuisance.get((CLOCK, None), np.ones(params.num_envs))
+        shift = nuisance.get((COMMAND_SHIFT, None), np.zeros(params.num_envs))
         predicted = np.empty((params.num_envs, *recorded.shape))
-        for scale in np.unique(clock):
-            these = np.flatnonzero(clock == scale)
-            readings = replayer.run(_stretched(segment, float(scale), robot), params.rows(these))
+        for scale, late in sorted(set(zip(clock.tolist(), shift.tolist(), strict=True))):
+            these = np.flatnonzero((clock == scale) & (shift == late))
+            readings = replayer.run(_retimed(segment, scale, late, robot.timing.servo_step), params.rows(these))
             predicted[these] = np.concatenate([readings.motor_angle, imu_channels(readings)[:, :, :2]], axis=2)[:, rows]
         errors = predicted - recorded
         # Attitudes of such IMUs drift from log to log: only their change is compared.
@@ -267,9 +276,13 @@ def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Rep
     return Observations(errors, noises, motion.time[rows][:, None], {"leg": leg})
 
 
-def _stretched(segment: Segment, scale: float, robot: RobotDescription) -> Segment:
-    """Return a segment whose clock is slower: a second of the log takes `scale` seconds."""
-    return segment if scale == 1.0 else segment.stretched(scale, robot.timing.servo_step)
+def _retimed(segment: Segment, scale: float, late: float, dt: float) -> Segment:
+    """Return a segment with another clock: a second takes `scale` seconds, commands are sent `late` [s] later."""
+    segment = segment if scale == 1.0 else segment.stretched(scale, dt)
+    if late == 0.0:
+        return segment
+    ticks = np.maximum(segment.order_tick + round(late / dt), 0)
+    return replace(segment, order_tick=np.concatenate([[0], ticks[1:]]))
 
 
 def spaced_rows(motion: RecordedMotion) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.identify.fitting import Fit
-from surefoot.identify.motion.priors import CLOCK
+from surefoot.identify.motion.priors import CLOCK, COMMAND_SHIFT
 from surefoot.identify.motion.robot_estimates import parameter_slopes
 from surefoot.identify.motion.robot_model import CONSIDERED
 from surefoot.identify.result import NORMAL_95
@@ -16,7 +16,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 
 EXCHANGED = 0.7
 """Correlation of the errors of two numbers from which they are exchanged for each other."""
-EXCHANGED_WITH_HELD = 0.5
+EXCHANGED_WITH_HELD = 0.3
 """The same where one of them keeps the value of before."""
 
 
@@ -76,6 +76,11 @@ def describe_unknown(robot: RobotDescription, fit: Fit, params: PhysicalParams) 
             "the times look computed, not measured: with a clock that is 2 % off, kd, viscous friction and latency are "
             "2 % off and inertias 4 %; the intervals include it"
         )
+    if shifts := [unknown.prior for unknown in fit.unknowns if unknown.name == COMMAND_SHIFT]:
+        sentences.append(
+            f"commands repeat for some rows: when they were sent is known to {1e3 * (shifts[0] or 0):.0f} ms, which "
+            "control_latency can't be told from; the intervals include it"
+        )
     return tuple(sentences)
 
 
@@ -118,6 +123,6 @@ def _held_labels(fit: Fit) -> list[str]:
         return []
     by_name: dict[str, list[str]] = {}
     for unknown, held in zip(fit.unknowns, fit.held.tolist(), strict=True):
-        if held and unknown.name not in (CLOCK, *(CONSIDERED if fit.considers else ())):
+        if held and unknown.name not in (CLOCK, COMMAND_SHIFT, *(CONSIDERED if fit.considers else ())):
             by_name.setdefault(unknown.name, []).append(unknown.label)
     return [labels[0] if len(labels) == 1 else f"{name} (of {len(labels)})" for name, labels in by_name.items()]
