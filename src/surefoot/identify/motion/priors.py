@@ -84,8 +84,8 @@ PRIORS = {
     "contact_stiffness": Prior(0.5, step=0.05, contact=True),
     "contact_shear_ratio": Prior(0.7, step=0.05, start=0.2, contact=True),
 }
-"""Numbers that logs can identify, with priors as wide as drives differ. Published masses of a Go2's legs differ by more than 10 %. Legs bend sideways:
-feet start softer along the ground."""
+"""Numbers that logs can identify, with priors as wide as drives differ. Published masses of a Go2's legs differ by more
+than 10 %. Legs bend sideways: feet start softer along the ground."""
 _SCALES = {
     "motor_friction": 0.01,
     "motor_viscous_friction": 0.003,
