@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -18,7 +18,6 @@ from rich.text import Text
 from surefoot.api.extras import install_command
 from surefoot.cli.helpers.output import print_json
 from surefoot.errors import SurefootError, choices
-from surefoot.identify.motion.foresight import Foresight
 from surefoot.identify.overlay import overlay, write_overlay
 from surefoot.identify.result import Identification, ParameterEstimate
 from surefoot.progress import ProgressDisplay
@@ -26,6 +25,9 @@ from surefoot.report.figures.identification import cells, full_name, prior_value
 from surefoot.report.pages.identification import write_report
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamsFile
+
+if TYPE_CHECKING:
+    from surefoot.identify.motion.foresight import Foresight
 
 _NEEDED = {"mujoco": "sim", "numba": "sim", "scipy": "sim", "matplotlib": "report"}
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_fit import fit_robot
@@ -35,15 +34,20 @@ def fit_air(
 def motion_of_phases(recording: Recording, use: str) -> RecordedMotion:
     """Return a recording from its first phase of a use (fit or check) to the last one as a log of a hanging robot.
 
-    A row is a state, at the time when the robot sent it, with the command that was in effect. The control latency of
-    such a log counts up to that time.
+    A row is a state, at the time when the robot sent it, with the command that was in effect. Its readings are used a
+    lead later: the control latency counts up to then.
     """
     phases = recording.phases(use)
     states = np.arange(recording.phase_states(phases[0]).start, recording.phase_states(phases[-1]).stop)
     time = recording.time[states]
     order = np.clip(np.searchsorted(recording.arrival, time, side="right") - 1, 0, None)
-    command: Array = recording.sent_value[order]
     return RecordedMotion(
-        f"{use} phases", time - time[0], command, time - time[0], recording.motor_angle[states],
-        recording.motor_velocity[states], recording.motor_torque[states], rack=True,
-    ).checked()  # fmt: skip
+        f"{use} phases",
+        time - time[0],
+        recording.sent_value[order],
+        time - time[0] + float(recording.meta["lead"]),
+        recording.motor_angle[states],
+        recording.motor_velocity[states],
+        recording.motor_torque[states],
+        rack=True,
+    ).checked()
