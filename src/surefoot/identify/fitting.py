@@ -23,6 +23,8 @@ MAX_DEVIATION = 0.7
 MIN_CORRELATION = 0.8
 """Correlation from which two numbers are hardly distinguishable."""
 MAX_ITERATIONS = 25
+MAX_HELD_SHIFT = 2.0
+"""Greatest deviation that residuals may ask of a held unknown, over that of its prior."""
 
 
 class _ConvergedError(Exception):
@@ -189,8 +191,9 @@ def hold_unidentifiable(
 ) -> Fit:
     """Return a fit in which all that the data neither determine nor move keeps its start, the rest being fitted again.
 
-    With the held unknowns' prior covariance P, their derivatives J_h, and J' J + prior = H of the others, the errors of
-    these have the covariance C + S P S' with S = H^-1 J' J_h: what is held is off as the prior says (Schmidt 1966).
+    With the derivatives J_h of held unknowns, J' J + prior = H of the others, and the second moment P of what the held
+    ones are off, the errors of the others have the covariance C + S P S' with S = -H^-1 J' J_h (Schmidt 1966). P is the
+    prior covariance, or less where residuals would show more.
 
     Args:
         model: with the unknowns of the fit, then the considered ones.
@@ -220,11 +223,32 @@ def hold_unidentifiable(
     prior = np.array([0.0 if u.prior is None else u.prior**-2.0 for u in again.unknowns])
     hessian = again.jacobian.T @ again.jacobian + np.diag(prior)
     shift = -np.linalg.lstsq(hessian, again.jacobian.T @ held, rcond=None)[0]
-    outside = covariance[np.ix_(~free, ~free)]
+    pull = again.jacobian.T @ residuals + prior * (again.values - [u.start for u in again.unknowns])
+    outside = _moment_of_held(covariance[np.ix_(~free, ~free)], held, again.jacobian, shift, residuals, pull)
     covariance[np.ix_(free, free)] = again.covariance + shift @ outside @ shift.T
     covariance[np.ix_(free, ~free)] = shift @ outside
     covariance[np.ix_(~free, free)] = outside @ shift.T
     return Fit(unknowns, values, covariance, residuals, jacobian, ~free, bool(considered))
+
+
+def _moment_of_held(prior: Array, held: Array, jacobian: Array, shift: Array, residuals: Array, pull: Array) -> Array:
+    """Return the second moment (h, h) of what held unknowns are off: their posterior covariance and mean.
+
+    Args:
+        prior: their prior covariance (h, h).
+        held: derivatives of the residuals (m, h) by them.
+        jacobian: by the free unknowns (m, n).
+        shift: change of the free unknowns (n, h) by the held ones.
+        residuals: where the fit ended (m,).
+        pull: gradient that is left there by the free unknowns (n,), not 0 at bounds.
+    """
+    reduced = held + jacobian @ shift
+    precision = held.T @ reduced + np.linalg.inv(prior)
+    covariance = np.linalg.inv((precision + precision.T) / 2)
+    mean = -covariance @ (held.T @ residuals + shift.T @ pull)
+    most = MAX_HELD_SHIFT * np.sqrt(np.diag(prior))
+    mean = np.clip(mean, -most, most)
+    return np.asarray(covariance + np.outer(mean, mean), np.float64)
 
 
 def _covariance(jacobian: Array, residuals: Array, blocks: NDArray[np.int64], prior: Array, width: Array) -> Array:

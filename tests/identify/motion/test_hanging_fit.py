@@ -206,5 +206,13 @@ def test_exchanged_numbers_are_named_with_their_sum(go2: RobotDescription, nomin
     assert text.startswith(
         "servo_kd and motor_viscous_friction are one number in these logs: their sum is 1.7 (1.68 to 1.72) N m s/rad"
     )
-    apart = replace(fit, covariance=np.diag([1e-4] * 4))
+    # Other pairs are exchanged if their errors are.
+    unknowns = tuple(robot_unknowns(go2, nominal, ["rotor_inertia", "control_latency"], rack=True))
+    values, covariance = np.array([u.start for u in unknowns]), np.diag([1e-4] * 4)
+    apart = Fit(unknowns, values, covariance, np.zeros(1), np.zeros((1, 4)))
+    params = robot_params(nominal, unknowns, values[None])
     assert describe_unknown(go2, apart, params) == ()
+    exchanged = covariance - 0.99e-4 * np.outer([1, 1, 1, 0], [0, 0, 0, 1]) * np.sqrt(1 / 3)
+    exchanged[3] = exchanged[:, 3]
+    (text,) = describe_unknown(go2, replace(apart, covariance=exchanged), params)
+    assert text.startswith("rotor_inertia and control_latency are hardly told apart by these logs (correlation -0.99)")

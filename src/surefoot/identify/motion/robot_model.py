@@ -56,8 +56,9 @@ BATCH = 20
 RACK_STEP = 0.01
 """Steps of finite differences of a robot on a rack, over those of one on the ground, whose contacts are rough. Gains,
 masses and friction may all be greater alike: only exact derivatives show that a log does not tell."""
-NOISE_BLOCK = 1.0
-"""Length of the blocks of time [s] over which residuals of logs on a rack are taken to correlate."""
+NOISE_BLOCK = 2.0
+"""Length of the blocks of time [s] over which residuals of logs on a rack are taken to correlate: errors of the law of
+friction repeat with every turn of a joint."""
 CONSIDERED = {"servo_latency": 0.001, "presliding": 0.002}
 """Standard deviations of what is not fitted: sheets assume the servos' latency [s]; presliding [rad] stands for laws of
 friction that differ where joints turn."""

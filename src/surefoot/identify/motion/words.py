@@ -31,6 +31,8 @@ class _Exchange:
     """The combination, with its value and interval in braces."""
     unit: str
     advice: str
+    least: float = EXCHANGED
+    """Correlation from which they are exchanged."""
 
 
 EXCHANGES = (
@@ -39,7 +41,8 @@ EXCHANGES = (
         None,
         "their sum",
         "N m s/rad",
-        "a log with another kd or a faster motion separates them, or state the gain: --set servo_kd=VALUE",
+        "a log with another kd separates them, or state the gain: --set servo_kd=VALUE",
+        0.0,  # both brake in proportion to the speed, whatever the numbers say
     ),
     _Exchange(
         ("servo_kp", "leg_mass_ratio"),
@@ -96,7 +99,7 @@ def _describe_exchange(exchange: _Exchange, fit: Fit, params: PhysicalParams) ->
     one, two = (float(np.mean(getattr(params, name)[0])) for name in exchange.names)
     (a, shared), (_, b) = ([float(first @ fit.covariance @ second) for second in slopes] for first in slopes)
     correlation = shared / np.sqrt(max(a * b, 1e-300))
-    if abs(correlation) < (EXCHANGED if all(free) else EXCHANGED_WITH_HELD):
+    if abs(correlation) < (exchange.least if all(free) else min(exchange.least, EXCHANGED_WITH_HELD)):
         return ""
     who = f"{exchange.names[0]} and {exchange.names[1]}"
     if not exchange.text:
