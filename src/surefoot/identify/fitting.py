@@ -210,44 +210,48 @@ def hold_unidentifiable(
         return fit
     values = np.array([unknown.start for unknown in unknowns])
     values[: len(fit.values)] = np.where(known, fit.values, start)
-    covariance = np.diag(replace(fit, unknowns=unknowns).prior_deviation ** 2.0)
+    deviation = replace(fit, unknowns=unknowns).prior_deviation
     residuals = model.residuals(values[None])[0]
     jacobian = np.empty((len(residuals), len(unknowns)))
     if not free.any():
         jacobian = forward_jacobian(model, values, residuals)
-        return Fit(unknowns, values, covariance, residuals, jacobian, ~free, bool(considered))
+        return Fit(unknowns, values, np.diag(deviation**2.0), residuals, jacobian, ~free, bool(considered))
     again = fit_least_squares(model.holding(free, values), fit.values[known], report)
     values[free], residuals = again.values, again.residuals
     jacobian[:, free] = again.jacobian
     jacobian[:, ~free] = held = forward_jacobian(model.holding(~free, values), values[~free], residuals)
-    prior = np.array([0.0 if u.prior is None else u.prior**-2.0 for u in again.unknowns])
-    hessian = again.jacobian.T @ again.jacobian + np.diag(prior)
-    shift = -np.linalg.lstsq(hessian, again.jacobian.T @ held, rcond=None)[0]
-    pull = again.jacobian.T @ residuals + prior * (again.values - [u.start for u in again.unknowns])
-    outside = _moment_of_held(covariance[np.ix_(~free, ~free)], held, again.jacobian, shift, residuals, pull)
-    covariance[np.ix_(free, free)] = again.covariance + shift @ outside @ shift.T
-    covariance[np.ix_(free, ~free)] = shift @ outside
-    covariance[np.ix_(~free, free)] = outside @ shift.T
+    # In units of the prior deviations: numbers differ by ten orders of magnitude.
+    inside, out = deviation[free], deviation[~free]
+    own, theirs = again.jacobian * inside, held * out
+    prior = np.array([float(u.prior is not None) for u in again.unknowns])
+    shift = -np.linalg.lstsq(own.T @ own + np.diag(prior), own.T @ theirs, rcond=None)[0]
+    start = np.array([unknown.start for unknown in again.unknowns])
+    pull = own.T @ residuals + prior * (again.values - start) / inside
+    moment = _moment_of_held(theirs, own, shift, residuals, pull)
+    shift, moment = inside[:, None] * shift / out, out[:, None] * moment * out
+    covariance = np.empty((len(unknowns), len(unknowns)))
+    covariance[np.ix_(free, free)] = again.covariance + shift @ moment @ shift.T
+    covariance[np.ix_(free, ~free)] = shift @ moment
+    covariance[np.ix_(~free, free)] = moment @ shift.T
+    covariance[np.ix_(~free, ~free)] = moment
     return Fit(unknowns, values, covariance, residuals, jacobian, ~free, bool(considered))
 
 
-def _moment_of_held(prior: Array, held: Array, jacobian: Array, shift: Array, residuals: Array, pull: Array) -> Array:
+def _moment_of_held(held: Array, jacobian: Array, shift: Array, residuals: Array, pull: Array) -> Array:
     """Return the second moment (h, h) of what held unknowns are off: their posterior covariance and mean.
 
+    All are in units of the unknowns' prior deviations.
+
     Args:
-        prior: their prior covariance (h, h).
         held: derivatives of the residuals (m, h) by them.
         jacobian: by the free unknowns (m, n).
         shift: change of the free unknowns (n, h) by the held ones.
         residuals: where the fit ended (m,).
         pull: gradient that is left there by the free unknowns (n,), not 0 at bounds.
     """
-    reduced = held + jacobian @ shift
-    precision = held.T @ reduced + np.linalg.inv(prior)
-    covariance = np.linalg.inv((precision + precision.T) / 2)
-    mean = -covariance @ (held.T @ residuals + shift.T @ pull)
-    most = MAX_HELD_SHIFT * np.sqrt(np.diag(prior))
-    mean = np.clip(mean, -most, most)
+    precision = held.T @ (held + jacobian @ shift)
+    covariance = np.linalg.inv((precision + precision.T) / 2 + np.eye(held.shape[1]))
+    mean = np.clip(-covariance @ (held.T @ residuals + shift.T @ pull), -MAX_HELD_SHIFT, MAX_HELD_SHIFT)
     return np.asarray(covariance + np.outer(mean, mean), np.float64)
 
 

@@ -86,7 +86,7 @@ class ParameterEstimate:
         identifiable: bool = True,
     ) -> ParameterEstimate:
         """Return an estimate of a physical parameter, with its unit and the robot's bounds."""
-        return cls(name, value, deviation, PARAMETERS[name].unit, index, identifiable, *robot.allowed[name])
+        return cls(name, value, deviation, PARAMETERS[name].unit_for(robot), index, identifiable, *robot.allowed[name])
 
     @property
     def interval(self) -> tuple[float, float]:
