@@ -19,12 +19,15 @@ MODEL_ACCURACY = {
     "motor_viscous_friction": 0.25,
     "rotor_inertia": 0.12,
     "servo_kp": 0.02,
-    "servo_kd": 0.03,
+    "servo_kd": 0.1,
     "leg_mass_ratio": 0.01,
 }
 """Least deviation of values from logs, as a share of the sheet's or estimated value, the greater one. Other laws of
 friction, which fade at another speed, give other shares of Coulomb and viscous friction; MuJoCo's own has up to half
 less Coulomb friction in calves. Set on made-up logs 1 to 5 of `benchmarks/identification_logs.py`."""
+
+LATENCY_ACCURACY = 0.75
+"""The same of the latency, over a servo step: simulators disagree on when a command of a step acts."""
 
 
 def robot_estimates(
@@ -54,7 +57,10 @@ def robot_estimates(
             if fit.considers:
                 size = max(abs(number), abs(float(np.atleast_1d(getattr(prior, name)[0])[index or 0])))
                 size = abs(number) if name in GAINS else size
-                deviation = float(np.hypot(deviation, MODEL_ACCURACY.get(name, 0.0) * size))
+                floor = MODEL_ACCURACY.get(name, 0.0) * size
+                if name == "control_latency":
+                    floor = LATENCY_ACCURACY * robot.timing.servo_step
+                deviation = float(np.hypot(deviation, floor))
             item = ParameterEstimate.within_bounds(robot, name, number, deviation, index, bool(determined[index or 0]))
             estimates.append(replace(item, of_robot=not (commanded and name in GAINS)))
     return estimates

@@ -59,6 +59,9 @@ masses and friction may all be greater alike: only exact derivatives show that a
 NOISE_BLOCK = 2.0
 """Length of the blocks of time [s] over which residuals of logs on a rack are taken to correlate: errors of the law of
 friction repeat with every turn of a joint."""
+MIN_NOISE = 0.004
+"""Least noise of a log [rad] for correlated residuals: a fit that believed its law of friction further would follow it
+away from masses and gains."""
 CONSIDERED = {"servo_latency": 0.001, "presliding": 0.002}
 """Standard deviations of what is not fitted: sheets assume the servos' latency [s]; presliding [rad] stands for laws of
 friction that differ where joints turn."""
@@ -238,7 +241,7 @@ def correlated_noise(model: ReplayModel, residuals: Array, noise: Sequence[float
         edges = np.flatnonzero(np.diff(block, prepend=-1))
         sums, counts = (np.add.reduceat(part, edges, axis=0) for part in (values, compared.astype(float)))
         power = sums[counts > 0] ** 2 / counts[counts > 0]
-        found.append(before * max(float(np.sqrt(np.mean(power))), 1e-3))
+        found.append(max(before * float(np.sqrt(np.mean(power))), MIN_NOISE))
     return found
 
 

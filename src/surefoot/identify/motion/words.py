@@ -9,7 +9,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.identify.fitting import Fit
 from surefoot.identify.motion.priors import CLOCK, COMMAND_SHIFT
-from surefoot.identify.motion.robot_estimates import parameter_slopes
+from surefoot.identify.motion.robot_estimates import MODEL_ACCURACY, parameter_slopes
 from surefoot.identify.motion.robot_model import CONSIDERED
 from surefoot.identify.result import NORMAL_95
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -109,7 +109,8 @@ def _describe_exchange(exchange: _Exchange, fit: Fit, params: PhysicalParams) ->
     else:
         value = one ** exchange.powers[0] * two ** exchange.powers[1]
         slope = value * (exchange.powers[0] * slopes[0] / one + exchange.powers[1] * slopes[1] / two)
-    reach = NORMAL_95 * float(np.sqrt(slope @ fit.covariance @ slope))
+    floor = MODEL_ACCURACY[exchange.names[0]] * value if fit.considers else 0.0
+    reach = NORMAL_95 * float(np.sqrt(slope @ fit.covariance @ slope + floor**2))
     return (
         f"{who} are one number in these logs: {exchange.text} is {value:.3g} ({value - reach:.3g} to "
         f"{value + reach:.3g}) {exchange.unit}; {exchange.advice}"
