@@ -26,6 +26,9 @@ MODEL_ACCURACY = {
 friction, which fade at another speed, give other shares of Coulomb and viscous friction; MuJoCo's own has up to half
 less Coulomb friction in calves. Set on made-up logs 1 to 5 of `benchmarks/identification_logs.py`."""
 
+SHARED_FRICTION = 0.5
+"""The same of Coulomb friction [N m], over viscous friction [N m s/rad]: where friction builds up over a speed like a
+joint's own, as MuJoCo's does in calves, a fit takes Coulomb friction for viscous one."""
 LATENCY_ACCURACY = 0.75
 """The same of the latency, over a servo step: simulators disagree on when a command of a step acts."""
 
@@ -60,6 +63,9 @@ def robot_estimates(
                 floor = MODEL_ACCURACY.get(name, 0.0) * size
                 if name == "control_latency":
                     floor = LATENCY_ACCURACY * robot.timing.servo_step
+                if name == "motor_friction":
+                    viscous = float(params.motor_viscous_friction[0, index or 0])
+                    floor = float(np.hypot(floor, SHARED_FRICTION * viscous))
                 deviation = float(np.hypot(deviation, floor))
             item = ParameterEstimate.within_bounds(robot, name, number, deviation, index, bool(determined[index or 0]))
             estimates.append(replace(item, of_robot=not (commanded and name in GAINS)))

@@ -96,7 +96,15 @@ def robot_unknowns(
         else:
             groups = kinds_of_joints(robot, prior, name) or {"": ()}
             unknowns += [_unknown(robot, prior, name, rule, motors=m, whose=kind) for kind, m in groups.items()]
-    return [replace(unknown, step=RACK_STEP * unknown.step) for unknown in unknowns] if rack else unknowns
+    if rack:
+        return [replace(unknown, step=RACK_STEP * unknown.step) for unknown in unknowns]
+    # Logs on the ground tell less of motors: none has next to no friction.
+    return [
+        replace(one, low=max(one.low, one.prior / priors[one.name].deviation / MAX_FACTOR))
+        if priors[one.name].relative and one.prior
+        else one
+        for one in unknowns
+    ]
 
 
 def _own_unknowns(
