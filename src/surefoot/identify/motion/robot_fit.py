@@ -3,8 +3,8 @@
 The fit is least squares over whole simulated robots (`identify.motion.robot_model`); a search by CMA-ES may precede it,
 where the start is far off. Held-out logs show how well the identified robot moves in ways that were not fitted.
 
-What a log of a hanging robot does not determine keeps its value: such unknowns are held and the others fitted again, so
-that the values that are written belong together. What is never fitted, but not known exactly either (the servos'
+What a log does not determine keeps its value: such unknowns are held and the others fitted again, so that the values
+that are written belong together. What is never fitted, but not known exactly either (the servos'
 latency, the law of friction at turning points, the clock), widens the intervals.
 """
 
@@ -137,8 +137,9 @@ def _fit(
         model, start = robot_model(robot, motions, unknowns, prior, seconds), None
         if search[0]:
             start = search_start(model, *search, report)
-        # Narrow priors of a sheet stand for what such logs do not tell: holding it made held-out errors larger.
-        return fit_least_squares(model, start, lambda step, cost: report(f"step {step}", cost))
+        fit = fit_least_squares(model, start, lambda step, cost: report(f"step {step}", cost))
+        # Narrow priors of a sheet stand for what such logs do not tell: holding that made held-out errors larger.
+        return fit if robot.priors else hold_unidentifiable(model, fit)
     considered = considered_unknowns(robot, prior, motions)
     noise = [FIRST_NOISE] * len(motions)
     start = find_gains(robot, motions, unknowns, prior, report)
