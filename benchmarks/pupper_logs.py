@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.identify.motion.priors import default_names
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import compare_motions, replay_motion
 from surefoot.identify.motion.robot_fit import fit_robot
-from surefoot.identify.motion.robot_model import PRIORS
+from surefoot.identify.motion.robot_model import SECONDS
 from surefoot.identify.motion.traces import read_motion
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -56,9 +57,9 @@ def errors(what: str, robot: RobotDescription, runs: dict[str, RecordedMotion]) 
         if what in LEFT_OUT:
             without, values = LEFT_OUT[what]
             nominal = PhysicalParams.nominal(robot).with_values(robot, **values)
-            names = [prior for prior in PRIORS if prior not in without]
+            names = [name for name in default_names(robot, False) if name not in without]
             others = [other for key, other in runs.items() if key != name]
-            params = fit_robot(robot, others, [], names, nominal).params(robot, nominal)
+            params = fit_robot(robot, others, [], names, nominal, SECONDS).params(robot, nominal)
         else:
             params = load_params(robot, "identified" if what == "identified" else None, ())
         for world, ending in (("mujoco", ""), ("bullet", "_bullet")):

@@ -57,7 +57,7 @@ def test_identify_without_words_lists_the_experiments():
     done = identify()
     assert done.returncode == 2
     assert identify("--help").stdout == done.stderr
-    for name in ("latency", "motor", "mass", "contact", "--trace FOLDER", "motor-figure"):
+    for name in ("air", "latency", "motor", "mass", "contact", "--trace FOLDER", "motor-figure"):
         assert f"\n  {name}  " in done.stderr
 
 
@@ -328,6 +328,6 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
     assert message["logs"] == [str(logs / name) for name in ("fast.npz", "slow.npz")]
     overlay = tomllib.loads((out / "robot.toml").read_text())["params"]
     assert overlay["control_latency"] == pytest.approx(0.030, abs=0.001)
-    assert [check["what"] for check in message["checks"]] == ["slow.npz, fitted", "fast.npz, held out"]
+    assert [check["what"] for check in message["checks"]] == ["slow.npz, fitted: 0.7 of 0.7 s", "fast.npz, held out"]
     for check in message["checks"]:
         assert check["after"] < 0.5 * check["before"], check

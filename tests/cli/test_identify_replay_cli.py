@@ -53,3 +53,43 @@ def test_import_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert output["missing"][0] == "motor_angle"
     assert (output["timing"]["rows"], output["timing"]["repeated_times"]) == (4, pytest.approx(1 / 3))
     assert EpisodeTrace.load(output["trace"]).num_steps == 4
+
+
+def test_gains_are_kept_in_a_trace_and_said_by_a_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    log, trace = str(DATA / "one_hip_200hz.npz"), str(tmp_path / "trace.npz")
+    words = ["identify", "import", log, "--robot", "pupper_v2", "--out", trace]
+    assert main([*words, "--set", "servo_kp=9", "servo_kd=0.8"]) == 0
+    assert EpisodeTrace.load(trace).meta["params"] == {"servo_kp": 9.0, "servo_kd": 0.8}
+    capsys.readouterr()
+    replay = ["identify", "replay", trace, "--robot", "pupper_v2", "--rack"]
+    for more, text in (
+        ([], "gains: servo_kp 9 and servo_kd 0.8, from the log"),
+        (["--set", "servo_kp=7"], "gains: servo_kp 7 and servo_kd 0.8, from --set"),
+    ):
+        assert main([*replay, *more]) == 0
+        assert capsys.readouterr().out.startswith(text)
+    file = tmp_path / "file.toml"
+    file.write_text('robot = "pupper_v2"\n[params]\n[gains]\nservo_kp = 6.0\nservo_kd = 0.5\nstated = []\n')
+    assert main(["identify", "replay", log, "--robot", "pupper_v2", "--rack", "--params", str(file), "--json"]) == 0
+    output = json.loads(capsys.readouterr().out)
+    assert (output["gains"]["servo_kp"], output["gains_from"]) == ([6.0] * 12, str(file))
+    assert main([*words, "--set", "motor_friction=1"]) == 2
+    assert "--set names motor_friction, and a log has gains: servo_kp, servo_kd" in capsys.readouterr().err
+
+
+def test_help_of_trace_needs_no_value(capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as shown:
+        main(["identify", "--trace", "--help"])
+    assert shown.value.code == 0
+    assert "--hold-out" in capsys.readouterr().out
+
+
+def test_a_plan_in_the_air_is_shown_with_what_it_would_tell(capsys: pytest.CaptureFixture[str]):
+    words = ["identify", "air", "--plan", "--robot", "go2", "--set", "servo_kp=20", "servo_kd=1.5"]
+    assert main([*words, "--json"]) == 0
+    output = json.loads(capsys.readouterr().out)
+    by_name = {(item["name"], item["index"]): item for item in output["estimates"]}
+    assert "servo_kp" not in {name for name, _ in by_name}
+    low, high = by_name["motor_viscous_friction", 0]["interval"]
+    assert low < 0.235 < high
+    assert high - low < 0.4

@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError
 
 pytest.importorskip("mujoco")
 
-from surefoot.identify.fitting import fit_least_squares, forward_jacobian
+from surefoot.identify.fitting import fit_least_squares, forward_jacobian, hold_unidentifiable
 from surefoot.identify.model import Unknown
 from surefoot.identify.result import NORMAL_95
 
@@ -36,6 +36,11 @@ class Linear:
 
     def affected(self, k: int) -> NDArray[np.bool_] | None:
         return self.matrix[:, k] != 0
+
+    def holding(self, free: NDArray[np.bool_], values: Array) -> Linear:
+        left = self.data - self.matrix[:, ~free] @ values[~free]
+        some = [one for one, kept in zip(self.unknowns, free, strict=True) if kept]
+        return Linear(self.matrix[:, free], left, some, self.blocks)
 
 
 class Decay:
@@ -214,3 +219,40 @@ def test_fit_refuses_residuals_that_are_not_finite():
     model = Linear(np.ones((4, 1)), np.full(4, np.nan), [unknown()])
     with pytest.raises(SurefootError, match="breaks down where the fit begins"):
         fit_least_squares(model)
+
+
+def test_what_data_do_not_determine_is_held_and_widens_the_rest():
+    draw = np.random.default_rng(1)
+    # Only a + b shows; a is known to 100, b to 1 before.
+    unknowns = [unknown("a", 0.0, prior=100.0), unknown("b", 2.0, prior=1.0)]
+    data = 7.0 + draw.normal(0, 1, 400)
+    model = Linear(np.ones((400, 2)), data, unknowns)
+    fit = fit_least_squares(model)
+    assert fit.identifiable.tolist() == [True, False]
+    held = hold_unidentifiable(model, fit)
+    assert held.held is not None
+    assert held.held.tolist() == [False, True]
+    assert held.values == pytest.approx([data.mean() - 2.0, 2.0], abs=0.01)
+    # a is off by what b is off; their sum is known.
+    assert held.deviation == pytest.approx([1.0, 1.0], rel=0.02)
+    assert np.sqrt(np.ones(2) @ held.covariance @ np.ones(2)) == pytest.approx(0.05, rel=0.2)
+
+
+def test_considered_unknowns_widen_intervals_and_are_never_fitted():
+    draw = np.random.default_rng(2)
+    x = np.linspace(-1.0, 1.0, 400)
+    matrix = np.stack([np.ones(400), 0.5 + 0.2 * x], axis=1)
+    considered = unknown("c", 0.0, prior=0.3)
+    data = 3.0 + draw.normal(0, 1, 400)
+    model = Linear(matrix, data, [unknown("a", 0.0, prior=100.0), considered])
+    alone = model.holding(np.array([True, False]), np.zeros(2))
+    held = hold_unidentifiable(model, fit_least_squares(alone), [considered])
+    assert (held.considers, held.held.tolist()) == (True, [False, True])
+    assert held.values == pytest.approx([data.mean(), 0.0], abs=1e-3)
+    # Half of what is not known of c, as residuals hardly show it: 0.5 x 0.3, beside 1 / sqrt(400).
+    assert held.deviation[0] == pytest.approx(np.hypot(0.05, 0.15), rel=0.25)
+    # Residuals that leave no room for it make it count less.
+    sharp = Linear(100 * matrix, 300.0 + draw.normal(0, 1, 400), model.unknowns)
+    alone = sharp.holding(np.array([True, False]), np.zeros(2))
+    exact = hold_unidentifiable(sharp, fit_least_squares(alone), [considered])
+    assert exact.deviation[0] < 0.01

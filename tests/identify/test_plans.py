@@ -22,9 +22,12 @@ LARGEST = 0.4
 """Largest jump of a target anywhere else [rad]."""
 
 
+FIVE_BAR = [name for name, experiment in EXPERIMENTS.items() if not experiment.joints]
+
+
 @pytest.fixture(scope="module")
 def plans(robot: RobotDescription) -> dict[str, Plan]:
-    return {name: experiment.plan(robot) for name, experiment in EXPERIMENTS.items()}
+    return {name: EXPERIMENTS[name].plan(robot) for name in FIVE_BAR}
 
 
 ASKED: dict[tuple[int, bytes], NDArray[np.float64]] = {}
@@ -45,7 +48,7 @@ def asked(phase: Phase, start: NDArray[np.float64]) -> NDArray[np.float64]:
     [(0.0, 0.9), ([1.3, -1.2, 1.1, 1.4], 0.8), (0.0, 0.2), (0.0, 2.6)],
     ids=["sits", "lies", "folded", "hangs"],
 )
-@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize("name", FIVE_BAR)
 def test_plans_have_no_jumps_from_any_start(
     name: str, swing: float | list[float], extension: float, plans: dict[str, Plan], robot: RobotDescription
 ):
@@ -87,7 +90,7 @@ def test_plans_stay_within_the_robots_angles(plans: dict[str, Plan], robot: Robo
                     assert np.all(angles <= plan.angle_high + 1e-9), phase.name
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize("name", FIVE_BAR)
 def test_plans_are_deterministic(name: str, plans: dict[str, Plan], robot: RobotDescription):
     start = np.zeros(robot.num_motors)
     for first, second in zip(plans[name].phases, EXPERIMENTS[name].plan(robot).phases, strict=True):

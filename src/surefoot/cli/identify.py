@@ -1,36 +1,40 @@
 """`surefoot identify`: experiments on a robot, parameters from them or from recorded runs, and the motor figure.
 
-Exit codes: 0 done; 2 refused before anything moved, or data that identify nothing; 3 the experiment was stopped.
+Exit codes: 0 done; 2 refused before anything moved, or data that identify nothing; 3 the experiment was stopped, or the
+fitted robot does not repeat the logs.
 """
 
 from __future__ import annotations
 
 import datetime
+import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
-from surefoot.cli.helpers.options import Json, Seed, check_folder, check_suffix
-from surefoot.cli.helpers.output import Actions, next_command, print_json, run_action, table_lines
+from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment, show_plan
+from surefoot.cli.helpers.options import Json, Seed, Settings, check_folder, check_suffix
+from surefoot.cli.helpers.output import Actions, make_console, next_command, print_json, run_action, table_lines
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, suggest
-from surefoot.identify.overlay import missing_experiments, read_prior
+from surefoot.identify.motion.recorded import RecordedMotion
+from surefoot.identify.overlay import check_new_logs, missing_experiments, read_gains, read_prior
 from surefoot.identify.recording import COMPLETE, Recording, load_recording, recorded_robot
 from surefoot.identify.registry import EXPERIMENTS, Experiment
-from surefoot.robot import DEFAULT_ROBOT, FiveBar, RobotDescription
+from surefoot.robot import DEFAULT_ROBOT, FiveBar, PhysicalParams, RobotDescription
+from surefoot.robot.params import parse_settings
 from surefoot.robot.params_file import ParamsFile
 
 STOPPED = 3
-"""Exit code of an experiment that did not come to its end."""
+"""Exit code of an experiment that did not come to its end, or of a fit that does not explain its logs."""
 RECORDING = "recording.npz"
 RUNS = Path("runs/identify")
 TRACE = "--trace"
 ACTIONS: Actions = {
     "replay": ("replay a recorded run in simulation, and compare", "surefoot.cli.identify_replay"),
-    "import": ("make a trace of a log that others recorded: NPZ, CSV, pickle, MCAP or ROS bag",
+    "import": ("make a trace of a log that others recorded: NPZ, CSV, pickle, torch, MCAP or ROS bag",
                "surefoot.cli.identify_import"),
     "motor-figure": ("one motor follows a sine: servo and DC motor, constraint motor, and a recording",
                      "surefoot.cli.helpers.identify_motor_figure"),
@@ -55,9 +59,10 @@ surefoot identify EXPERIMENT --help lists its options, as for replay, import and
 
 @dataclass(frozen=True)
 class TracesCommand:
-    """Identify a robot's physical parameters from traces of its runs, without an experiment.
+    """Identify a robot's physical parameters from traces of its runs, or from anybody's logs, without an experiment.
 
-    The last runs, at least one, are held out to check the fit; of a single run its last quarter.
+    Of traces of surefoot's own runs the last ones, at least one, are held out to check the fit; of a single run its
+    last quarter. Logs are held out by name. Exit codes: 0 done, 2 refused, 3 the result does not explain the logs.
     """
 
     trace: Path
@@ -74,16 +79,25 @@ class TracesCommand:
     """Logs, by the names of their files, of a robot that hung with its base held still."""
     hold_out: tuple[str, ...] = ()
     """Logs, by the names of their files, that are not fitted but replayed with the estimates."""
-    duration: Annotated[float, Within(0.5, 3600)] = 2.3
-    """How much of each log is fitted [s], from its start."""
+    plan: bool = False
+    """Do not fit: print what logs of a robot that hangs can tell."""
+    settings: Settings = ()
+    """Parameters that are known, such as servo_kp=20 servo_kd=1.5: they are kept and not fitted."""
+    duration: Annotated[float | None, Within(0.5, 3600)] = None
+    """How much of each log is fitted [s], from its start; 24 s of a robot that hangs, and 2.3 s on the ground, where
+    longer replays go astray, if not given."""
     generations: Annotated[int, Within(0, 100_000)] = 0
     """Generations of CMA-ES that look for a start before logs are fitted."""
     seed: Seed = 1
     json: Json = False
 
 
-def check_identifiable(robot: RobotDescription) -> None:
-    """Refuse a robot without five-bar legs and DC motors, which the experiments need."""
+def check_identifiable(robot: RobotDescription, experiment: Experiment | None = None) -> None:
+    """Refuse a robot whose legs and motors are not those that an experiment, or a fit to traces, needs."""
+    if experiment is not None and experiment.joints:
+        if robot.actuator.kind != "joint" or robot.loops:
+            raise SurefootError(f"{experiment.name} takes robots with joint actuators; {robot.name} has others")
+        return
     if robot.actuator.kind != "dc" or not isinstance(robot.leg_geometry, FiveBar):
         raise SurefootError(f"identify takes robots with five-bar legs and DC motors; {robot.name} has others")
 
@@ -97,7 +111,8 @@ def main(argv: list[str]) -> int:
     if word in ACTIONS:
         return run_action(argv, "identify", ACTIONS)
     if word.startswith("--"):
-        return _identify_from_traces(argv)
+        # Its own help needs no value of --trace.
+        return _identify_from_traces(["--help"] if {"-h", "--help"} & set(argv) else argv)
     if word in EXPERIMENTS:
         return _run_experiment(EXPERIMENTS[word], argv[1:])
     raise SurefootError(f"'{word}' is no experiment; {suggest(word, [*EXPERIMENTS, *ACTIONS])}, or {TRACE} FOLDER")
@@ -119,11 +134,14 @@ def _identify_from_traces(argv: list[str]) -> int:
     check_folder(command.out)
     if command.robot is not None and (robot := RobotDescription.load(command.robot)).actuator.kind == "joint":
         return _identify_from_logs(command, robot)
-    for name in ("rack", "hold_out", "generations"):
+    for name, option in {
+        "rack": "rack",
+        "hold_out": "hold-out",
+        "generations": "generations",
+        "settings": "set",
+    }.items():
         if getattr(command, name):
-            raise SurefootError(
-                f"--{name.replace('_', '-')} is of logs of a robot with joint actuators; name it: --robot"
-            )
+            raise SurefootError(f"--{option} is of logs of a robot with joint actuators; name it: --robot")
     from surefoot.evaluation.recorded import find_traces, load_robot
 
     traces = find_traces(command.trace)
@@ -159,27 +177,59 @@ def _identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
         if bad := [name for name in names if name not in logs]:
             raise SurefootError(f"--{option} names '{bad[0]}', which is no log; {suggest(bad[0], logs)}")
     prior = read_prior(command.params, robot)
-    gains = {name: value for name, value in common_gains(logs.values()).items() if name not in prior.names}
+    from surefoot.identify.motion.motion_digest import all_digest, motion_digest
+
+    fitted = [name for name in logs if name not in command.hold_out]
+    ordered = [logs[name] for name in [*fitted, *command.hold_out]]
+    check_new_logs(command.params, prior, {log.name: motion_digest(log) for log in ordered}, all_digest(ordered))
+    # What the user says is known comes before what the logs say, and that before an earlier fit.
+    stated = {**common_gains(logs.values()), **parse_settings([word for group in command.settings for word in group])}
+    gains = {**read_gains(prior), **{name: value for name, value in stated.items() if name not in prior.names}}
+    gains |= parse_settings([word for group in command.settings for word in group])
     prior = replace(prior, params=prior.params.with_values(robot, **gains))
-    from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
+    from surefoot.cli.helpers.identify_results import check_installed, fit_progress, print_failure, save_and_print
 
     check_installed()
     from surefoot.identify.motion.robot_fit import fit_robot
 
     runs = {name: replace(log, rack=name in command.rack) for name, log in logs.items()}
-    fitted = [run for name, run in runs.items() if name not in command.hold_out]
+    if command.plan:
+        return _print_foresight(robot, [runs[name] for name in fitted], prior.params, tuple(stated), command)
     held = [runs[name] for name in command.hold_out]
     with fit_progress("logs") as report:
-        result = fit_robot(robot, fitted, held, command.fit or None, prior.params, command.duration,
-                           command.generations, command.seed, report)  # fmt: skip
+        result = fit_robot(robot, [runs[name] for name in fitted], held, command.fit or None, prior.params,
+                           command.duration, command.generations, command.seed, report, tuple(stated))  # fmt: skip
+    if result.failure:
+        print_failure(result, command.json)
+        return STOPPED
     folder, more = command.out or _new_folder("logs"), {"logs": [str(path) for path in paths]}
     save_and_print(robot, prior, result, command.params, folder, command.trace.name, more, command.json)
+    return 0
+
+
+def _print_foresight(
+    robot: RobotDescription,
+    motions: list[RecordedMotion],
+    prior: PhysicalParams,
+    stated: tuple[str, ...],
+    command: TracesCommand,
+) -> int:
+    if on_ground := [motion.name for motion in motions if not motion.rack]:
+        raise SurefootError(f"--plan is of robots that hang; {on_ground[0]} is not named by --rack")
+    from surefoot.cli.helpers.identify_results import print_foresight
+    from surefoot.identify.motion.foresight import foresee
+    from surefoot.identify.motion.robot_model import fitted_part
+
+    parts = [fitted_part(motion, command.duration) for motion in motions]
+    print_foresight(robot, foresee(robot, parts, prior, stated), prior, command.trace.name, command.json)
     return 0
 
 
 def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
     name = experiment.name
     command = parse(ExperimentCommand, argv, f"surefoot identify {name}")
+    if command.plan:
+        return _print_plan(command, experiment)
     _check_options(command)
     path = command.recording
     if path is not None and path.is_dir():
@@ -187,7 +237,7 @@ def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
     robot = RobotDescription.load(command.robot or DEFAULT_ROBOT)
     if path is not None and command.robot is None:
         robot = recorded_robot(path)
-    check_identifiable(robot)
+    check_identifiable(robot, experiment)
     prior = read_prior(command.params, robot)
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, save_and_print
 
@@ -214,11 +264,37 @@ def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
     return 0
 
 
+def _print_plan(command: ExperimentCommand, experiment: Experiment) -> int:
+    """Show the plan of an experiment in the air, and what it would tell."""
+    if not experiment.joints or command.robot is None:
+        raise SurefootError(
+            "--plan shows what air would tell; name the robot: surefoot identify air --plan --robot NAME"
+        )
+    robot = RobotDescription.load(command.robot)
+    check_identifiable(robot, experiment)
+    plan, stated = experiment.plan(robot), parse_settings([word for group in command.settings for word in group])
+    prior = read_prior(command.params, robot).params.with_values(robot, **stated)
+    if not command.json:
+        show_plan(plan, robot.name, (-math.inf, math.inf), make_console())
+    from surefoot.cli.helpers.identify_results import check_installed, print_foresight
+
+    check_installed()
+    from surefoot.identify.motion.foresight import foresee, planned_motion
+
+    foresight = foresee(robot, [planned_motion(plan)], prior, tuple(stated))
+    print_foresight(robot, foresight, prior, "this plan", command.json)
+    return 0
+
+
 def _check_options(command: ExperimentCommand) -> None:
-    if (command.port is None) == (command.recording is None):
-        number = "none" if command.port is None else "both"
+    robot = command.port is not None or command.link == "dds"
+    if robot == (command.recording is not None):
+        number = "both" if robot else "none"
         raise SurefootError(f"--port of a robot, or --recording of an experiment: give one of them; {number} is given")
-    if command.recording is not None:
+    if robot:
+        command.check_link()
+        command.gains()
+    else:
         for name in ("record_only", "yes", "lockstep"):
             if getattr(command, name):
                 option = name.replace("_", "-")

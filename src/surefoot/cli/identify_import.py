@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 
-from surefoot.cli.helpers.options import Json, check_suffix
+from surefoot.cli.helpers.options import Json, Settings, check_suffix
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.errors import choices
-from surefoot.robot import RobotDescription
+from surefoot.errors import SurefootError, choices
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import parse_settings
+
+GAINS = ("servo_kp", "servo_kd")
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class ImportCommand:
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Log: .npz, .csv, .pkl, .mcap, .bag, or the folder of a ROS 2 bag."""
+    """Log: .npz, .csv, .pkl, .pt, .mcap, .bag, or the folder of a ROS 2 bag."""
     robot: str
     """Name or folder of the robot's description."""
     out: Path
@@ -33,6 +37,8 @@ class ImportCommand:
     """Which column is which motor, with units, signs and clock (.yaml)."""
     between: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="START END")] = None
     """Part of the log that becomes the trace [s], from its first row on."""
+    settings: Settings = ()
+    """Gains with which the robot was recorded, such as servo_kp=20 servo_kd=1.5: kept in the trace."""
     any_checksum: bool = False
     """Take messages of a Go2 whose checksum is wrong, too."""
     json: Json = False
@@ -44,14 +50,23 @@ def main(argv: list[str]) -> int:
     check_suffix("out", command.out, ".npz")
     robot = RobotDescription.load(command.robot)
     from surefoot.identify.motion.importing import import_log
+    from surefoot.identify.motion.log_checks import check_log
     from surefoot.identify.motion.traces import trace_from_motion
 
     motion = import_log(command.file, robot, command.map, command.any_checksum)
     if command.between is not None:
         motion = motion.between(*command.between)
-    # States of a Go2 are imported with commands or without.
-    timing = (motion if motion.read_at_row else motion.checked()).timing()
-    notes, missing = list(motion.meta.get("notes", [])), motion.missing()
+    if gains := parse_settings([word for group in command.settings for word in group]):
+        if bad := [name for name in gains if name not in GAINS]:
+            raise SurefootError(f"--set names {bad[0]}, and a log has gains: {choices(GAINS)}")
+        PhysicalParams.nominal(robot).with_values(robot, **gains)
+        motion = replace(motion, gains={**motion.gains, **gains})
+    # States are imported without commands, those of a Go2 with commands in some rows too.
+    states = motion.read_at_row or not np.isfinite(motion.command).any()
+    timing = (motion if states else motion.checked()).timing()
+    notes, missing = [*motion.meta.get("notes", []), *check_log(motion, robot)], motion.missing()
+    if not np.isfinite(motion.command).any():
+        missing = ["command", *missing]
     trace_from_motion(motion, robot).save(command.out)
     if command.json:
         print_json({"trace": str(command.out), "missing": missing, "timing": timing, "notes": notes})

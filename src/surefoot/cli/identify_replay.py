@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,10 +13,14 @@ from surefoot.cli.helpers.options import Json, RobotName, Settings, World, check
 from surefoot.cli.helpers.output import print_json
 from surefoot.cli.helpers.parsing import parse
 from surefoot.evaluation.recorded import load_robot
+from surefoot.identify.motion.recorded import RecordedMotion
+from surefoot.identify.overlay import read_gains
 from surefoot.robot import RobotDescription
-from surefoot.robot.params_file import load_params
+from surefoot.robot.params_file import ParamValue, find_params, load_params, read_params
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
+
+GAINS = ("servo_kp", "servo_kd")
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,9 @@ def main(argv: list[str]) -> int:
     from surefoot.world.registry import check_takes_params
 
     check_takes_params(command.world)
-    log = read_motion(command.trace, robot)
-    params = load_params(robot, command.params, command.settings, log.gains)
+    log = replace(read_motion(command.trace, robot), rack=command.rack)
+    gains, source = _gains(log, robot, command)
+    params = load_params(robot, command.params, command.settings, gains)
     other = None if command.beside is None else compare_motions(log, read_motion(command.beside, robot))
     replayer = Replayer(robot, 1, command.rack, command.world, torques=False)
     errors = replay_motion(log, robot, params, replayer)
@@ -71,6 +76,8 @@ def main(argv: list[str]) -> int:
         "rms_by_motor": dict(zip(robot.motor_names, map(plain_value, errors.by_motor.tolist()), strict=True)),
         "rms_imu": {name: plain_value(value) for name, value in errors.by_imu.items()},
         "moving": [name for name, moves in zip(robot.motor_names, log.moving, strict=True) if moves],
+        "gains": {name: getattr(params, name)[0].tolist() for name in GAINS},
+        "gains_from": source,
         "world": command.world,
         "rack": command.rack,
         "timing": log.timing(),
@@ -85,6 +92,8 @@ def main(argv: list[str]) -> int:
     if command.json:
         print_json(report)
         return 0
+    gains_text = " and ".join(f"{name} {_numbers(report['gains'][name])}" for name in GAINS)
+    print(f"gains: {gains_text}, from {source}")
     print(f"root mean square over the joints that move: {errors.rms:.4f} rad")
     for name, value in report["rms_by_motor"].items():
         moves = "" if name in report["moving"] else "  (stands)"
@@ -97,3 +106,25 @@ def main(argv: list[str]) -> int:
     if command.out is not None:
         print(f"figure: {command.out}")
     return 0
+
+
+def _gains(log: RecordedMotion, robot: RobotDescription, command: ReplayCommand) -> tuple[dict[str, ParamValue], str]:
+    """Return the gains of a replay, unless --set changes them, and where they are from."""
+    gains: dict[str, ParamValue] = {}
+    source = "the data sheet"
+    if command.params is not None:
+        file = read_params(find_params(command.params, robot), robot)
+        gains = read_gains(file)
+        if gains or set(GAINS) & set(file.names):
+            source = str(command.params)
+    if log.gains:
+        gains, source = {**gains, **log.gains}, "the log"
+    if any(word.partition("=")[0] in GAINS for words in command.settings for word in words):
+        source = "--set"
+    return gains, source
+
+
+def _numbers(values: list[float]) -> str:
+    """Return numbers of motors as a text: one, if all are the same, else the least and the greatest."""
+    low, high = min(values), max(values)
+    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"

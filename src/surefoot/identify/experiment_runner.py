@@ -186,6 +186,7 @@ class _ExperimentRunner:
             experiment=self.plan.experiment,
             robot=self.robot.name,
             firmware=self.handshake.firmware,
+            gains={name: tuple(getattr(self.handshake, name).tolist()) for name in ("servo_kp", "servo_kd")},
             motor_names=self.robot.motor_names,
             rack=self.plan.rack,
             phases=tuple(RecordedPhase(p.name, int(p.mode), p.use, p.duration) for p in self.plan.phases),

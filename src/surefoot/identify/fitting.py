@@ -5,8 +5,8 @@ A fit has intervals that allow for residuals that correlate in time, correlation
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mujoco import minimize
@@ -23,6 +23,8 @@ MAX_DEVIATION = 0.7
 MIN_CORRELATION = 0.8
 """Correlation from which two numbers are hardly distinguishable."""
 MAX_ITERATIONS = 25
+MAX_HELD_SHIFT = 2.0
+"""Greatest deviation that residuals may ask of a held unknown, over that of its prior."""
 
 
 class _ConvergedError(Exception):
@@ -40,6 +42,12 @@ class Fit:
     """Of the values' errors (n, n)."""
     residuals: Array
     """(m,), in standard deviations."""
+    jacobian: Array
+    """Derivatives of the residuals (m, n)."""
+    held: NDArray[np.bool_] | None = None
+    """Which unknowns kept their start (n,), as the data do not determine them; None: none did."""
+    considers: bool = False
+    """Whether the last unknowns were never fitted, see `hold_unidentifiable`."""
 
     @property
     def deviation(self) -> Array:
@@ -55,8 +63,12 @@ class Fit:
     @property
     def identifiable(self) -> NDArray[np.bool_]:
         """Which unknowns the data determine (n,): those whose deviation is clearly less than before."""
-        before = np.array([u.prior if u.prior is not None else (u.high - u.low) / 4 for u in self.unknowns])
-        return self.deviation < MAX_DEVIATION * before
+        return self.deviation < MAX_DEVIATION * self.prior_deviation
+
+    @property
+    def prior_deviation(self) -> Array:
+        """Standard deviations before the fit (n,)."""
+        return np.array([u.prior if u.prior is not None else (u.high - u.low) / 4 for u in self.unknowns])
 
     def strongest_correlations(self, count: int = 5) -> list[tuple[str, str, float]]:
         """Return pairs of unknowns that are hardly distinguishable, strongest first."""
@@ -167,7 +179,80 @@ def fit_least_squares(
     own = forward_jacobian(model, values, final[:count])
     prior = np.diag((high - low) ** -2.0)
     prior[with_prior, with_prior] += spread**-2.0
-    return Fit(unknowns, values, _covariance(own, final[:count], model.blocks, prior, high - low), final[:count])
+    covariance = _covariance(own, final[:count], model.blocks, prior, high - low)
+    return Fit(unknowns, values, covariance, final[:count], own)
+
+
+def hold_unidentifiable(
+    model: ReplayModel,
+    fit: Fit,
+    considered: Sequence[Unknown] = (),
+    report: Callable[[int, float], None] | None = None,
+) -> Fit:
+    """Return a fit in which all that the data neither determine nor move keeps its start, the rest being fitted again.
+
+    With the derivatives J_h of held unknowns, J' J + prior = H of the others, and the second moment P of what the held
+    ones are off, the errors of the others have the covariance C + S P S' with S = -H^-1 J' J_h (Schmidt 1966). P is the
+    prior covariance, or less where residuals would show more.
+
+    Args:
+        model: with the unknowns of the fit, then the considered ones.
+        fit: of the former, with the latter held.
+        considered: unknowns that are not fitted, but known with the deviation of their prior only.
+        report: callback as of `fit_least_squares`.
+    """
+    unknowns = (*fit.unknowns, *considered)
+    start = np.array([unknown.start for unknown in fit.unknowns])
+    # Values that contradict the prior belong to the fit, even if they are not known better than before.
+    known = fit.identifiable | (np.abs(fit.values - start) > fit.deviation)
+    free = np.concatenate([known, np.zeros(len(considered), np.bool_)])
+    if free.all():
+        return fit
+    values = np.array([unknown.start for unknown in unknowns])
+    values[: len(fit.values)] = np.where(known, fit.values, start)
+    deviation = replace(fit, unknowns=unknowns).prior_deviation
+    residuals = model.residuals(values[None])[0]
+    jacobian = np.empty((len(residuals), len(unknowns)))
+    if not free.any():
+        jacobian = forward_jacobian(model, values, residuals)
+        return Fit(unknowns, values, np.diag(deviation**2.0), residuals, jacobian, ~free, bool(considered))
+    again = fit_least_squares(model.holding(free, values), fit.values[known], report)
+    values[free], residuals = again.values, again.residuals
+    jacobian[:, free] = again.jacobian
+    jacobian[:, ~free] = held = forward_jacobian(model.holding(~free, values), values[~free], residuals)
+    # In units of the prior deviations: numbers differ by ten orders of magnitude.
+    inside, out = deviation[free], deviation[~free]
+    own, theirs = again.jacobian * inside, held * out
+    prior = np.array([float(u.prior is not None) for u in again.unknowns])
+    shift = -np.linalg.lstsq(own.T @ own + np.diag(prior), own.T @ theirs, rcond=None)[0]
+    start = np.array([unknown.start for unknown in again.unknowns])
+    pull = own.T @ residuals + prior * (again.values - start) / inside
+    moment = _moment_of_held(theirs, own, shift, residuals, pull)
+    shift, moment = inside[:, None] * shift / out, out[:, None] * moment * out
+    covariance = np.empty((len(unknowns), len(unknowns)))
+    covariance[np.ix_(free, free)] = again.covariance + shift @ moment @ shift.T
+    covariance[np.ix_(free, ~free)] = shift @ moment
+    covariance[np.ix_(~free, free)] = moment @ shift.T
+    covariance[np.ix_(~free, ~free)] = moment
+    return Fit(unknowns, values, covariance, residuals, jacobian, ~free, bool(considered))
+
+
+def _moment_of_held(held: Array, jacobian: Array, shift: Array, residuals: Array, pull: Array) -> Array:
+    """Return the second moment (h, h) of what held unknowns are off: their posterior covariance and mean.
+
+    All are in units of the unknowns' prior deviations.
+
+    Args:
+        held: derivatives of the residuals (m, h) by them.
+        jacobian: by the free unknowns (m, n).
+        shift: change of the free unknowns (n, h) by the held ones.
+        residuals: where the fit ended (m,).
+        pull: gradient that is left there by the free unknowns (n,), not 0 at bounds.
+    """
+    precision = held.T @ (held + jacobian @ shift)
+    covariance = np.linalg.inv((precision + precision.T) / 2 + np.eye(held.shape[1]))
+    mean = np.clip(-covariance @ (held.T @ residuals + shift.T @ pull), -MAX_HELD_SHIFT, MAX_HELD_SHIFT)
+    return np.asarray(covariance + np.outer(mean, mean), np.float64)
 
 
 def _covariance(jacobian: Array, residuals: Array, blocks: NDArray[np.int64], prior: Array, width: Array) -> Array:

@@ -7,6 +7,7 @@ motors' law alone, and the noise of each reading.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -48,11 +49,15 @@ class Unknown:
     """Unknowns of one colour affect different residuals, so that one candidate has all their steps."""
     affects: tuple[str, int] | None = None
     """Label and value of the readings that it affects, see `Observations.labels`; None: all."""
+    motors: tuple[int, ...] = ()
+    """Motors that share the number; all of them, or the one of `index`, if left out."""
+    whose: str = ""
+    """The motors or axis for people, such as "hip joints"."""
 
     @property
     def label(self) -> str:
-        """Name with index."""
-        return indexed_name(self.name, self.index)
+        """Name with the motors or axis, or the index."""
+        return f"{self.name} of {self.whose}" if self.whose else indexed_name(self.name, self.index)
 
 
 def candidate_params(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array) -> PhysicalParams:
@@ -82,6 +87,10 @@ class Observations:
     """Numbers that say which unknowns affect a reading, such as its motor."""
 
 
+def _as_given(values: Array) -> Array:
+    return values
+
+
 class ReplayModel:
     """Residuals of candidates against observations: what `fitting.fit_least_squares` fits.
 
@@ -104,6 +113,8 @@ class ReplayModel:
         params_of: Callable[[PhysicalParams, Sequence[Unknown], Array], PhysicalParams] = candidate_params,
     ) -> None:
         self.unknowns: Sequence[Unknown] = tuple(unknowns)
+        self._all = self.unknowns
+        self._complete: Callable[[Array], Array] = _as_given
         self.prior, self.observations = prior, observations
         self._batch, self._limit, self._params_of = batch, limit, params_of
         self._compared = [np.isfinite(one.noise) for one in observations]
@@ -128,9 +139,23 @@ class ReplayModel:
         return np.concatenate([self._select(k, one.labels[label]) for k, one in enumerate(self.observations)]) == value
 
     def nuisance(self, values: Array) -> Nuisance:
-        """Return the values of candidates (K, n) that are no physical parameters."""
+        """Return the values of candidates (K, n), held ones included, that are no physical parameters."""
         names = PhysicalParams.names()
-        return {(u.name, u.index): values[:, i] for i, u in enumerate(self.unknowns) if u.name not in names}
+        return {(u.name, u.index): values[:, i] for i, u in enumerate(self._all) if u.name not in names}
+
+    def holding(self, free: NDArray[np.bool_], values: Array) -> ReplayModel:
+        """Return the model of some of the unknowns (n,); the others keep their values (n,)."""
+        columns, before = np.flatnonzero(free).tolist(), self._complete
+
+        def complete(some: Array) -> Array:
+            whole = np.tile(values, (len(some), 1))
+            whole[:, columns] = some
+            return before(whole)
+
+        held = copy(self)
+        held.unknowns = [self.unknowns[i] for i in columns]
+        held._complete = complete
+        return held
 
     def residuals(self, values: Array) -> Array:
         """Return the residuals (K, m) of K candidates (K, n), in standard deviations."""
@@ -141,7 +166,8 @@ class ReplayModel:
         return residuals
 
     def _residuals(self, values: Array) -> Array:
-        params, nuisance = self._params_of(self.prior, self.unknowns, values), self.nuisance(values)
+        values = self._complete(values)
+        params, nuisance = self._params_of(self.prior, self._all, values), self.nuisance(values)
         return np.concatenate(
             [
                 (one.errors(params, nuisance) / one.noise)[:, compared]

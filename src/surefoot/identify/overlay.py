@@ -4,7 +4,9 @@
     [sensors]                   properties of sensors that later fits need
     [intervals]                 NAME = [low, high] of 95 %, or a list of such pairs, one a motor or axis
     [identified_by]             NAME = "EXPERIMENT" that identified it last
-    [identified.EXPERIMENT]     date and SHA-256 of the data, their file, version of surefoot
+    [identified.EXPERIMENT]     date and SHA-256 of the data, their file, version of surefoot; of logs, that of each
+    [gains]                     gains of the logs of a robot that gets its gains with every command: for replays of
+                                logs that do not state theirs; a policy keeps its own
 
 A pair of infinities stands for a motor or axis that was not identified. All else in the file stays.
 """
@@ -12,7 +14,7 @@ A pair of infinities stands for a motor or axis that was not identified. All els
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -23,10 +25,11 @@ from surefoot import __version__
 from surefoot.errors import SurefootError
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.params_file import ParamsFile, read_params, write_params
+from surefoot.robot.params_file import ParamsFile, ParamValue, param_table, read_params, write_params
 
 _UNBOUNDED = (-math.inf, math.inf)
-_TABLES = ("sensors", "intervals", "identified_by", "identified")
+GAINS_TABLE = "gains"
+_TABLES = ("sensors", "intervals", "identified_by", "identified", GAINS_TABLE)
 
 
 def read_prior(path: Path | None, robot: RobotDescription) -> ParamsFile:
@@ -59,14 +62,53 @@ def overlay(prior: ParamsFile, result: Identification, robot: RobotDescription, 
     if result.sensors:
         tables["sensors"] = {**tables.get("sensors", {}), **result.sensors}
     intervals, identified_by = tables.setdefault("intervals", {}), tables.setdefault("identified_by", {})
-    for name in dict.fromkeys(item.name for item in result.estimates if item.identifiable):
+    if result.gains:
+        tables[GAINS_TABLE] = {**result.gains, "stated": list(result.stated_gains)}
+    for name in dict.fromkeys(item.name for item in result.estimates if item.identifiable and item.of_robot):
         intervals[name] = _interval(result, name, intervals.get(name), robot)
         identified_by[name] = result.experiment
-    data = {"date": result.date, "data": result.digest, "file": source, "surefoot": __version__}
+    data: dict[str, Any] = {"date": result.date, "data": result.digest, "file": source, "surefoot": __version__}
+    seen = _fitted_logs(prior, result.experiment) | {digest: name for name, digest in result.parts.items()}
+    data["logs"] = seen
     tables.setdefault("identified", {})[result.experiment] = {key: value for key, value in data.items() if value}
     names = {*prior.names, *result.identified_names()}
     written = tuple(name for name in PhysicalParams.names() if name in names)
     return ParamsFile(result.params(robot, prior.params), written, tables)
+
+
+def _fitted_logs(prior: ParamsFile, experiment: str) -> dict[str, str]:
+    """Return the names of the logs that a file was fitted to, or checked with, by their SHA-256."""
+    before = prior.tables.get("identified", {}).get(experiment, {})
+    logs = before.get("logs", {}) if isinstance(before, dict) else {}
+    return dict(logs) if isinstance(logs, dict) else {}
+
+
+def check_new_logs(path: Path | None, prior: ParamsFile, digests: Mapping[str, str], total: str = "") -> None:
+    """Refuse logs that a file of parameters was fitted to already: a second fit would count them twice.
+
+    Args:
+        path: the file.
+        prior: what it holds.
+        digests: SHA-256 of each log, by name.
+        total: SHA-256 of all of them, which older files have.
+    """
+    before = prior.tables.get("identified", {}).get("logs", {})
+    seen = _fitted_logs(prior, "logs")
+    if total and isinstance(before, dict) and before.get("data") == total:
+        seen = {digest: name for name, digest in digests.items()}
+    if again := [name for name, digest in digests.items() if digest in seen]:
+        raise SurefootError(
+            f"{path} was fitted to {again[0]} already; logs that count twice give too narrow intervals: give another "
+            "file"
+        )
+
+
+def read_gains(prior: ParamsFile) -> dict[str, ParamValue]:
+    """Return the gains of the logs that a file of parameters was fitted to; none, if it has none."""
+    table = prior.tables.get(GAINS_TABLE, {})
+    if not isinstance(table, dict):
+        return {}
+    return param_table({name: table[name] for name in ("servo_kp", "servo_kd") if name in table}, GAINS_TABLE)
 
 
 def write_overlay(path: Path, robot: RobotDescription, params: ParamsFile) -> Path:

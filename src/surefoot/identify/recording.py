@@ -84,6 +84,8 @@ class RecordingMeta:
     """SHA-256 over all arrays."""
     firmware: str = ""
     """What runs on the robot."""
+    gains: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    """The servos' gains of each motor, as the robot states them."""
     schema: Literal[1] = 1
     """Version of the format."""
 

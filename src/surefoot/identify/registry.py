@@ -10,6 +10,7 @@ from typing import Any
 from surefoot.identify.ground.plans import contact_plan, mass_plan
 from surefoot.identify.plan import Plan
 from surefoot.identify.quality import check_recording
+from surefoot.identify.rack.air_plan import air_plan
 from surefoot.identify.rack.plans import latency_plan, motor_plan
 from surefoot.identify.recording import Recording
 from surefoot.identify.result import FitProgress, Identification, ignore_progress
@@ -28,6 +29,8 @@ class Experiment:
     """Whether the robot hangs in the air."""
     before: tuple[str, ...] = ()
     """Experiments whose results it needs."""
+    joints: bool = False
+    """Whether it is for robots with joint actuators and serial legs; else for DC motors and five-bar legs."""
 
     def fit(
         self,
@@ -50,7 +53,8 @@ class Experiment:
             SurefootError: data that determine nothing, or a robot on the ground that did not stand.
         """
         notes = check_recording(recording, robot)
-        module = import_module(f"surefoot.identify.{'rack' if self.rack else 'ground'}.fits")
+        folder = "rack" if self.rack else "ground"
+        module = import_module(f"surefoot.identify.{folder}.{'air_fit' if self.joints else 'fits'}")
         result: Identification = getattr(module, f"fit_{self.name}")(robot, recording, prior, sensors or {}, report)
         date = str(recording.meta["date"])
         return replace(result, notes=(*notes, *result.notes), digest=recording.digest, date=date)
@@ -59,6 +63,7 @@ class Experiment:
 EXPERIMENTS = {
     experiment.name: experiment
     for experiment in (
+        Experiment("air", "gains, friction, inertia and latency of joint actuators", air_plan, True, joints=True),
         Experiment("latency", "age of the readings at the servo and at the computer", latency_plan, True),
         Experiment("motor", "motors, servo, friction, the legs' mass and inertia, both latencies", motor_plan, True),
         Experiment("mass", "mass, centre of mass and inertia of the base", mass_plan, False, ("motor",)),

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -34,6 +34,10 @@ from surefoot.world.sim_world import SimWorld
 
 SETTLE = 0.6
 """Time [s] for which simulated robots hold the first command before the segment begins."""
+STARTING = 0.06
+"""Time [s] whose readings give angles and speeds at the start of a motion on a rack."""
+MIN_STARTING = 4
+"""Readings in it that give a speed."""
 HELD = -1
 """Kind of command: servos hold the present angles, as from arming to the first command."""
 
@@ -56,8 +60,26 @@ class Segment:
     """Of the battery in each servo step (ticks,) [V]."""
     start: Array
     """Motor angles (M,) [rad] that were held before the first command."""
+    start_velocity: Array | None = None
+    """Motor speeds (M,) [rad/s] at the first command. Robots then begin with `start` as their reading, instead of
+    settling there by their servos: under gravity they would settle elsewhere."""
     lead: float = 0.0
     """Time [s] from sending a state to its use, which the control latency includes."""
+
+    def stretched(self, scale: float, dt: float) -> Segment:
+        """Return the segment of a recording whose clock was wrong: a second of it takes `scale` seconds.
+
+        `dt` is the servo step [s].
+        """
+        state_time = self.state_time * scale
+        velocity = None if self.start_velocity is None else self.start_velocity / scale
+        return replace(
+            self,
+            order_tick=np.round(self.order_tick * scale).astype(np.int64),
+            state_time=state_time,
+            voltage=np.resize(self.voltage, _count_ticks(state_time, dt)),
+            start_velocity=velocity,
+        )
 
 
 def segment_from_recording(recording: Recording, first: int, last: int) -> Segment:
@@ -102,20 +124,24 @@ def segment_from_recording(recording: Recording, first: int, last: int) -> Segme
 def segment_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Segment:
     """Return a recorded motion as a segment.
 
-    Joints that stand still start at their command. Joints that move start where the same joints of other legs stand;
-    where all move, at their first reading.
+    A robot on a rack begins with its first readings and their speed. On the ground, joints that stand still start at
+    their command. Joints that move start where the same joints of other legs stand; where all move, at their first
+    reading.
     """
     dt, origin = robot.timing.servo_step, float(motion.time[0])
     state_time = np.maximum(motion.read_time - origin, 0.0)
-    start = motion.command[0].copy()
-    for motors in robot.leg_motor_index.T:
-        still = motors[~motion.moving[motors]]
-        for motor in motors[motion.moving[motors]]:
-            reading = motion.motor_angle[0, motor]
-            if len(still):
-                start[motor] = motion.command[0, still].mean()
-            elif np.isfinite(reading):
-                start[motor] = reading
+    start, velocity = motion.command[0].copy(), None
+    if motion.rack and not robot.loops and np.isfinite(motion.motor_angle[0]).all():
+        start, velocity = _first_readings(motion)
+    else:
+        for motors in robot.leg_motor_index.T:
+            still = motors[~motion.moving[motors]]
+            for motor in motors[motion.moving[motors]]:
+                reading = motion.motor_angle[0, motor]
+                if len(still):
+                    start[motor] = motion.command[0, still].mean()
+                elif np.isfinite(reading):
+                    start[motor] = reading
     return Segment(
         order_tick=np.ceil((motion.time - origin) / dt - 1e-6).astype(np.int64),
         order=motion.command,
@@ -124,7 +150,19 @@ def segment_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Segm
         states=np.arange(len(motion.time)),
         voltage=np.full(_count_ticks(state_time, dt), float(robot.battery.nominal)),
         start=start,
+        start_velocity=velocity,
     )
+
+
+def _first_readings(motion: RecordedMotion) -> tuple[Array, Array]:
+    """Return angles [rad] and speeds [rad/s] (M,) at the first row: a line through the readings of `STARTING`."""
+    first = motion.read_time <= motion.read_time[0] + STARTING
+    angles, since = motion.motor_angle[first], (motion.read_time - motion.read_time[0])[first]
+    known = np.isfinite(angles).all(axis=1) & motion.fresh[first]
+    if known.sum() < MIN_STARTING:
+        return motion.motor_angle[0].copy(), np.zeros(motion.motor_angle.shape[1])
+    slope, angle = np.polyfit(since[known], angles[known], 1)
+    return angle, slope
 
 
 def _count_ticks(state_time: Array, dt: float) -> int:
@@ -219,10 +257,16 @@ def _simulate_segment(segment: Segment, world: SimWorld, params: PhysicalParams,
     actuation, advance = world.actuation, world.engine.advance
     active = np.where(everyone < rows, 1, 0)
     actuation.voltage[:] = segment.voltage[0]
-    steps, begin = round(SETTLE / world.robot.timing.servo_step), actuation.target.copy()
-    for k in range(steps):
-        actuation.target[:] = begin + (segment.start - begin) * min(2 * k / steps, 1.0)
-        advance(active)
+    if segment.start_velocity is None:
+        steps, begin = round(SETTLE / world.robot.timing.servo_step), actuation.target.copy()
+        for k in range(steps):
+            actuation.target[:] = begin + (segment.start - begin) * min(2 * k / steps, 1.0)
+            advance(active)
+    else:
+        # Readings are old: the motor has moved on since.
+        age = padded.control_latency[:, None]
+        velocity = np.broadcast_to(segment.start_velocity, actuation.target.shape)
+        world.place_motors(segment.start + age * velocity, velocity)
     ticks, kept = len(segment.voltage), len(actuation.times[0])
     history = np.empty((ticks + 1, rows, actuation.sample.shape[1]))
     torque = np.empty((ticks + 1 if torques else 0, rows, actuation.target.shape[1]))

@@ -68,10 +68,12 @@ class ParameterEstimate:
     index: int | None = None
     """Motor or axis, if the number is not one for all."""
     identifiable: bool = True
-    """Whether the data determine it; if not, the value is the prior one."""
+    """Whether the data determine it; if not, the value is the prior one, and is not written."""
     low: float = -math.inf
     """Least possible value."""
     high: float = math.inf
+    of_robot: bool = True
+    """Whether it is a property of the robot; gains that come with every command are not."""
 
     @classmethod
     def within_bounds(
@@ -84,7 +86,7 @@ class ParameterEstimate:
         identifiable: bool = True,
     ) -> ParameterEstimate:
         """Return an estimate of a physical parameter, with its unit and the robot's bounds."""
-        return cls(name, value, deviation, PARAMETERS[name].unit, index, identifiable, *robot.allowed[name])
+        return cls(name, value, deviation, PARAMETERS[name].unit_for(robot), index, identifiable, *robot.allowed[name])
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -100,7 +102,7 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class Check:
-    """Root mean square error of the simulator on data that were not fitted."""
+    """Root mean square error of the simulator."""
 
     what: str
     """Quantity."""
@@ -109,6 +111,8 @@ class Check:
     after: float
     """With the estimates."""
     unit: str
+    fitted: bool = False
+    """Whether these data were fitted; if not, they are a check."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +151,21 @@ class Identification:
     """SHA-256 of the data."""
     date: str = ""
     """When they were recorded, ISO 8601."""
+    parts: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of each log by its name, fitted or held out."""
+    gains: dict[str, list[float]] = field(default_factory=dict)
+    """Gains of each motor with which the logs were recorded, of a robot that gets its gains with every command."""
+    stated_gains: tuple[str, ...] = ()
+    """Names of those that were stated, by the logs or the user."""
+    failure: tuple[str, ...] = ()
+    """Why the result explains nothing, then what to try; empty, if it does."""
+
+    @property
+    def checks_title(self) -> str:
+        """Title of a table of the checks."""
+        if any(check.fitted for check in self.checks):
+            return "RMS error of replayed logs, fitted ones and held-out ones"
+        return "RMS error on data that were not fitted"
 
     def estimate(self, name: str, index: int | None = None) -> ParameterEstimate:
         """Return the estimate of a name and index; a `KeyError`, if there is none."""
@@ -159,12 +178,12 @@ class Identification:
         """Return one row of `base` with the identifiable parameters replaced, within the robot's bounds."""
         params = base.rows(np.zeros(1, np.int64))
         for item in self.estimates:
-            if item.identifiable and item.name in PhysicalParams.names():
+            if item.identifiable and item.of_robot and item.name in PhysicalParams.names():
                 value = np.clip(item.value, *robot.allowed[item.name])
                 getattr(params, item.name)[0, ... if item.index is None else item.index] = value
         return params
 
     def identified_names(self) -> tuple[str, ...]:
         """Return the names of the identifiable physical parameters, each once."""
-        names = [item.name for item in self.estimates if item.identifiable and item.name in PhysicalParams.names()]
-        return tuple(dict.fromkeys(names))
+        found = [item.name for item in self.estimates if item.identifiable and item.of_robot]
+        return tuple(dict.fromkeys(name for name in found if name in PhysicalParams.names()))

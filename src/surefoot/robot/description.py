@@ -82,6 +82,7 @@ class RobotDescription:
     heat: Heat
     experiments: Experiments
     allowed: dict[str, tuple[float, float]]
+    priors: dict[str, float]
     looks: str | None = None
     """Name of the file in the folder with what is drawn; None: the URDF's visuals are."""
 
@@ -162,6 +163,7 @@ class RobotDescription:
             heat=sheet.heat,
             experiments=read_experiments(sheet.experiments, space["extension"], actuator),
             allowed={**bounds, **sheet.allowed},
+            priors=sheet.priors,
             looks=sheet.looks,
         )
         description._check_legs()

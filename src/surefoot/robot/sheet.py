@@ -174,6 +174,7 @@ class Sheet:
     heat: Heat = field(default_factory=Heat)
     experiments: dict[str, Any] = field(default_factory=dict)
     allowed: dict[str, Range] = field(default_factory=dict)
+    priors: dict[str, NotNegative] = field(default_factory=dict)
 
     def read_legs(self, urdf: Urdf) -> tuple[Leg, ...]:
         """Return the legs in order; refuse names that the URDF does not have, and legs of different kinds."""

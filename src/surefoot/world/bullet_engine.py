@@ -250,6 +250,13 @@ class BulletEngine:
         self.models[i].close()
         self.models[i] = BulletModel(self.robot, self._config, self._settings, self._collision_pairs, base_offset)
 
+    def set_motors(self, rows: Index, angles: Array, speeds: Array) -> None:
+        """Put the motors of robots without closed loops to true angles [rad] and speeds [rad/s] (n, M)."""
+        sign = self.robot.motor_sign
+        states = self.get_state(rows)
+        states[:, self._motor_columns] = np.concatenate([sign * angles, sign * speeds], axis=1)
+        self.set_state(rows, states)
+
     def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
         """Set velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""
         if self._config.rack:

@@ -38,6 +38,9 @@ class Engine(Protocol):
     def set_state(self, rows: Index, states: Array) -> None:
         """Put robots into states (n, size), or all into one (size,), and clear their marks of divergence."""
 
+    def set_motors(self, rows: Index, angles: Array, speeds: Array) -> None:
+        """Put the motors of robots without closed loops to true angles [rad] and speeds [rad/s] (n, M)."""
+
     def turn(self, rows: Index, angles: Array) -> None:
         """Turn robots by angles (n,) [rad] about the vertical axis through the world's origin."""
 

@@ -230,6 +230,14 @@ class MujocoEngine:
         stretch[rows] = states[:, -size:].reshape(-1, *stretch.shape[1:])
         self.diverged[rows] = False
 
+    def set_motors(self, rows: Index, angles: Array, speeds: Array) -> None:
+        """Put the motors of robots without closed loops to true angles [rad] and speeds [rad/s] (n, M)."""
+        native = self._native
+        for i, angle, speed in zip(rows, native.motor_sign * angles, native.motor_sign * speeds, strict=True):
+            self.datas[i].qpos[native.motor_qpos] = angle
+            self.datas[i].qvel[native.motor_dof] = speed
+        native.moved[rows] = True
+
     def turn(self, rows: Index, angles: Array) -> None:
         """Turn robots by angles (n,) [rad] about the vertical axis through the world's origin."""
         native = self._native

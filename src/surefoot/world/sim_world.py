@@ -132,6 +132,18 @@ class SimWorld:
         for i in rows:
             record_sample(actuation, i)
 
+    def place_motors(self, angle: Array, velocity: Array) -> None:
+        """Begin with readings of the motors' angles [rad] and speeds [rad/s] (N, M); for robots without closed loops.
+
+        It follows a reset, and stands in for it: the history begins with these readings.
+        """
+        rows = np.arange(self.num_envs)
+        self.engine.set_motors(rows, angle - self.actuation.motor_offset, velocity)
+        self.actuation.filtered_speed[:] = velocity
+        self.engine.observe(rows)
+        for i in range(self.num_envs):
+            record_sample(self.actuation, i)
+
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
         """Hold motor angles (N, M) [rad] for one control step of each robot; return readings at its end.
 

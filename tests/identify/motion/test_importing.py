@@ -60,6 +60,30 @@ def test_import_reads_pickles_of_rows_and_of_arrays(tmp_path: Path, pupper: Robo
         np.testing.assert_array_equal(motion.motor_angle, 2 * angles)
 
 
+def test_a_log_of_states_needs_no_commands(tmp_path: Path, pupper: RobotDescription):
+    angles = np.arange(36.0).reshape(3, 12)
+    np.savez(tmp_path / "log.npz", t=[0.0, 0.01, 0.02], q=angles)
+    lines = [f"  {name}: {{angle: 'q[{k}]'}}" for k, name in enumerate(pupper.motor_names)]
+    (tmp_path / "m.yaml").write_text("\n".join(["time: {column: t}", "motors:", *lines]))
+    motion = import_log(tmp_path / "log.npz", pupper, tmp_path / "m.yaml")
+    assert np.isnan(motion.command).all()
+    np.testing.assert_array_equal(motion.motor_angle, angles)
+    # It is a trace, which can be looked at and measured, but not replayed.
+    trace = EpisodeTrace.load(trace_from_motion(motion, pupper).save(tmp_path / "trace.npz"))
+    np.testing.assert_array_equal(trace.motor_angle, angles)
+    with pytest.raises(SurefootError, match="has no two rows in a row with commands"):
+        motion_from_trace("log", trace)
+    # Half of a mapping is a mistake of the mapping.
+    lines[3] = lines[3].replace("{angle", "{command: 'q[3]', angle")
+    (tmp_path / "m.yaml").write_text("\n".join(["time: {column: t}", "motors:", *lines]))
+    with pytest.raises(SurefootError, match=r"m.yaml: motors.rightFrontLegMotor has no command, and other motors have"):
+        import_log(tmp_path / "log.npz", pupper, tmp_path / "m.yaml")
+    lines = [f"  {name}: {{torque: 'q[{k}]'}}" for k, name in enumerate(pupper.motor_names)]
+    (tmp_path / "m.yaml").write_text("\n".join(["time: {column: t}", "motors:", *lines]))
+    with pytest.raises(SurefootError, match=r"motors.rightFrontLegMotor has neither command nor angle"):
+        import_log(tmp_path / "log.npz", pupper, tmp_path / "m.yaml")
+
+
 class Hostile:
     def __reduce__(self):
         return os.system, ("exit 1",)

@@ -11,8 +11,9 @@ pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
 from surefoot.identify.motion.recorded import RecordedMotion
-from surefoot.identify.motion.robot_fit import find_imu_yaw, fit_robot, search_start
+from surefoot.identify.motion.robot_fit import find_imu_yaw, fit_robot
 from surefoot.identify.motion.robot_model import robot_model, robot_params, robot_unknowns
+from surefoot.identify.motion.start_search import search_start
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -40,7 +41,7 @@ def test_log_fit_identifies_the_true_parameters_on_a_rack(pupper: RobotDescripti
         assert item.value == pytest.approx(value, rel=0.1), name
         assert item.interval[0] <= value <= item.interval[1], name
     (check,) = result.checks
-    assert check.what == "hanging.npz, fitted"
+    assert check.what == "hanging.npz, fitted: 1.0 of 1.0 s"
     assert check.after < 0.05 * check.before
 
 

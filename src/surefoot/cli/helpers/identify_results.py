@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
+import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -24,6 +25,9 @@ from surefoot.report.figures.identification import cells, full_name, prior_value
 from surefoot.report.pages.identification import write_report
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamsFile
+
+if TYPE_CHECKING:
+    from surefoot.identify.motion.foresight import Foresight
 
 _NEEDED = {"mujoco": "sim", "numba": "sim", "scipy": "sim", "matplotlib": "report"}
 
@@ -77,7 +81,7 @@ def save_and_print(
     console = Console(highlight=False, emoji=False)
     console.print(_estimates_table(robot, prior, result))
     if result.checks:
-        table = _table("RMS error on data that were not fitted", "quantity", "before", "after", "unit")
+        table = _table(result.checks_title, "quantity", "before", "after", "unit")
         for check in result.checks:
             table.add_row(Text(check.what), f"{check.before:.3g}", f"{check.after:.3g}", check.unit)
         console.print(table)
@@ -89,6 +93,32 @@ def save_and_print(
         console.print(line, markup=False, soft_wrap=True)
 
 
+def print_foresight(
+    robot: RobotDescription, foresight: Foresight, prior: PhysicalParams, source: str, as_json: bool
+) -> None:
+    """Print what logs or a planned motion would tell, before anything is fitted."""
+    result = Identification(source, robot.name, foresight.estimates, notes=foresight.sentences)
+    if as_json:
+        print_json(_as_mapping(robot, prior, result))
+        return
+    console = Console(highlight=False, emoji=False)
+    console.print(f"what {source} can tell of {robot.name}, if it is as before; intervals that a fit would leave:")
+    console.print(_estimates_table(robot, ParamsFile(prior, ()), result))
+    for sentence in foresight.sentences:
+        console.print(sentence, markup=False, soft_wrap=True)
+
+
+def print_failure(result: Identification, as_json: bool) -> None:
+    """Print why a fit does not explain its data, and what to try; nothing was written."""
+    if as_json:
+        print_json({"experiment": result.experiment, "failure": list(result.failure), "files": []})
+        return
+    reason, *hints = result.failure
+    print(f"surefoot: {reason}; nothing was written", file=sys.stderr)
+    for hint in hints or ["are units, signs and the order of joints right? See surefoot identify replay"]:
+        print(f"  {hint}", file=sys.stderr)
+
+
 def _estimates_table(robot: RobotDescription, prior: ParamsFile, result: Identification) -> Table:
     before = "prior" if prior.names else "sheet"
     table = _table(f"{result.experiment}: {robot.name}", "parameter", before, "estimate", "95 % interval", "unit")
@@ -97,6 +127,10 @@ def _estimates_table(robot: RobotDescription, prior: ParamsFile, result: Identif
         groups.setdefault(item.name, []).append(item)
     for name, items in groups.items():
         unit = items[0].unit if items[0].unit != "1" else ""
+        if items[0].index is not None and not any(item.identifiable for item in items):
+            # One row says it for all motors.
+            table.add_row(Text(name), "", "not identifiable", "", unit, style="dim")
+            continue
         if items[0].index is not None:
             table.add_row(Text(name), "", "", "", unit)
             unit = ""
@@ -124,7 +158,10 @@ def _as_mapping(robot: RobotDescription, prior: PhysicalParams, result: Identifi
         "date": result.date,
         "digest": result.digest,
         "estimates": [
-            {name: getattr(item, name) for name in ("name", "index", "value", "interval", "unit", "identifiable")}
+            {
+                name: getattr(item, name)
+                for name in ("name", "index", "value", "interval", "unit", "identifiable", "of_robot")
+            }
             | {"label": full_name(item.label, robot), "before": prior_value(item, prior)}
             for item in result.estimates
         ],
@@ -132,4 +169,5 @@ def _as_mapping(robot: RobotDescription, prior: PhysicalParams, result: Identifi
         "correlations": result.correlations,
         "notes": result.notes,
         "sensors": result.sensors,
+        "gains": result.gains,
     }

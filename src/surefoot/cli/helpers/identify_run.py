@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,12 +13,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from surefoot.arrays import Array
 from surefoot.check_result import first_failure
-from surefoot.cli.helpers.link_options import SerialOptions
-from surefoot.cli.helpers.options import Json, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.link_options import LinkOptions
+from surefoot.cli.helpers.options import Json, Settings, Yes, ask_to_move, ask_to_release, check_terminal
 from surefoot.cli.helpers.output import make_console
 from surefoot.deploy.checks import check_handshake
 from surefoot.deploy.display import PlainLines, open_display
+from surefoot.deploy.links import open_dds_link
 from surefoot.deploy.loop import RunMonitor, Snapshot
 from surefoot.deploy.messages import Handshake
 from surefoot.deploy.pacer import undisturbed
@@ -27,13 +30,14 @@ from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import Plan
 from surefoot.identify.recording import Recording
 from surefoot.robot import RobotDescription
+from surefoot.robot.params import parse_settings
 
 PLACES = {True: "hang free, its legs in the air", False: "sit on flat ground with a metre of room"}
 """Where the robot must be, by whether it is an experiment for the rack."""
 
 
-@dataclass(frozen=True)
-class ExperimentCommand(SerialOptions):
+@dataclass(frozen=True, kw_only=True)
+class ExperimentCommand(LinkOptions):
     """Run an experiment on a robot, or take a recording of one, and identify physical parameters.
 
     The plan is shown, and must be confirmed, before a motor moves. The recording is kept however the experiment ends;
@@ -41,20 +45,48 @@ class ExperimentCommand(SerialOptions):
     anything moved or data that identify nothing, 3 stopped.
     """
 
-    port: str | None = None
-    """Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0."""
     recording: Path | None = None
     """Take this recording instead of a robot: the folder of an experiment, or its file."""
     params: Path | None = None
     """File of the robot's parameters (.toml), to which the estimates are written. robot.toml in --out, if not given."""
     out: Path | None = None
     """Folder for recording and report; runs/identify/EXPERIMENT-TIME or the recording's, if not given."""
+    plan: bool = False
+    """Connect to nothing: show the plan of air, and what it would tell."""
     record_only: bool = False
     """Record and do not fit; needs the bare install only."""
     yes: Yes = False
     robot: str | None = None
     """Name or folder of the robot's description; the recording's, or else minitaur, if not given."""
+    settings: Settings = ()
+    """Gains of a robot over DDS, such as servo_kp=20 servo_kd=1.5; the data sheet's, if not given."""
     json: Json = False
+
+    def open_robot(self, robot: RobotDescription) -> RobotLink:
+        """Open the link to a robot; one over DDS gets the gains of --set."""
+        if self.link == "serial":
+            return self.open_port(str(self.port), robot.num_motors)
+
+        def release(name: str) -> bool:
+            return self.release or (not self.yes and sys.stdin.isatty() and ask_to_release(name))
+
+        gains = {"servo_kp": robot.actuator.kp, "servo_kd": robot.actuator.kd, **self.gains()}
+        pair = gains["servo_kp"], gains["servo_kd"]
+        return open_dds_link(robot, str(self.interface), self.domain, pair, 0.0, release, self.hand_back)
+
+    def gains(self) -> dict[str, float]:
+        """Return the gains of --set.
+
+        Raises:
+            SurefootError: another parameter, or a robot on a serial port, whose own board has its gains.
+        """
+        stated = parse_settings([word for group in self.settings for word in group])
+        for name in stated:
+            if name not in ("servo_kp", "servo_kd"):
+                raise SurefootError(f"--set names {name}; an experiment sets servo_kp and servo_kd")
+        if stated and self.link == "serial":
+            raise SurefootError("--set goes with --link dds; the gains of a robot on a serial port are on its board")
+        return stated
 
 
 def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
@@ -66,7 +98,8 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
     if not command.yes:
         check_terminal(PLACES[plan.rack])
     with _connect(command, robot) as (link, handshake):
-        _show_plan(plan, handshake, make_console(stderr=command.json))
+        # What a robot does not take is not sent to it.
+        show_plan(plan, handshake.robot, (handshake.angle_low, handshake.angle_high), make_console(stderr=command.json))
         if command.yes:
             return _run(command, link, plan, robot, path)
     # A robot does not wait for slow answers: it is connected anew.
@@ -77,7 +110,7 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
 
 @contextlib.contextmanager
 def _connect(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tuple[RobotLink, Handshake]]:
-    link = command.open_port(str(command.port), robot.num_motors)
+    link = command.open_robot(robot)
     try:
         handshake = link.connect()
         refuse_another_robot(handshake, robot)
@@ -94,11 +127,10 @@ def refuse_another_robot(handshake: Handshake, robot: RobotDescription) -> None:
         raise SurefootError(f"the robot is not as on its data sheet: {error}")
 
 
-def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
-    """Print the plan."""
-    limits, name = plan.limits, handshake.robot
-    # What a robot does not take is not sent to it.
-    low, high = np.maximum(plan.angle_low, handshake.angle_low), np.minimum(plan.angle_high, handshake.angle_high)
+def show_plan(plan: Plan, name: str, taken: tuple[Array | float, Array | float], console: Console) -> None:
+    """Print the plan for a robot by its name, which takes commands in a range."""
+    limits = plan.limits
+    low, high = np.maximum(plan.angle_low, taken[0]), np.minimum(plan.angle_high, taken[1])
     place = "on its rack, legs in the air" if plan.rack else "on flat ground"
     head = f"{plan.experiment} experiment with {name} {place}, {plan.duration:.0f} s and a second at rest"
     table = Table(title=head, title_justify="left", title_style="bold")
@@ -125,7 +157,7 @@ def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
 
 def _run(command: ExperimentCommand, link: RobotLink, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
     with contextlib.ExitStack() as stack:
-        watch = ExperimentProgress(plan, f"{plan.experiment} experiment, {robot.name}, {command.port}")
+        watch = ExperimentProgress(plan, f"{plan.experiment} experiment, {robot.name}, {command.address}")
         stack.callback(watch.close)
         if not command.lockstep:
             stack.enter_context(undisturbed())

@@ -1,4 +1,4 @@
-"""Tables of numbers in foreign files: NPZ, CSV, pickle, MCAP and ROS bags.
+"""Tables of numbers in foreign files: NPZ, CSV, pickle, tensors of torch, MCAP and ROS bags.
 
 An array of several dimensions is one column for each of its places: `name[3]`, `name[1,2]`. A message's field is
 `topic.field[3]`. Files are not trusted: of pickles nothing is built but numbers, texts, lists, tables and arrays.
@@ -21,6 +21,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import check_readable
+from surefoot.identify.motion.torch_file import read_tensors
 from surefoot.npz import read_npz
 
 FILE_BYTES = 1 << 28
@@ -56,6 +57,7 @@ def read_table(path: Path) -> ColumnTable:
     if is_bag(path):
         return _read_bag(path)
     readers = {".npz": _read_npz, ".csv": read_csv, ".pkl": _read_pickle, ".pickle": _read_pickle}
+    readers |= dict.fromkeys((".pt", ".pth"), _read_torch)
     if suffix not in readers:
         raise SurefootError(f"is of kind '{suffix}'; kinds: {', '.join(readers)}, .mcap, .bag, or the folder of a bag")
     with describe_os_errors("it"):
@@ -70,6 +72,12 @@ def is_bag(path: Path) -> bool:
 
 def _read_npz(path: Path) -> ColumnTable:
     return _table_from_arrays(read_npz(path))
+
+
+def _read_torch(path: Path) -> ColumnTable:
+    return _table_from_arrays(
+        {name: value for name, value in read_tensors(path).items() if isinstance(value, np.ndarray)}
+    )
 
 
 def _table_from_arrays(arrays: Mapping[Any, Any]) -> ColumnTable:

@@ -8,7 +8,8 @@
     imu: {roll: "imu[0]", pitch: "imu[1]", roll_rate: "imu[2]", pitch_rate: "imu[3]", unit: rad, sign: 1}
 
 A motor's angle is sign x column + offset, its command too; `velocity` and `torque` may be mapped beside them. Readings
-without a column are NaN. Times and rows stay as they are, uneven and repeated ones too.
+without a column are NaN; so are the commands of a log of states, in whose mapping no motor has one. Times and rows stay
+as they are, uneven and repeated ones too.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ class TimeColumn:
 class MotorColumns:
     """The columns of one motor."""
 
-    command: str
+    command: str | None = None
+    """Left out for every motor of a log of states."""
     angle: str | None = None
     velocity: str | None = None
     torque: str | None = None
@@ -97,7 +99,7 @@ def import_log(
 
     Raises:
         SurefootError: a file that can't be read, a mapping that does not fit the robot or the file, time that goes
-            backwards, or commands that are missing in a row.
+            backwards, or commands that are missing in a row of a log with commands.
     """
     columns = default_mapping(robot)
     if mapping is None and is_go2(robot) and (motion := read_go2(path, any_checksum)) is not None:
@@ -112,9 +114,23 @@ def import_log(
                         f"motors names '{name}', which {robot.name} does not have; it has {choices(robot.motor_names)}"
                     )
             if missing := [name for name in robot.motor_names if name not in columns.motors]:
-                raise SurefootError(f"motors lacks {choices(missing)}; every motor has a command")
+                raise SurefootError(f"motors lacks {choices(missing)}; it must name every motor")
+            _check_commands(columns)
     with prefix_errors(f"log {path}"):
         return _motion(read_table(path), columns, robot, mapping is None, path.name)
+
+
+def _check_commands(columns: LogMapping) -> None:
+    """Refuse commands of some motors, and motors with neither command nor angle."""
+    without = [name for name, motor in columns.motors.items() if motor.command is None]
+    if without and len(without) < len(columns.motors):
+        raise SurefootError(
+            f"motors.{without[0]} has no command, and other motors have one; give it, or leave out all of them for a "
+            "log of states"
+        )
+    for name in without:
+        if columns.motors[name].angle is None:
+            raise SurefootError(f"motors.{name} has neither command nor angle; it needs one of them")
 
 
 def _motion(
@@ -151,7 +167,7 @@ def _motion(
     check_rising(time)
     angle = ANGLE_UNITS[columns.unit]
     command = of_motors("command", angle, True)
-    if not np.isfinite(command).all():
+    if motors[0].command is not None and not np.isfinite(command).all():
         row, motor = (int(k) for k in np.argwhere(~np.isfinite(command))[0])
         raise SurefootError(f"row {row} has no command of {robot.motor_names[motor]}; every row needs its command")
     return RecordedMotion(

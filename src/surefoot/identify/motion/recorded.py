@@ -29,6 +29,10 @@ SKIPPED = 0.3
 IMU = ("roll", "pitch", "roll_rate", "pitch_rate")
 """Channels of `RecordedMotion.imu`: angles [rad] of the base, yaw about z, then pitch, then roll, and rates [rad/s] in
 its frame."""
+COMPUTED = 1e-3
+"""Spread of the steps of times that were computed, relative to their median: float32 rounds, clocks jitter more."""
+MIN_STEPS = 20
+"""Steps that tell a computed clock from a measured one."""
 _MAX_ROWS = 5_000_000
 _MAX_LENGTH = 3600.0
 _MAX_ANGLE = 1e3
@@ -107,6 +111,20 @@ class RecordedMotion:
     def read_at_row(self) -> bool:
         """Whether readings were taken exactly at the times of rows."""
         return np.array_equal(self.read_time, self.time)
+
+    @property
+    def computed_clock(self) -> bool:
+        """Whether its times look computed: all steps are the same to a millionth, which no clock measures."""
+        steps = np.diff(self.time)
+        return len(steps) > MIN_STEPS and float(np.ptp(steps)) < COMPUTED * max(float(np.median(steps)), 1e-9)
+
+    @property
+    def command_interval(self) -> float:
+        """Median time between rows that change the command [s]; 0, if commands change in most rows or never."""
+        changes = np.flatnonzero(np.any(np.diff(self.command, axis=0) != 0, axis=1))
+        if len(changes) < MIN_STEPS or np.median(np.diff(changes)) < 2:
+            return 0.0
+        return float(np.median(np.diff(self.time[changes])))
 
     def missing(self) -> list[str]:
         """Return the names of the readings that are missing in every row."""

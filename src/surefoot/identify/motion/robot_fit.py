@@ -2,6 +2,10 @@
 
 The fit is least squares over whole simulated robots (`identify.motion.robot_model`); a search by CMA-ES may precede it,
 where the start is far off. Held-out logs show how well the identified robot moves in ways that were not fitted.
+
+What a log does not determine keeps its value: such unknowns are held and the others fitted again, so that the values
+that are written belong together. What is never fitted, but not known exactly either (the servos'
+latency, the law of friction at turning points, the clock), widens the intervals.
 """
 
 from __future__ import annotations
@@ -10,30 +14,38 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.identify.fitting import Fit, fit_least_squares
+from surefoot.identify.fitting import Fit, fit_least_squares, hold_unidentifiable
 from surefoot.identify.model import ReplayModel
+from surefoot.identify.motion.motion_digest import all_digest, motion_digest
+from surefoot.identify.motion.priors import GAINS, RATIOS, default_names, gains_are_commanded
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import imu_channels, replay_motion
+from surefoot.identify.motion.robot_estimates import robot_estimates
 from surefoot.identify.motion.robot_model import (
-    DAMPING_RATIO,
-    FRICTION_RATIO,
-    PRIORS,
     SECONDS,
+    considered_unknowns,
+    correlated_noise,
+    fitted_part,
     robot_model,
     robot_params,
     robot_unknowns,
 )
-from surefoot.identify.recording import digest_of
+from surefoot.identify.motion.start_search import find_gains, search_start
+from surefoot.identify.motion.verdict import judge_fit
+from surefoot.identify.motion.words import describe_unknown
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, ignore_progress
 from surefoot.robot import PhysicalParams, RobotDescription
 
 MOUNTS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 """Yaw of an IMU in the base [rad] that is tried."""
+FIRST_NOISE = 0.02
+"""Standard deviation of angles in the first round of a fit to logs on a rack [rad]; later that of the residuals."""
+MAX_ROUNDS = 3
+SAME_NOISE = 1.25
+"""Factor within which the residuals' noise agrees with the assumed one, so that no further round is needed."""
 _MOUNT_DEVIATION = 0.05
-_POPULATION = 16
 _SHOWN = 3.0
 
 
@@ -43,10 +55,11 @@ def fit_robot(
     held_out: Sequence[RecordedMotion],
     names: Sequence[str] | None,
     prior: PhysicalParams,
-    seconds: float = SECONDS,
+    seconds: float | None = None,
     search: int = 0,
     seed: int = 1,
     report: FitProgress = ignore_progress,
+    known: Sequence[str] = (),
 ) -> Identification:
     """Identify physical parameters from logs of a robot.
 
@@ -54,12 +67,13 @@ def fit_robot(
         robot: its description.
         motions: logs to fit.
         held_out: logs that are replayed with the estimates, and not fitted.
-        names: which of `PRIORS` to identify; all of them, if not given.
+        names: which numbers to identify, of `priors.PRIORS`; if not given, those that such logs can show.
         prior: parameters before, one row.
-        seconds: how much of each log is fitted, from its start.
+        seconds: how much of each log is fitted, from its start; if not given, see `robot_model.fitted_part`.
         search: generations of CMA-ES before the fit, over numbers that all motors share.
         seed: of the search.
         report: callback with the fit's progress.
+        known: parameters whose prior values are exact, such as gains that were stated.
 
     Raises:
         SurefootError: unknown names, no logs, or another kind of robot.
@@ -70,32 +84,84 @@ def fit_robot(
         )
     if not motions:
         raise SurefootError("there are no logs to fit; give one or more that are not held out")
-    prior = prior.rows(np.zeros(1, np.int64))
+    prior, rack = prior.rows(np.zeros(1, np.int64)), all(motion.rack for motion in motions)
     yaw = find_imu_yaw(robot, motions, prior)
     if yaw is not None:
         prior.imu_mount[0, 2] = yaw
-    model = robot_model(
-        robot, motions, robot_unknowns(robot, prior, tuple(PRIORS) if names is None else names), prior, seconds
-    )
-    start = search_start(model, search, seed, report) if search else None
-    fit = fit_least_squares(model, start, lambda step, cost: report(f"step {step}", cost))
+    wanted = default_names(robot, rack) if names is None else names
+    wanted = [name for name in wanted if RATIOS.get(name, name) not in known and not _fixes_ratio(name, known)]
+    fit = _fit(robot, motions, wanted, prior, rack, seconds, (search, seed), report)
     params = robot_params(prior, fit.unknowns, fit.values[None])
-    estimates = _estimates(robot, prior, params, fit)
+    estimates = robot_estimates(robot, prior, params, fit)
     if yaw is not None:
         estimates.append(ParameterEstimate.within_bounds(robot, "imu_mount", yaw, _MOUNT_DEVIATION, 2))
-    checks, series = _checks(robot, [*motions, *held_out], len(motions), prior, params)
-    columns = ("time", "command", "motor_angle")
-    arrays = {f"{k:03d} {n}": getattr(one, n) for k, one in enumerate([*motions, *held_out]) for n in columns}
+    checks, series = _checks(robot, [*motions, *held_out], len(motions), prior, params, seconds)
+    stated = {name: np.unique(getattr(prior, name)[0]).tolist() for name in GAINS if name in known}
+    parts = {one.name: motion_digest(one) for one in [*motions, *held_out]}
     return Identification(
         "logs",
         robot.name,
         tuple(estimates),
         checks,
-        tuple(fit.strongest_correlations(10)),
-        _notes(fit),
-        series,
-        digest=digest_of(arrays),
+        notes=(*describe_unknown(robot, fit, params), *_notes(fit)),
+        series=series,
+        digest=all_digest([*motions, *held_out]),
+        parts=parts,
+        gains=_gains(params, [*wanted, *known]) if gains_are_commanded(robot) else {},
+        stated_gains=tuple(stated),
+        failure=judge_fit(robot, [fitted_part(one, seconds) for one in motions], params),
     )
+
+
+def _fixes_ratio(name: str, known: Sequence[str]) -> bool:
+    return name == "damping_ratio" and "servo_kd" in known
+
+
+def _gains(params: PhysicalParams, names: Sequence[str]) -> dict[str, list[float]]:
+    return {name: getattr(params, name)[0].tolist() for name in GAINS if name in names}
+
+
+def _fit(
+    robot: RobotDescription,
+    motions: Sequence[RecordedMotion],
+    names: Sequence[str],
+    prior: PhysicalParams,
+    rack: bool,
+    seconds: float | None,
+    search: tuple[int, int],
+    report: FitProgress,
+) -> Fit:
+    """Return the fit, with what logs do not determine held; its covariance includes what is known of that before."""
+    unknowns = robot_unknowns(robot, prior, names, rack)
+    if not rack:
+        model, start = robot_model(robot, motions, unknowns, prior, seconds), None
+        if search[0]:
+            start = search_start(model, *search, report)
+        fit = fit_least_squares(model, start, lambda step, cost: report(f"step {step}", cost))
+        # Narrow priors of a sheet stand for what such logs do not tell: holding that made held-out errors larger.
+        return fit if robot.priors else hold_unidentifiable(model, fit)
+    considered = considered_unknowns(robot, prior, motions)
+    noise = [FIRST_NOISE] * len(motions)
+    start = find_gains(robot, motions, unknowns, prior, report)
+    for number in range(MAX_ROUNDS):
+        model = robot_model(robot, motions, [*unknowns, *considered], prior, seconds, noise)
+        some = _without(model, len(considered))
+        if search[0] and number == 0:
+            start = search_start(some, *search, report)
+        fit = fit_least_squares(some, start, lambda step, cost: report(f"step {step}", cost))
+        start, found = fit.values, correlated_noise(model, fit.residuals, noise)
+        same = [max(one / two, two / one) for one, two in zip(found, noise, strict=True)]
+        if max(same) < SAME_NOISE:
+            break
+        noise = found
+    return hold_unidentifiable(model, fit, considered, lambda step, cost: report(f"held, step {step}", cost))
+
+
+def _without(model: ReplayModel, last: int) -> ReplayModel:
+    """Return the model with its last unknowns held."""
+    free = np.ones(len(model.unknowns), np.bool_)
+    free[len(free) - last :] = False
+    return model.holding(free, np.array([unknown.start for unknown in model.unknowns]))
 
 
 def find_imu_yaw(robot: RobotDescription, motions: Sequence[RecordedMotion], prior: PhysicalParams) -> float | None:
@@ -114,67 +180,13 @@ def find_imu_yaw(robot: RobotDescription, motions: Sequence[RecordedMotion], pri
     return yaws[int(np.argmin(cost))]
 
 
-def search_start(model: ReplayModel, generations: int, seed: int, report: FitProgress) -> Array:
-    """Return values (n,) by CMA-ES over the unknowns that all motors share, in units of their prior deviations.
-
-    Raises:
-        SurefootError: all unknowns are of one motor or axis each.
-    """
-    import cma
-
-    unknowns = model.unknowns
-    shared = [i for i, unknown in enumerate(unknowns) if unknown.index is None]
-    if not shared:
-        raise SurefootError("a search is over numbers that all motors share; none of them is to be identified")
-    starts, low, high = (np.array([getattr(unknown, end) for unknown in unknowns]) for end in ("start", "low", "high"))
-    spread = np.array([unknown.prior or 1.0 for unknown in unknowns])
-    options = {"seed": seed or 1, "popsize": _POPULATION, "maxiter": generations, "verbose": -9}
-    evolution = cma.CMAEvolutionStrategy(np.zeros(len(shared)), 0.5, options)
-    best, least = starts, np.inf
-    while not evolution.stop():
-        steps = np.array(evolution.ask())
-        candidates = np.tile(starts, (len(steps), 1))
-        candidates[:, shared] += steps * spread[shared]
-        candidates = np.clip(candidates, low, high)
-        costs = np.sum(model.residuals(candidates) ** 2, axis=1) + np.sum(steps**2, axis=1)
-        evolution.tell(list(steps), costs.tolist())
-        if costs.min() < least:
-            best, least = candidates[int(np.argmin(costs))], float(costs.min())
-        report(f"search, generation {evolution.countiter}", least / len(model.blocks))
-    return best
-
-
-def _estimates(
-    robot: RobotDescription, prior: PhysicalParams, params: PhysicalParams, fit: Fit
-) -> list[ParameterEstimate]:
-    """Return estimates of the physical parameters that depend on the unknowns; deviations by the delta method."""
-    unknowns, count = fit.unknowns, len(fit.unknowns)
-    steps = np.array([unknown.step for unknown in unknowns])
-    moved = robot_params(prior, unknowns, fit.values + np.diag(steps))
-    names = {unknown.name for unknown in unknowns}
-    changed = [name for name in PhysicalParams.names() if name in names]
-    changed += ["servo_kd"] if names & {DAMPING_RATIO, "servo_kp"} else []
-    changed += ["motor_friction"] if FRICTION_RATIO in names and "motor_friction" not in names else []
-    estimates = []
-    for name in changed:
-        value = getattr(params, name)[0]
-        slopes = (getattr(moved, name) - value).reshape(count, -1) / steps[:, None]
-        variances = np.einsum("in,ij,jn->n", slopes, fit.covariance, slopes)
-        values = np.atleast_1d(value)
-        shared = len(values) == 1 or (np.ptp(values) == 0 and np.ptp(slopes, axis=1).max() == 0)
-        indices: Sequence[int | None] = [None] if shared else range(2 if name == "base_offset" else len(values))
-        for index in indices:
-            number, deviation = float(values[index or 0]), float(np.sqrt(variances[index or 0]))
-            estimates.append(ParameterEstimate.within_bounds(robot, name, number, deviation, index))
-    return estimates
-
-
 def _checks(
     robot: RobotDescription,
     motions: Sequence[RecordedMotion],
     fitted: int,
     prior: PhysicalParams,
     params: PhysicalParams,
+    seconds: float | None,
 ) -> tuple[tuple[Check, ...], tuple[Series, ...]]:
     """Return errors of whole logs with the prior parameters and with the estimates, and a joint of each over time."""
     replayers = {rack: Replayer(robot, 1, rack, torques=False) for rack in {one.rack for one in motions}}
@@ -184,8 +196,10 @@ def _checks(
             replay_motion(motion, robot, one.rows(np.zeros(1, np.int64)), replayers[motion.rack])
             for one in (prior, params)
         )
-        what = f"{motion.name}, {'fitted' if number < fitted else 'held out'}"
-        checks.append(Check(what, before.rms, after.rms, "rad"))
+        used = float(np.ptp(fitted_part(motion, seconds).time)) if number < fitted else 0.0
+        whole = float(np.ptp(motion.time))
+        what = f"{motion.name}, " + (f"fitted: {used:.1f} of {whole:.1f} s" if number < fitted else "held out")
+        checks.append(Check(what, before.rms, after.rms, "rad", fitted=number < fitted))
         motor = int(np.argmax(np.where(motion.moving, after.by_motor, -1.0)))
         shown = motion.until(_SHOWN)
         rows, angles = slice(0, len(shown.time)), shown.motor_angle[:, motor]
@@ -196,13 +210,10 @@ def _checks(
 
 
 def _notes(fit: Fit) -> tuple[str, ...]:
-    open_, at_bound = [], []
-    for unknown, value, identifiable in zip(fit.unknowns, fit.values, fit.identifiable, strict=True):
-        if not identifiable:
-            open_.append(unknown.label)
-        if min(value - unknown.low, unknown.high - value) < 1e-6 * (unknown.high - unknown.low):
-            at_bound.append(unknown.label)
-    notes = [f"hardly identifiable from these logs: {', '.join(open_)}; intervals are those of the priors"] * bool(
-        open_
-    )
-    return tuple(notes + [f"at a bound: {', '.join(at_bound)}"] * bool(at_bound))
+    held = np.zeros(len(fit.values), np.bool_) if fit.held is None else fit.held
+    at_bound = [
+        unknown.label
+        for unknown, value in zip(np.array(fit.unknowns)[~held], fit.values[~held], strict=True)
+        if min(value - unknown.low, unknown.high - value) < 1e-6 * (unknown.high - unknown.low)
+    ]
+    return (f"at a bound: {', '.join(at_bound)}",) if at_bound else ()

@@ -44,7 +44,7 @@ def page(
         f"<h1>{escape(title)}</h1>",
         f'<p class="quiet">{count} of {len(result.estimates)} numbers are identifiable from the data.</p>',
         *_section("Estimates", _estimates(result.estimates, robot, prior)),
-        *_section("Error on data that were not fitted", _checks(result)),
+        *_section(result.checks_title, _checks(result)),
         *_section("Hardly distinguishable", _correlations(result, robot)),
         *_section("Notes", "".join(f"<li>{escape(note)}</li>" for note in result.notes), "ul"),
         "<h2>Pictures</h2>",

@@ -1,0 +1,20 @@
+"""Digests of logs, by what they say and not by what their files are called."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from surefoot.identify.motion.recorded import RecordedMotion
+from surefoot.identify.recording import digest_of
+
+_COLUMNS = ("time", "command", "motor_angle")
+
+
+def motion_digest(motion: RecordedMotion) -> str:
+    """Return the SHA-256 of a log's times, commands and angles."""
+    return digest_of({name: getattr(motion, name) for name in _COLUMNS})
+
+
+def all_digest(motions: Sequence[RecordedMotion]) -> str:
+    """Return the SHA-256 of logs in their order."""
+    return digest_of({f"{k:03d} {name}": getattr(one, name) for k, one in enumerate(motions) for name in _COLUMNS})

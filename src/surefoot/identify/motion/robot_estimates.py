@@ -1,0 +1,92 @@
+"""Estimates of physical parameters from a fit to logs: products of shared values and ratios, by the delta method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.identify.fitting import Fit
+from surefoot.identify.motion.priors import DAMPING_RATIO, GAINS, RATIOS, gains_are_commanded
+from surefoot.identify.motion.robot_model import CONSIDERED, robot_params
+from surefoot.identify.result import ParameterEstimate
+from surefoot.robot import PhysicalParams, RobotDescription
+
+MODEL_ACCURACY = {
+    "motor_friction": 0.25,
+    "motor_viscous_friction": 0.25,
+    "rotor_inertia": 0.12,
+    "servo_kp": 0.02,
+    "servo_kd": 0.1,
+    "leg_mass_ratio": 0.01,
+}
+"""Least deviation of values from logs, as a share of the sheet's or estimated value, the greater one. Other laws of
+friction, which fade at another speed, give other shares of Coulomb and viscous friction; MuJoCo's own has up to half
+less Coulomb friction in calves. Set on made-up logs 1 to 5 of `benchmarks/identification_logs.py`."""
+
+SHARED_FRICTION = 0.5
+"""The same of Coulomb friction [N m], over viscous friction [N m s/rad]: where friction builds up over a speed like a
+joint's own, as MuJoCo's does in calves, a fit takes Coulomb friction for viscous one."""
+LATENCY_ACCURACY = 0.75
+"""The same of the latency, over a servo step: simulators disagree on when a command of a step acts."""
+
+
+def robot_estimates(
+    robot: RobotDescription, prior: PhysicalParams, params: PhysicalParams, fit: Fit
+) -> list[ParameterEstimate]:
+    """Return estimates of all physical parameters that depend on the fitted unknowns.
+
+    Args:
+        robot: its description.
+        prior: parameters before the fit, one row.
+        params: parameters with the fit's values, one row.
+        fit: result of `fitting.hold_unidentifiable`.
+    """
+    commanded = gains_are_commanded(robot)
+    estimates = []
+    for name in _changed(fit):
+        value = getattr(params, name)[0]
+        slopes = parameter_slopes(prior, fit, name)
+        free = np.ones(len(slopes), np.bool_) if fit.held is None else ~fit.held
+        determined = np.any(np.abs(slopes[free]) > 0, axis=0)
+        variances = np.einsum("in,ij,jn->n", slopes, fit.covariance, slopes)
+        values = np.atleast_1d(value)
+        same = np.ptp(values) == 0 and np.ptp(slopes, axis=1).max() == 0
+        indices: Sequence[int | None] = [None] if len(values) == 1 or same else range(_count(name, values))
+        for index in indices:
+            number, deviation = float(values[index or 0]), float(np.sqrt(variances[index or 0]))
+            if fit.considers:
+                size = max(abs(number), abs(float(np.atleast_1d(getattr(prior, name)[0])[index or 0])))
+                size = abs(number) if name in GAINS else size
+                floor = MODEL_ACCURACY.get(name, 0.0) * size
+                if name == "control_latency":
+                    floor = LATENCY_ACCURACY * robot.timing.servo_step
+                if name == "motor_friction":
+                    viscous = float(params.motor_viscous_friction[0, index or 0])
+                    floor = float(np.hypot(floor, SHARED_FRICTION * viscous))
+                deviation = float(np.hypot(deviation, floor))
+            item = ParameterEstimate.within_bounds(robot, name, number, deviation, index, bool(determined[index or 0]))
+            estimates.append(replace(item, of_robot=not (commanded and name in GAINS)))
+    return estimates
+
+
+def _count(name: str, values: Array) -> int:
+    return 2 if name == "base_offset" else len(values)
+
+
+def _changed(fit: Fit) -> list[str]:
+    """Return the names of the physical parameters that the fitted unknowns change, as `PhysicalParams` orders them."""
+    names = {RATIOS.get(unknown.name, unknown.name) for unknown in fit.unknowns} - set(CONSIDERED)
+    if DAMPING_RATIO in names:
+        names |= {"servo_kd"}
+    return [name for name in PhysicalParams.names() if name in names]
+
+
+def parameter_slopes(prior: PhysicalParams, fit: Fit, name: str) -> Array:
+    """Return the derivatives of a parameter by the unknowns (n, size)."""
+    steps = np.array([unknown.step for unknown in fit.unknowns])
+    here = getattr(robot_params(prior, fit.unknowns, fit.values[None]), name)[0]
+    moved = getattr(robot_params(prior, fit.unknowns, fit.values + np.diag(steps)), name)
+    return np.asarray((moved - here).reshape(len(steps), -1) / steps[:, None])

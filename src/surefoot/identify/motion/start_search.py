@@ -1,0 +1,81 @@
+"""Searches for a start of a fit to logs, where the sheet may be far off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError
+from surefoot.identify.model import ReplayModel, Unknown
+from surefoot.identify.motion.priors import GAINS
+from surefoot.identify.motion.recorded import RecordedMotion
+from surefoot.identify.motion.robot_model import robot_model
+from surefoot.identify.result import FitProgress
+from surefoot.robot import PhysicalParams, RobotDescription
+
+GAIN_FACTORS = 2.0 ** np.arange(-3.0, 3.01, 0.5)
+"""Proportional gains that are tried, over those of the prior."""
+DAMPING_TIMES = 0.005 * 2.0 ** np.arange(0.0, 5.01, 0.7)
+"""Derivative gains that are tried, over the proportional gain [s]."""
+GAIN_SECONDS = 3.0
+"""Length of each log [s] that gains are tried on."""
+GAIN_NOISE = 0.02
+_POPULATION = 16
+
+
+def find_gains(
+    robot: RobotDescription,
+    motions: Sequence[RecordedMotion],
+    unknowns: Sequence[Unknown],
+    prior: PhysicalParams,
+    report: FitProgress,
+) -> Array | None:
+    """Return values (n,) of unknowns with the gains that fit best, all else as before; None if gains are known.
+
+    Fits that begin with gains far off end in other minima.
+    """
+    at = {unknown.name: k for k, unknown in enumerate(unknowns)}
+    if any(name not in at for name in GAINS):
+        return None
+    report("looking for gains", float("nan"))
+    short = [one.until(min(GAIN_SECONDS, float(np.ptp(one.time)))) for one in motions]
+    model = robot_model(robot, short, unknowns, prior, GAIN_SECONDS, [GAIN_NOISE] * len(short))
+    kp, damping = (grid.ravel() for grid in np.meshgrid(GAIN_FACTORS, DAMPING_TIMES))
+    candidates = np.tile([unknown.start for unknown in unknowns], (len(kp), 1))
+    candidates[:, at["servo_kp"]] *= kp
+    candidates[:, at["servo_kd"]] = candidates[:, at["servo_kp"]] * damping
+    low, high = (np.array([getattr(unknown, end) for unknown in unknowns]) for end in ("low", "high"))
+    candidates = np.clip(candidates, low, high)
+    return np.asarray(candidates[int(np.argmin(np.sum(model.residuals(candidates) ** 2, axis=1)))])
+
+
+def search_start(model: ReplayModel, generations: int, seed: int, report: FitProgress) -> Array:
+    """Return values (n,) by CMA-ES over the unknowns that all motors share, in units of their prior deviations.
+
+    Raises:
+        SurefootError: all unknowns are of one motor or axis each.
+    """
+    import cma
+
+    unknowns = model.unknowns
+    shared = [i for i, unknown in enumerate(unknowns) if unknown.index is None]
+    if not shared:
+        raise SurefootError("a search is over numbers that all motors share; none of them is to be identified")
+    starts, low, high = (np.array([getattr(unknown, end) for unknown in unknowns]) for end in ("start", "low", "high"))
+    spread = np.array([unknown.prior or 1.0 for unknown in unknowns])
+    options = {"seed": seed or 1, "popsize": _POPULATION, "maxiter": generations, "verbose": -9}
+    evolution = cma.CMAEvolutionStrategy(np.zeros(len(shared)), 0.5, options)
+    best, least = starts, np.inf
+    while not evolution.stop():
+        steps = np.array(evolution.ask())
+        candidates = np.tile(starts, (len(steps), 1))
+        candidates[:, shared] += steps * spread[shared]
+        candidates = np.clip(candidates, low, high)
+        costs = np.sum(model.residuals(candidates) ** 2, axis=1) + np.sum(steps**2, axis=1)
+        evolution.tell(list(steps), costs.tolist())
+        if costs.min() < least:
+            best, least = candidates[int(np.argmin(costs))], float(costs.min())
+        report(f"search, generation {evolution.countiter}", least / len(model.blocks))
+    return best

@@ -1,0 +1,218 @@
+"""Logs of a Go2 that hangs: known gains, gains that nobody knows, and what a log can't tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.errors import SurefootError
+from surefoot.identify.fitting import Fit
+from surefoot.identify.motion.foresight import foresee
+from surefoot.identify.motion.priors import default_names, gains_are_commanded, priors_of
+from surefoot.identify.motion.recorded import RecordedMotion
+from surefoot.identify.motion.replay_errors import replay_motion
+from surefoot.identify.motion.robot_fit import fit_robot
+from surefoot.identify.motion.robot_model import CLOCK, considered_unknowns, robot_params, robot_unknowns
+from surefoot.identify.motion.words import describe_unknown
+from surefoot.identify.overlay import check_new_logs, overlay, read_gains
+from surefoot.identify.replay import Replayer, segment_from_motion
+from surefoot.identify.result import Identification
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params_file import ParamsFile
+
+KP, KD = 20.0, 1.5
+LOW = np.array([-0.1, 1.2, -2.4, 0.1, 1.2, -2.4] * 2)
+HIGH = np.array([-0.5, 0.6, -1.4, 0.5, 0.6, -1.4] * 2)
+
+
+@pytest.fixture(scope="module")
+def go2() -> RobotDescription:
+    return RobotDescription.load("go2")
+
+
+@pytest.fixture(scope="module")
+def nominal(go2: RobotDescription) -> PhysicalParams:
+    return PhysicalParams.nominal(go2)
+
+
+@pytest.fixture(scope="module")
+def truth(go2: RobotDescription, nominal: PhysicalParams) -> PhysicalParams:
+    return nominal.with_values(go2, servo_kp=KP, servo_kd=KD, control_latency=0.004)
+
+
+@pytest.fixture(scope="module")
+def hanging(go2: RobotDescription, truth: PhysicalParams) -> RecordedMotion:
+    """Four seconds of a Go2 that begins at rest, where gravity has drawn its joints, and follows triangles."""
+    draw = np.random.default_rng(1)
+    time = 0.01 * np.arange(401) + draw.uniform(0, 4e-4, 401)
+    phase = np.maximum(time - 0.3, 0) * (0.4 + 0.2 * np.maximum(time - 0.3, 0))
+    command = LOW + (1 - np.abs(2 * (phase[:, None] % 1.0) - 1)) * (HIGH - LOW)
+    rest = RecordedMotion("rest", 0.01 * np.arange(301.0), np.tile(LOW, (301, 1)), 0.01 * np.arange(301.0), rack=True)
+    replayer = Replayer(go2, 1, torques=False)
+    sagged = replayer.run(segment_from_motion(replace(rest, motor_angle=np.tile(LOW, (301, 1))), go2), truth)
+    blank = RecordedMotion("hanging.npz", time, command, time, rack=True)
+    begin = replace(blank, motor_angle=np.tile(sagged.motor_angle[0, -1], (401, 1)))
+    readings = replayer.run(segment_from_motion(begin, go2), truth)
+    return replace(blank, motor_angle=readings.motor_angle[0] + draw.normal(0, 1e-4, (401, 12)))
+
+
+@pytest.fixture(scope="module")
+def unknown_gains(go2: RobotDescription, nominal: PhysicalParams, hanging: RecordedMotion) -> Identification:
+    return fit_robot(go2, [hanging], [], None, nominal)
+
+
+def test_a_replay_on_a_rack_begins_at_the_first_reading(
+    go2: RobotDescription, truth: PhysicalParams, hanging: RecordedMotion
+):
+    # Gravity draws the joints some hundredths of a radian off their commands before the log begins.
+    assert np.abs(hanging.motor_angle[0] - LOW).max() > 0.03
+    errors = replay_motion(hanging, go2, truth, Replayer(go2, 1, torques=False)).motor_angle
+    assert np.abs(errors[:20]).max() < 0.002
+    assert np.abs(errors).max() < 0.004
+    # A log that is cut while joints move begins at their speed.
+    cut = hanging.between(1.0, 4.0)
+    first = replay_motion(cut, go2, truth, Replayer(go2, 1, torques=False)).motor_angle[:20]
+    assert np.abs(first).max() < 0.01
+
+
+def test_gains_that_nobody_knows_have_intervals_that_hold_them(unknown_gains: Identification):
+    for name, value in {"servo_kp": KP, "servo_kd": KD}.items():
+        item = unknown_gains.estimate(name)
+        assert item.interval[0] < value < item.interval[1], name
+        assert item.interval[1] - item.interval[0] < 1.2 * value, name
+        assert not item.of_robot
+    assert any(
+        "servo_kd and motor_viscous_friction are one number in these logs: their sum is 1." in note
+        for note in unknown_gains.notes
+    )
+
+
+def test_what_logs_do_not_show_keeps_its_value_and_is_not_written(
+    go2: RobotDescription, nominal: PhysicalParams, unknown_gains: Identification
+):
+    file = overlay(ParamsFile(nominal, ()), unknown_gains, go2)
+    # Torque limits and feet belong to motions that a robot in the air does not have; gains to whoever commands it.
+    assert {"torque_limit", "contact_stiffness", "contact_shear_ratio", "servo_kp", "servo_kd"}.isdisjoint(file.names)
+    assert "contact_stiffness" not in file.tables["intervals"]
+    np.testing.assert_array_equal(file.params.torque_limit, nominal.torque_limit)
+    np.testing.assert_array_equal(file.params.servo_kp, nominal.servo_kp)
+    # Hips, thighs and calves have values of their own.
+    kinds = file.params.motor_friction[0].reshape(4, 3).mean(axis=0)
+    assert kinds[2] > 2 * kinds[0]
+    # Replays of logs that do not state their gains find those of the fit.
+    assert read_gains(file)["servo_kp"] == pytest.approx([KP] * 12, rel=0.2)
+    assert file.tables["gains"]["stated"] == []
+
+
+def test_known_gains_are_kept(go2: RobotDescription, nominal: PhysicalParams, hanging: RecordedMotion):
+    prior = nominal.with_values(go2, servo_kp=KP, servo_kd=KD)
+    short = hanging.until(2.0)
+    result = fit_robot(go2, [short], [hanging], None, prior, known=("servo_kp", "servo_kd"))
+    assert {"servo_kp", "servo_kd"}.isdisjoint(item.name for item in result.estimates)
+    assert result.gains == {"servo_kp": [KP] * 12, "servo_kd": [KD] * 12}
+    assert result.stated_gains == ("servo_kp", "servo_kd")
+    fitted, held_out = result.checks
+    assert (fitted.what, fitted.fitted) == ("hanging.npz, fitted: 2.0 of 2.0 s", True)
+    assert (held_out.what, held_out.fitted) == ("hanging.npz, held out", False)
+    assert result.checks_title == "RMS error of replayed logs, fitted ones and held-out ones"
+    assert held_out.after < 0.004
+    assert not result.failure
+
+
+def test_the_same_log_is_not_fitted_twice(
+    go2: RobotDescription, nominal: PhysicalParams, unknown_gains: Identification, tmp_path
+):
+    file = overlay(ParamsFile(nominal, ()), unknown_gains, go2)
+    assert list(file.tables["identified"]["logs"]["logs"].values()) == ["hanging.npz"]
+    with pytest.raises(SurefootError, match=r"b.toml was fitted to again.npz already; logs that count twice"):
+        check_new_logs(tmp_path / "b.toml", file, {"again.npz": unknown_gains.parts["hanging.npz"]})
+    check_new_logs(tmp_path / "b.toml", file, {"other.npz": "1" * 64})
+    # A further log does not make the file forget the first one.
+    again = overlay(file, replace(unknown_gains, parts={"other.npz": "1" * 64}), go2)
+    assert list(again.tables["identified"]["logs"]["logs"].values()) == ["hanging.npz", "other.npz"]
+    # Files of before have one digest of all logs.
+    old = replace(file, tables={"identified": {"logs": {"data": unknown_gains.digest}}})
+    with pytest.raises(SurefootError, match=r"was fitted to hanging.npz already"):
+        check_new_logs(tmp_path / "b.toml", old, dict(unknown_gains.parts), unknown_gains.digest)
+
+
+def test_a_forgotten_rack_is_no_result(go2: RobotDescription, nominal: PhysicalParams, hanging: RecordedMotion):
+    standing = replace(hanging.until(1.5), rack=False)
+    names = ("servo_kp", "servo_kd", "motor_friction")
+    result = fit_robot(go2, [standing], [], names, nominal)
+    reason, *hints = result.failure
+    assert "the fitted robot does not repeat these logs: its error is 0." in reason
+    assert "did the robot hang? --rack hanging" in hints
+
+
+def test_priors_belong_to_robots(go2: RobotDescription, pupper: RobotDescription):
+    assert gains_are_commanded(go2)
+    assert not gains_are_commanded(pupper)
+    # A Pupper's gains are on its own board, a Go2's may be anything.
+    assert (priors_of(pupper)["servo_kp"].deviation, priors_of(go2)["servo_kp"].deviation) == (0.1, 1.0)
+    assert "damping_ratio" in default_names(pupper, False)
+    assert "servo_kd" not in default_names(pupper, False)
+    assert {"servo_kd", "viscous_ratio", "inertia_ratio"} <= set(default_names(go2, True))
+    assert not {"contact_friction", "base_offset", "damping_ratio"} & set(default_names(go2, True))
+    wrong = replace(go2, priors={"servo_kpp": 1.0})
+    with pytest.raises(SurefootError, match=r"priors.servo_kpp of go2 is unknown; did you mean servo_kp"):
+        priors_of(wrong)
+
+
+def test_kinds_of_joints_share_a_number_and_motors_have_ratios(go2: RobotDescription, nominal: PhysicalParams):
+    unknowns = robot_unknowns(go2, nominal, ["motor_friction", "friction_ratio", "servo_kp"], rack=True)
+    assert [u.label for u in unknowns[:3]] == [f"motor_friction of {kind} joints" for kind in ("hip", "thigh", "calf")]
+    assert unknowns[5].label == "friction_ratio of FR_calf_joint"
+    values = np.array([u.start for u in unknowns])
+    values[2], values[5], values[-1] = 0.8, 1.5, 35.0
+    params = robot_params(nominal, unknowns, values[None])
+    np.testing.assert_allclose(params.motor_friction[0].reshape(4, 3), [[0.22, 0.20, 1.2], *[[0.22, 0.20, 0.8]] * 3])
+    np.testing.assert_allclose(params.servo_kp, 35.0)
+    # Legs on a rack do not affect each other: one candidate varies a joint of every leg.
+    assert len({u.colour for u in unknowns if u.colour is not None}) == 3
+
+
+def test_computed_times_widen_the_intervals(go2: RobotDescription, nominal: PhysicalParams, hanging: RecordedMotion):
+    even = replace(hanging, time=0.01 * np.arange(401))
+    assert not hanging.computed_clock
+    assert even.computed_clock
+    names = [[u.name for u in considered_unknowns(go2, nominal, [motion])] for motion in (hanging, even)]
+    assert CLOCK not in names[0]
+    assert CLOCK in names[1]
+
+
+def test_foresight_tells_what_a_log_would_tell(go2: RobotDescription, truth: PhysicalParams, hanging: RecordedMotion):
+    short = hanging.until(2.0)
+    unknown, known = (foresee(go2, [short], truth, names) for names in ((), ("servo_kp", "servo_kd")))
+    kd = next(item for item in unknown.estimates if item.name == "servo_kd")
+    assert kd.interval[0] < KD < kd.interval[1]
+    assert any("servo_kd and motor_viscous_friction are one number" in text for text in unknown.sentences)
+    assert not any("servo_kd" in text for text in known.sentences)
+
+
+def test_exchanged_numbers_are_named_with_their_sum(go2: RobotDescription, nominal: PhysicalParams):
+    unknowns = tuple(robot_unknowns(go2, nominal, ["servo_kd", "motor_viscous_friction"], rack=True))
+    values = np.array([1.5, 0.2, 0.2, 0.2])
+    # kd is off by what viscous friction is off, to the other side; their sum has a deviation of 0.01.
+    direction = np.array([-1.0, 1.0, 1.0, 1.0])
+    covariance = 0.09 * np.outer(direction, direction) + np.diag([1e-4, 0, 0, 0])
+    fit = Fit(unknowns, values, covariance, np.zeros(1), np.zeros((1, 4)))
+    params = robot_params(nominal, unknowns, values[None])
+    (text,) = describe_unknown(go2, fit, params)
+    assert text.startswith(
+        "servo_kd and motor_viscous_friction are one number in these logs: their sum is 1.7 (1.68 to 1.72) N m s/rad"
+    )
+    # Other pairs are exchanged if their errors are.
+    unknowns = tuple(robot_unknowns(go2, nominal, ["rotor_inertia", "control_latency"], rack=True))
+    values, covariance = np.array([u.start for u in unknowns]), np.diag([1e-4] * 4)
+    apart = Fit(unknowns, values, covariance, np.zeros(1), np.zeros((1, 4)))
+    params = robot_params(nominal, unknowns, values[None])
+    assert describe_unknown(go2, apart, params) == ()
+    exchanged = covariance - 0.99e-4 * np.outer([1, 1, 1, 0], [0, 0, 0, 1]) * np.sqrt(1 / 3)
+    exchanged[3] = exchanged[:, 3]
+    (text,) = describe_unknown(go2, replace(apart, covariance=exchanged), params)
+    assert text.startswith("rotor_inertia and control_latency are hardly told apart by these logs (correlation -0.99)")
