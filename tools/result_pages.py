@@ -63,10 +63,10 @@ def write_page(root: Path, template: str) -> str:
     for match in [*TABLE.finditer(text), None]:
         between = text[end : match.start() if match else len(text)]
         table = table_rows(root, match["items"], match["rows"]) if match else ""
-        for part in (between, table):
-            for line in part.splitlines(keepends=True):
-                with prefix_errors(line.strip()[:80]):
-                    written += fill(root, line)
+        # A source may go over the end of a line.
+        for paragraph in re.split(r"(?<=\n)(?=\n)", between + table):
+            with prefix_errors(paragraph.strip()[:80].replace("\n", " ")):
+                written += fill(root, paragraph)
         end = match.end() if match else end
     return written
 

@@ -96,6 +96,10 @@ def test_a_table_has_a_row_for_each_item(results: Path):
     assert changes("a\nb\n", "a\nc\n") == ["2: has 'b', the results 'c'"]
 
 
+def test_a_source_goes_over_the_end_of_a_line(results: Path):
+    assert write_page(results, "It goes {runs\ntrot: speed .2} m/s.\n") == "It goes 0.66 m/s.\n"
+
+
 def test_an_unknown_folder_is_refused():
     with pytest.raises(SurefootError, match="nowhere: no such template; there are "):
         pages(["nowhere"])
