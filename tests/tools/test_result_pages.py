@@ -61,7 +61,7 @@ def test_a_source_is_printed_in_its_format(results: Path, source: str, printed: 
 )
 def test_a_source_that_does_not_exist_is_reported_with_its_line(results: Path, source: str, pieces: str):
     with pytest.raises(SurefootError, match=re.escape(pieces)) as raised:
-        write_page(results, f"A page.\nIt has {{{source}}}.\n")
+        write_page(results, f"A page.\n\nIt has {{{source}}}.\n")
     assert str(raised.value).startswith("It has ")
 
 
