@@ -244,6 +244,40 @@ def test_wheels_are_named_and_locked_wheels_are_feet(kind: str, limits: str, tmp
     assert robot.feet[0, 2] == pytest.approx(-0.4, abs=1e-3)
 
 
+def test_feet_that_slide_on_springs_are_named(tmp_path: Path) -> None:
+    text = re.sub(
+        r'_foot_fixed" type="fixed">(.*?)</joint>',
+        r'_spring" type="prismatic">\1<axis xyz="0 0 1"/>'
+        r'<limit lower="-0.02" upper="0" effort="1" velocity="1"/></joint>',
+        urdf(),
+    )
+    words = r"FL_spring, FR_spring, RL_spring, RR_spring slide at the end of its legs.*type=\"fixed\" in place of"
+    with pytest.raises(SurefootError, match=words):
+        read(text, tmp_path)
+
+
+def test_a_mesh_in_millimetres_is_named(tmp_path: Path) -> None:
+    text = urdf(foot='<origin xyz="0 0 0"/><geometry><sphere radius="20"/></geometry>')
+    with pytest.raises(
+        SurefootError, match=r"the shapes of the base are .* m long, and its upper links 0\.2 m; meshes"
+    ):
+        read(text.replace('size="0.4 0.2 0.1"', 'size="400 200 100"').replace('radius="20"', 'radius="0.02"'), tmp_path)
+
+
+def test_an_inertia_in_other_units_is_named(tmp_path: Path) -> None:
+    text = re.sub(r' (i[xyz]{2})="([^"]*)"', lambda m: f' {m[1]}="{float(m[2]) * 1e6}"', urdf())
+    (warning,) = read(text, tmp_path).warnings
+    assert "shapes and joints span 0.4 x 0.2 x 0.1 m; a box of this size has (0.025, 0.085, 0.1) kg m2" in warning
+    assert "it fits if the file has kg mm2; 16 more links are like this" in warning
+
+
+def test_a_foot_whose_mesh_is_missing_is_where_its_link_is(tmp_path: Path) -> None:
+    foot = '<origin xyz="0 0 0"/><geometry><mesh filename="none.stl"/></geometry>'
+    robot = read(urdf(foot=foot), tmp_path)
+    np.testing.assert_allclose(robot.feet[0], [0.18, 0.14, -0.4], atol=1e-9)
+    assert any(note.startswith("feet: a link named so") for note in robot.notes)
+
+
 def test_a_fourth_hinge_with_limits_is_no_wheel(tmp_path: Path) -> None:
     text = re.sub(
         r'<joint name="(\w+)_foot_fixed" type="fixed">(.*?)</joint>',

@@ -51,10 +51,10 @@ def check_masses(robot: RobotDescription) -> CheckResult:
 def _gyration(name: str, link: Link, ends: list[np.ndarray], robot_size: float) -> tuple[bool, str] | None:
     """Return whether a link's inertia is too large or too small for its shapes and joints; see `describe_gyration`."""
     body = link.body
-    moments, axes = body.principal()
+    moments, _ = body.principal()
     corners = [_corners(shape) for shape in link.collisions]
     points = np.concatenate([np.zeros((1, 3)), *corners, *(end[None] for end in ends)])
-    described = describe_gyration(name, body.mass, moments, (points - body.centre) @ axes, robot_size)
+    described = describe_gyration(name, body.mass, moments, points - body.centre, robot_size)
     # What is written of a leg are thin cylinders: only the base's shape shows what is too small.
     return (
         described

@@ -20,6 +20,8 @@ _DENSITY = 1000.0
 """Density [kg/m3] of a link of which nothing but the mass is known."""
 _THINNEST = 0.2
 """Thickness of a link between its joints, over its length."""
+_HEAVY = 0.2
+"""Share of the robot's mass from which a link without inertia is no point mass but a body, as its trunk."""
 _MIN_SHARE = 0.01
 """Share of the robot's mass from which a link is compared with its own shapes; lighter ones with the robot."""
 
@@ -27,7 +29,8 @@ _MIN_SHARE = 0.01
 def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> None:
     """Make a URDF's inertias ready for MuJoCo.
 
-    Links without mass lose theirs. Zero inertias of links that move, or of all links, are made from their shapes.
+    Links without mass lose theirs. Zero or missing inertias of links that move, of heavy links, or of all links are
+    made from their shapes.
     Those that no rigid body has are noted, and MuJoCo balances them.
     """
     moved, frames, odd = _moved_links(root), [], []
@@ -38,6 +41,9 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
         name = link.get("name", "")
         where, tensor = f"{path}: link '{name}'", inertial.find("inertia")
         mass = read_number(inertial.find("mass"), "value", f"{where}: mass")
+        if mass > 0.0 and tensor is None and name in moved:
+            keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+            tensor = ElementTree.SubElement(inertial, "inertia", dict.fromkeys(keys, "0"))
         if mass == 0.0 or tensor is None:
             link.remove(inertial)
         elif 0.0 < mass < NO_MASS and name not in moved:
@@ -50,7 +56,8 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
     if frames:
         notes.append(f"frames of less than {NO_MASS:g} kg count as massless: {choices(frames)}")
     zero = [name for name, (_, mass, inertia) in inertials.items() if mass > 0 and not inertia.any()]
-    made = zero if len(zero) == len(inertials) else [name for name in zero if name in moved]
+    heavy = _HEAVY * sum(mass for _, mass, _ in inertials.values())
+    made = [name for name in zero if len(zero) == len(inertials) or name in moved or inertials[name][1] > heavy]
     links = {link.get("name", ""): link for link in root.findall("link")}
     for name in made:
         tensor, mass, _ = inertials[name]
@@ -139,7 +146,7 @@ def implausible_inertias(model: mujoco.MjModel, data: mujoco.MjData, points: Seq
             continue
         joints = data.xpos[[body, *np.flatnonzero(model.body_parentid == body)]]
         own = np.concatenate([points[body], joints])
-        in_frame = (own - data.xipos[body]) @ data.ximat[body].reshape(3, 3)
+        in_frame = (own - data.xipos[body]) @ data.xmat[body].reshape(3, 3)
         known = len(points[body]) > 0 and mass > _MIN_SHARE * total
         words = describe_gyration(model.body(body).name, mass, moments, in_frame if known else None, robot_size)
         if words is not None:

@@ -23,7 +23,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, Part
-from surefoot.robot.importing.extra_hinges import describe_play, describe_wheels, find_play, is_wheel
+from surefoot.robot.importing.extra_hinges import describe_play, describe_springs, describe_wheels, find_play, is_wheel
 from surefoot.robot.importing.foot import fit_sphere, sole_sphere, surface_points
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.inertias import drop_frame_masses, implausible_inertias, prepare_inertias
@@ -33,7 +33,7 @@ from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
 from surefoot.robot.importing.servo import motor_order, read_servos
-from surefoot.robot.importing.units import convert_degrees, explain_ranges, explain_size
+from surefoot.robot.importing.units import convert_degrees, explain_meshes, explain_ranges, explain_size
 from surefoot.robot.importing.visuals import (
     Visual,
     decimate_visuals,
@@ -50,6 +50,8 @@ _FRONT = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IG
 _FOOT = re.compile(r"foot|toe|tip|sole|ankle", re.IGNORECASE)
 _AXIS_TOLERANCE = 1e-3
 """How far an axis may be from the base's, as a cosine: files write pi/2 with five digits."""
+_BEYOND = 1.02
+"""How far a link that is named as a foot is from the knee, over the farthest shape, if the foot has no shape."""
 _SOLE = 0.95
 """How far from the knee points of the sole are, over the farthest one."""
 _CLEARLY = 0.9
@@ -254,7 +256,9 @@ class _Reader:
             notes=tuple(self.notes),
             warnings=tuple(warnings),
         )
-        if (reason := explain_size(robot.mass, robot.length)) is not None:
+        legs, box = np.linalg.norm(robot.links, axis=-1).max(axis=1), float(robot.base_box[1].max())
+        reason = explain_meshes(float(legs[0]), float(legs[1]), box) or explain_size(robot.mass, robot.length)
+        if reason is not None:
             raise self._error(reason)
         parts = self._parts(visuals, robot, chains, base)
         names = dict(zip([base, *itertools.chain(*chains)], ["base", *itertools.chain(*robot.link_names)], strict=True))
@@ -328,7 +332,9 @@ class _Reader:
         chains = [longest(child) for child in children[base]]
         wheels = [chain[-1] for chain in chains if len(chain) > 2 and self._ends_in_wheel(chain)]
         if wheels and len(chains) == 4:
-            raise self._error(describe_wheels(self._joint_names(wheels), self.is_urdf))
+            raise self._error(describe_wheels(self._names_of(wheels), self.is_urdf))
+        if len(chains) == 4 and (springs := [chain[-1] for chain in chains if self._slides(chain[-1])]):
+            raise self._error(describe_springs(self._names_of(springs), self.is_urdf))
         legs = [chain for chain in chains if len(chain) in (2, 3)]
         legs = legs if len(legs) == 4 else chains
         for first, *_ in (chain for chain in chains if chain not in legs):
@@ -345,6 +351,15 @@ class _Reader:
         names = [self._joint_names(leg) for leg in legs]
         check_legs(self.path, model.body(base).name, names, next(iter(branches), None), model.neq > 0, slides)
         return legs, base
+
+    def _names_of(self, bodies: list[int]) -> list[str]:
+        """Return the names of the joints of bodies, and of the bodies where joints have none."""
+        names = zip(self._joint_names(bodies), bodies, strict=True)
+        return [name or f"the joint of body '{self.model.body(body).name or body}'" for name, body in names]
+
+    def _slides(self, body: int) -> bool:
+        """Return whether a body slides on the one before it."""
+        return bool(self.model.jnt_type[int(self.hinge[body])] == mjtJoint.mjJNT_SLIDE.value)
 
     def _ends_in_wheel(self, chain: list[int]) -> bool:
         """Return whether a leg's last hinge turns a wheel."""
@@ -452,7 +467,7 @@ class _Reader:
         named = [b for b in np.flatnonzero(self.group == body) if _FOOT.search(model.body(int(b)).name)]
         if not len(points) and not named:
             raise self._error(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
-        if not len(points) or (named and np.linalg.norm(data.xpos[named[-1]] - knee) > reach / _END):
+        if not len(points) or (named and np.linalg.norm(data.xpos[named[-1]] - knee) > _BEYOND * reach):
             end = data.xpos[named[-1]].copy()
             return _Foot(end, self._thickness(geoms, end, knee), "a link named so")
         away = np.linalg.norm(points - knee, axis=1)
