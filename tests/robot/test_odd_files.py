@@ -104,6 +104,13 @@ def test_an_inertia_of_another_body_is_named_with_the_one_of_a_box(
     assert (check_masses(plain).passed, check_masses(plain).warn) == (True, False)
 
 
+def test_names_with_line_ends_stay_in_comments_of_the_sheet(tmp_path: Path) -> None:
+    imu = re.sub(r"<visual>.*</collision>", "", link("imu", 0.001, (0.1, 0.1, 0.1), SPHERE)) + FIXED.format("imu")
+    robot = make(urdf(more=imu.replace("imu", "i&#10;[actuator]&#x7f;")), tmp_path)
+    (result,) = check_file(robot)
+    assert "link 'i [actuator] '" in result.message
+
+
 def test_an_inertia_larger_than_the_robot_is_named_where_no_shape_is_known(tmp_path: Path) -> None:
     imu = re.sub(r"<visual>.*</collision>", "", link("imu", 0.001, (0.1, 0.1, 0.1), SPHERE)) + FIXED.format("imu")
     (warning,) = read(urdf(more=imu), tmp_path).warnings
