@@ -137,7 +137,7 @@ def implausible_inertias(model: mujoco.MjModel, data: mujoco.MjData, points: Seq
         data: places at zero angles.
         points: points (p, 3) on the shapes of each body.
     """
-    everything = np.concatenate([data.xpos[1:], *points])
+    everything = np.concatenate([data.xpos[1:], *points[1:]])
     robot_size, total = float(np.linalg.norm(np.ptp(everything, axis=0))), float(model.body_mass.sum())
     large, small = [], []
     for body in range(1, model.nbody):
