@@ -200,6 +200,23 @@ def test_a_link_whose_mesh_is_missing_is_drawn_as_a_primitive_shape(tmp_path: Pa
     assert not [part for part in whole.appearance().parts if part.link.endswith("_foot")]
 
 
+def test_an_mjcf_whose_meshes_and_textures_are_missing_is_read_without_meshes(tmp_path: Path) -> None:
+    assets = (
+        '<asset><mesh name="m" file="none.stl"/><texture name="t" type="2d" file="none.png"/>'
+        '<material name="a" texture="t"/></asset><worldbody>'
+    )
+    text = mjcf().replace("<worldbody>", assets).replace('<geom type="sphere"', '<geom material="a" type="sphere"')
+    mesh = '<inertial pos="0 0 0" mass="6" diaginertia="0.04 0.09 0.11"/><geom type="mesh" mesh="m"/>'
+    text = text.replace('<geom type="box" size="0.2 0.1 0.05" mass="6"/>', mesh)
+    with pytest.raises(
+        SurefootError, match=r"which is not there; put it where it is named, or leave out meshes \(--no"
+    ):
+        read(text, tmp_path, "odd.xml")
+    robot, plain = read_robot(tmp_path / "odd.xml", meshes=False), read(mjcf(), tmp_path, "plain.xml")
+    assert robot.mass == pytest.approx(plain.mass)
+    np.testing.assert_allclose(robot.feet, plain.feet)
+
+
 def test_play_of_gears_is_left_out_with_a_note(tmp_path: Path) -> None:
     def with_play(text: str, order: str) -> str:
         motor, play = r"\g<0>", r'<joint name="\1_backlash" axis="\2" range="-0.01 0.01" damping="0.01"/>'

@@ -90,6 +90,8 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
             spec.compiler.inertiafromgeom = mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO  # keeps visual shapes' masses
         spec.compiler.fusestatic = False
         drop_frame_masses(spec, notes)
+        if not meshes and root.tag == "mujoco":
+            _drop_files(spec)
         keys = {key.name: list(key.qpos) for key in spec.keys}
         for key in list(spec.keys):
             spec.delete(key)
@@ -97,6 +99,16 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
     poses = order_poses(itertools.chain(_keyframe_poses(keys, model), srdf_poses(path)))
     file_name = root.get("name" if root.tag == "robot" else "model", "")
     return _Reader(path, model, speeds, poses, notes, file_name, root.tag == "robot").read(forward, visuals, incomplete)
+
+
+def _drop_files(spec: mujoco.MjSpec) -> None:
+    """Leave out what an MJCF reads from other files: meshes with their shapes, and textures."""
+    for geom in list(spec.geoms):
+        geom.material = ""
+        if geom.meshname:
+            spec.delete(geom)
+    for item in [*spec.meshes, *spec.materials, *spec.textures]:
+        spec.delete(item)
 
 
 def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iterator[tuple[str, Pose]]:
