@@ -62,10 +62,8 @@ def test_frames_with_next_to_no_mass_are_left_out_with_one_note(tmp_path: Path) 
 def test_inertias_of_0_are_made_from_masses_and_shapes(tmp_path: Path) -> None:
     text = re.sub(r'ixx="[^"]*" iyy="[^"]*" izz="[^"]*"', 'ixx="0" iyy="0" izz="0"', urdf())
     robot = read(text, tmp_path)
-    assert (
-        "inertias are 0 in the file, made of masses and shapes: trunk, FL_hip, FL_thigh, FL_calf and 13 more"
-        in robot.notes
-    )
+    made = "inertias that are 0 in the file, or less, are made of masses and shapes"
+    assert f"{made}: trunk, FL_hip, FL_thigh, FL_calf and 13 more" in robot.notes
     np.testing.assert_allclose(robot.base.inertia, np.diag(box_moments(6, np.array([0.4, 0.2, 0.1]))), rtol=1e-5)
     assert robot.warnings == ()
     # One link that moves: a thigh, of which no shape is known, is as long as from its joint to the next.
@@ -73,9 +71,24 @@ def test_inertias_of_0_are_made_from_masses_and_shapes(tmp_path: Path) -> None:
     head, tail = bare.split('<link name="FL_thigh">')
     tail = re.sub(r"<visual>.*?</collision>", "", tail, count=1)
     robot = read(f'{head}<link name="FL_thigh">{tail}', tmp_path)
-    assert "inertias are 0 in the file, made of masses and shapes: FL_thigh" in robot.notes
+    assert "inertias that are 0 in the file, or less, are made of masses and shapes: FL_thigh" in robot.notes
     moments = box_moments(0.5, np.array([0.04, 0.04, 0.2]))
     np.testing.assert_allclose(robot.bodies[0][1].inertia, np.diag(moments), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "made"), [("FL_calf", True), ("FL_foot", False)])
+@pytest.mark.parametrize("moment", ["0", "1e-20"])
+def test_moments_that_were_rounded_to_nothing_are_no_reason_to_refuse(
+    moment: str, name: str, made: bool, tmp_path: Path
+) -> None:
+    text = with_inertia(urdf(), name, *(float(moment),) * 3)
+    robot = read(text, tmp_path)
+    note = f"inertias that are 0 in the file, or less, are made of masses and shapes: {name}"
+    assert (note in robot.notes) is made  # a fixed link is a point mass
+    assert robot.mass == pytest.approx(10.6)
+    for xx in (0.0, -8e-4):
+        text = with_inertia(urdf(), "FL_calf", xx, 8e-4, 8e-4)
+        assert any("FL_calf" in note for note in read(text, tmp_path).notes)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,10 @@ _DENSITY = 1000.0
 """Density [kg/m3] of a link of which nothing but the mass is known."""
 _THINNEST = 0.2
 """Thickness of a link between its joints, over its length."""
+_NO_MOMENT = 1e-14
+"""Moment of inertia [kg m2] below which MuJoCo takes it for none."""
+_POINT = 1e-12
+"""Sum of moments [kg m2] of a fixed link below which it is a point mass."""
 _HEAVY = 0.2
 """Share of the robot's mass from which a link without inertia is no point mass but a body, as its trunk."""
 _MIN_SHARE = 0.01
@@ -29,9 +33,8 @@ _MIN_SHARE = 0.01
 def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> None:
     """Make a URDF's inertias ready for MuJoCo.
 
-    Links without mass lose theirs. Zero or missing inertias of links that move, of heavy links, or of all links are
-    made from their shapes.
-    Those that no rigid body has are noted, and MuJoCo balances them.
+    Links without mass lose theirs. Inertias that are zero, missing or negative of links that move, of heavy links, or
+    of all links are made from their shapes. Those that no rigid body has are noted, and MuJoCo balances them.
     """
     moved, frames, odd = _moved_links(root), [], []
     inertials: dict[str, tuple[ElementTree.Element, float, Array]] = {}
@@ -58,15 +61,25 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
     zero = [name for name, (_, mass, inertia) in inertials.items() if mass > 0 and not inertia.any()]
     heavy = _HEAVY * sum(mass for _, mass, _ in inertials.values())
     made = [name for name in zero if len(zero) == len(inertials) or name in moved or inertials[name][1] > heavy]
+    for name, (tensor, mass, inertia) in inertials.items():
+        least = float(np.linalg.eigvalsh(inertia).min())
+        if mass <= 0 or least >= _NO_MOMENT or not inertia.any():
+            continue
+        if name not in moved and least >= 0 and float(np.trace(inertia)) < _POINT:
+            tensor.attrib |= dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0")
+            inertials[name] = tensor, mass, np.zeros((3, 3))
+        else:  # MuJoCo refuses it
+            made.append(name)
     links = {link.get("name", ""): link for link in root.findall("link")}
     for name in made:
         tensor, mass, _ = inertials[name]
         moments = _moments_of_shapes(links[name], root, mass, path)
         tensor.attrib |= {f"i{axis}": f"{value:.6g}" for axis, value in zip(("xx", "yy", "zz"), moments, strict=True)}
+        tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
         inertials[name] = tensor, mass, np.diag(moments)
     if made:
         few = choices(made[:4]) + (f" and {len(made) - 4} more" if len(made) > 4 else "")
-        notes.append(f"inertias are 0 in the file, made of masses and shapes: {few}")
+        notes.append(f"inertias that are 0 in the file, or less, are made of masses and shapes: {few}")
     for name, (tensor, mass, inertia) in inertials.items():
         moments = np.linalg.eigvalsh(inertia)
         point_mass = mass > 0 and not np.diag(inertia).any()
