@@ -93,8 +93,10 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
     seconds = time.monotonic() - start
     note = ", no meshes" if "shapes are left out: mesh" in done.stdout else ""
     label = f"{path.name if collection else f'{path.parent.name}/{path.name}'}{note}"
-    columns = ("robot", "file", "legs", "knees", "mass", "foot_radius_mm", "known_radius_mm", "seconds", "check")
-    columns += ("untrained_falls", "untrained_speed")
+    columns = (
+        *("robot", "file", "legs", "knees", "mass", "foot_radius_mm", "known_radius_mm", "seconds", "check"),
+        *("untrained_falls", "untrained_speed"),
+    )
     if done.returncode not in (0, 3):
         error = (done.stderr.strip().splitlines() or ["no error"])[-1].split(f"{path}: ")[-1]
         return dict.fromkeys(columns, "") | {"robot": "-", "file": label, "check": error}

@@ -81,11 +81,11 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
         few = choices(made[:4]) + (f" and {len(made) - 4} more" if len(made) > 4 else "")
         notes.append(f"inertias that are 0 in the file, or less, are made of masses and shapes: {few}")
     for name, (tensor, mass, inertia) in inertials.items():
-        moments = np.linalg.eigvalsh(inertia)
+        principal = np.linalg.eigvalsh(inertia)
         point_mass = mass > 0 and not np.diag(inertia).any()
-        if not point_mass and not (mass > 0 and are_moments(moments)):
+        if not point_mass and not (mass > 0 and are_moments(principal)):
             odd.append(name)
-        if not moments.min() > 0:
+        if not principal.min() > 0:
             tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
     if odd:
         notes.append(f"inertias that no rigid body has, balanced: {choices(odd)}")
@@ -152,7 +152,8 @@ def implausible_inertias(model: mujoco.MjModel, data: mujoco.MjData, points: Seq
     """
     everything = np.concatenate([data.xpos[1:], *points[1:]])
     robot_size, total = float(np.linalg.norm(np.ptp(everything, axis=0))), float(model.body_mass.sum())
-    large, small = [], []
+    large: list[str] = []
+    small: list[str] = []
     for body in range(1, model.nbody):
         mass, moments = float(model.body_mass[body]), np.array(model.body_inertia[body])
         if mass <= 0 or not moments.any():

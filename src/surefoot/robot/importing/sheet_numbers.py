@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE
@@ -84,7 +84,7 @@ def actuator(robot: ImportedRobot) -> list[str]:
         text = value if np.ptp(numbers) else value[0]
         return f"{key} = {text}  # {one_line(comment)}"
 
-    def stated(key: str, values: Array, real: Array, rule: Rule, why: str = "") -> str:
+    def stated(key: str, values: Array, real: NDArray[np.bool_], rule: Rule, why: str = "") -> str:
         numbers = np.where(real, values, rule.value)
         if real.all():
             return line(key, numbers, f"{rule.unit}, {file}")
@@ -119,7 +119,7 @@ def _friction_origin(robot: ImportedRobot, values: Array) -> str:
     return f"the damping in {robot.path.name} is the controller's kd" if is_kd else f"{robot.path.name} has none"
 
 
-def _names(robot: ImportedRobot, which: Array) -> str:
+def _names(robot: ImportedRobot, which: NDArray[np.bool_]) -> str:
     """Return the names of some joints, few of them."""
     names: Sequence[str] = [name for name, one in zip(sum(robot.joints, ()), which.ravel(), strict=True) if one]
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
