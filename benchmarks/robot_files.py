@@ -1,5 +1,8 @@
 """What `robot new` and `robot check` make of other people's robots: a row for each file of a quadruped.
 
+Each robot also runs the untrained reference of `steer` for 6 s under 16 commands forward, from a fifth of the greatest
+speed to all of it: falls, and the mean ratio of the speed to the commanded one after 1.5 s.
+
     python benchmarks/robot_files.py FOLDER... [--out TABLE.csv]
 
 Folders are searched for the files of `FILES`; with `--all` for every URDF and MJCF, where files without a quadruped
@@ -15,11 +18,21 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import KNEE_SIGNS
 from surefoot.tables import markdown, write_csv
+from surefoot.task.config import load_task
+from surefoot.task.env import LocomotionEnv
+from surefoot.world.sim_world import SimWorld
+
+ROBOTS = 16
+DURATION, SETTLING = 6.0, 1.5
+"""Time that the untrained reference is run, and after which its speed is measured [s]."""
 
 FILES = {
     "example-robot-data": (
@@ -80,7 +93,10 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
     seconds = time.monotonic() - start
     note = ", no meshes" if "shapes are left out: mesh" in done.stdout else ""
     label = f"{path.name if collection else f'{path.parent.name}/{path.name}'}{note}"
-    columns = ("robot", "file", "legs", "knees", "mass", "foot_radius_mm", "known_radius_mm", "seconds", "check")
+    columns = (
+        *("robot", "file", "legs", "knees", "mass", "foot_radius_mm", "known_radius_mm", "seconds", "check"),
+        *("untrained_falls", "untrained_speed"),
+    )
     if done.returncode not in (0, 3):
         error = (done.stderr.strip().splitlines() or ["no error"])[-1].split(f"{path}: ")[-1]
         return dict.fromkeys(columns, "") | {"robot": "-", "file": label, "check": error}
@@ -91,6 +107,7 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
     signs = [1 if leg.knee == "forward" else -1 for leg in robot.legs]
     report = json.loads(run("robot", "check", folder, "--json").stdout)
     failed = [item["name"] for item in report["checks"] if item["passed"] is False]
+    falls, speed = walk_untrained(folder)
     return dict(
         zip(
             columns,
@@ -104,10 +121,33 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
                 "" if known is None else f"{1e3 * known:.3g} ({(low + high) / 2e3 / known - 1:+.0%})",
                 f"{seconds:.1f}",
                 "fails: " + ", ".join(failed) if failed else "passes",
+                str(falls),
+                f"{speed:.2f}",
             ),
             strict=True,
         )
     )
+
+
+def walk_untrained(folder: Path) -> tuple[int, float]:
+    """Return the falls of 16 robots on the reference of `steer` without feedback, and speed over commanded speed."""
+    task, _ = load_task("steer", str(folder))
+    limits = task.commands.limits(RobotDescription.load(folder))
+    assert limits is not None
+    speeds = np.linspace(0.2, 1.0, ROBOTS) * limits.high[0]
+    commands = replace(task.commands, each=tuple((float(speed), 0.0, 0.0) for speed in speeds))
+    env = LocomotionEnv(replace(task, commands=commands), ROBOTS, SimWorld, seed=1, autoreset=False, threads=1)
+    env.reset()
+    step = float(env.world.params.control_step[0])
+    first, count = round(SETTLING / step), round(DURATION / step)
+    fell, zero = np.zeros(ROBOTS, bool), np.zeros((ROBOTS, len(env.gait.action_names)))
+    for k in range(count):
+        _, _, terminated, _, _ = env.step(zero)
+        fell |= terminated
+        if k == first:
+            start = env.state.truth.base_position_world[:, 0].copy()
+    moved = env.state.truth.base_position_world[:, 0] - start
+    return int(fell.sum()), float((moved / ((count - 1 - first) * step) / speeds).mean())
 
 
 def is_version(robot: str, name: str) -> bool:
@@ -131,7 +171,9 @@ def main() -> None:
             print(" | ".join(rows[-1].values()), flush=True)
     table = markdown(rows)
     passed = sum(row["check"] == "passes" for row in rows)
-    print(f"\n{table}\n\n{len(rows)} files, {sum(row['robot'] != '-' for row in rows)} read, {passed} pass")
+    walking = sum(row["untrained_falls"] == "0" and float(row["untrained_speed"]) >= 0.5 for row in rows)
+    read = sum(row["robot"] != "-" for row in rows)
+    print(f"\n{table}\n\n{len(rows)} files, {read} read, {passed} pass, {walking} walk untrained")
     if arguments.out:
         write_csv(arguments.out, rows)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from odd_quadrupeds import urdf
 from PIL import Image
 from processes import surefoot
 
@@ -34,6 +35,28 @@ def test_a_file_becomes_a_robot_with_a_picture(tmp_path: Path) -> None:
     # The robot's grey, and the axes' red and green, are there.
     for red, green, blue in ((200, 40, 40), (30, 140, 50)):
         assert (np.abs(picture - [red, green, blue]).sum(axis=2) < 30).sum() > 100
+
+
+def test_a_warning_passes_and_origins_of_numbers_are_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("odd.urdf").write_text(urdf(0.004))
+    assert main(["robot", "new", "odd.urdf", "--out", "odd", "--name", "odd"]) == 0
+    out = capsys.readouterr().out
+    assert "stated   actuator.torque_limit = 20.0: N m, from odd.urdf" in out
+    assert "warn      left and right        back_left's upper link is 4 mm longer than back_right's" in out
+    assert "to do: correct places and lengths of links" in out
+    assert "9 passed, 1 passed with a warning, 0 failed" in out
+    assert "train trot --robot" in out
+    assert main(["robot", "check", "odd"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"guessed  actuator.kp = [\d.]+: 1.5 m g l, the stiffness", out)
+    assert main(["robot", "check", "odd", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert [item["name"] for item in report["checks"] if item["warn"]] == ["left and right"]
+    stated = {item["origin"].split(" = ")[0] for item in report["numbers"] if not item["guessed"]}
+    assert {"actuator.torque_limit", "actuator.speed_limit"} <= stated
 
 
 def test_check_reports_a_placeholder_torque_and_unequal_legs(tmp_path: Path) -> None:

@@ -66,6 +66,13 @@ def test_a_controller_of_an_mjcf_is_read_at_the_joint(
         ('<general joint="{joint}" gainprm="10" ctrlrange="-1 1" ctrllimited="true"/>', "", 10.0),
         ('<motor joint="{joint}" gear="5" ctrlrange="-4 4"/>', 'actuatorfrcrange="-12 12"', 12.0),
         (POSITION, "", 25.0),
+        # A motor with a back EMF; a controller of the speed, whose control is none of the torque.
+        (
+            '<general joint="{joint}" gainprm="5" biastype="affine" biasprm="0 0 -.3" ctrlrange="-4 4" '
+            'ctrllimited="true"/>',
+            *("", 20.0),
+        ),
+        ('<velocity joint="{joint}" kv="2" ctrlrange="-9 9" ctrllimited="true"/>', "", np.nan),
     ],
 )
 def test_a_torque_limit_counts_gear_and_gain(actuator: str, joint: str, torque: float, tmp_path: Path) -> None:

@@ -62,10 +62,8 @@ def test_frames_with_next_to_no_mass_are_left_out_with_one_note(tmp_path: Path) 
 def test_inertias_of_0_are_made_from_masses_and_shapes(tmp_path: Path) -> None:
     text = re.sub(r'ixx="[^"]*" iyy="[^"]*" izz="[^"]*"', 'ixx="0" iyy="0" izz="0"', urdf())
     robot = read(text, tmp_path)
-    assert (
-        "inertias are 0 in the file, made of masses and shapes: trunk, FL_hip, FL_thigh, FL_calf and 13 more"
-        in robot.notes
-    )
+    made = "inertias that are 0 in the file, or less, are made of masses and shapes"
+    assert f"{made}: trunk, FL_hip, FL_thigh, FL_calf and 13 more" in robot.notes
     np.testing.assert_allclose(robot.base.inertia, np.diag(box_moments(6, np.array([0.4, 0.2, 0.1]))), rtol=1e-5)
     assert robot.warnings == ()
     # One link that moves: a thigh, of which no shape is known, is as long as from its joint to the next.
@@ -73,9 +71,24 @@ def test_inertias_of_0_are_made_from_masses_and_shapes(tmp_path: Path) -> None:
     head, tail = bare.split('<link name="FL_thigh">')
     tail = re.sub(r"<visual>.*?</collision>", "", tail, count=1)
     robot = read(f'{head}<link name="FL_thigh">{tail}', tmp_path)
-    assert "inertias are 0 in the file, made of masses and shapes: FL_thigh" in robot.notes
+    assert "inertias that are 0 in the file, or less, are made of masses and shapes: FL_thigh" in robot.notes
     moments = box_moments(0.5, np.array([0.04, 0.04, 0.2]))
     np.testing.assert_allclose(robot.bodies[0][1].inertia, np.diag(moments), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "made"), [("FL_calf", True), ("FL_foot", False)])
+@pytest.mark.parametrize("moment", ["0", "1e-20"])
+def test_moments_that_were_rounded_to_nothing_are_no_reason_to_refuse(
+    moment: str, name: str, made: bool, tmp_path: Path
+) -> None:
+    text = with_inertia(urdf(), name, *(float(moment),) * 3)
+    robot = read(text, tmp_path)
+    note = f"inertias that are 0 in the file, or less, are made of masses and shapes: {name}"
+    assert (note in robot.notes) is made  # a fixed link is a point mass
+    assert robot.mass == pytest.approx(10.6)
+    for xx in (0.0, -8e-4):
+        text = with_inertia(urdf(), "FL_calf", xx, 8e-4, 8e-4)
+        assert any("FL_calf" in note for note in read(text, tmp_path).notes)
 
 
 @pytest.mark.parametrize(
@@ -102,6 +115,13 @@ def test_an_inertia_of_another_body_is_named_with_the_one_of_a_box(
     plain = make(urdf(), tmp_path)
     assert list(check_file(plain)) == []
     assert (check_masses(plain).passed, check_masses(plain).warn) == (True, False)
+
+
+def test_names_with_line_ends_stay_in_comments_of_the_sheet(tmp_path: Path) -> None:
+    imu = re.sub(r"<visual>.*</collision>", "", link("imu", 0.001, (0.1, 0.1, 0.1), SPHERE)) + FIXED.format("imu")
+    robot = make(urdf(more=imu.replace("imu", "i&#10;[actuator]&#x7f;")), tmp_path)
+    (result,) = check_file(robot)
+    assert "link 'i [actuator] '" in result.message
 
 
 def test_an_inertia_larger_than_the_robot_is_named_where_no_shape_is_known(tmp_path: Path) -> None:
@@ -193,6 +213,23 @@ def test_a_link_whose_mesh_is_missing_is_drawn_as_a_primitive_shape(tmp_path: Pa
     assert not [part for part in whole.appearance().parts if part.link.endswith("_foot")]
 
 
+def test_an_mjcf_whose_meshes_and_textures_are_missing_is_read_without_meshes(tmp_path: Path) -> None:
+    assets = (
+        '<asset><mesh name="m" file="none.stl"/><texture name="t" type="2d" file="none.png"/>'
+        '<material name="a" texture="t"/></asset><worldbody>'
+    )
+    text = mjcf().replace("<worldbody>", assets).replace('<geom type="sphere"', '<geom material="a" type="sphere"')
+    mesh = '<inertial pos="0 0 0" mass="6" diaginertia="0.04 0.09 0.11"/><geom type="mesh" mesh="m"/>'
+    text = text.replace('<geom type="box" size="0.2 0.1 0.05" mass="6"/>', mesh)
+    with pytest.raises(
+        SurefootError, match=r"which is not there; put it where it is named, or leave out meshes \(--no"
+    ):
+        read(text, tmp_path, "odd.xml")
+    robot, plain = read_robot(tmp_path / "odd.xml", meshes=False), read(mjcf(), tmp_path, "plain.xml")
+    assert robot.mass == pytest.approx(plain.mass)
+    np.testing.assert_allclose(robot.feet, plain.feet)
+
+
 def test_play_of_gears_is_left_out_with_a_note(tmp_path: Path) -> None:
     def with_play(text: str, order: str) -> str:
         motor, play = r"\g<0>", r'<joint name="\1_backlash" axis="\2" range="-0.01 0.01" damping="0.01"/>'
@@ -242,6 +279,40 @@ def test_wheels_are_named_and_locked_wheels_are_feet(kind: str, limits: str, tmp
     robot = read(re.sub(rf'(_wheel" type=)"{kind}"', r'\1"fixed"', text), tmp_path)
     assert robot.foot_radius == pytest.approx([0.05] * 4, rel=0.01)
     assert robot.feet[0, 2] == pytest.approx(-0.4, abs=1e-3)
+
+
+def test_feet_that_slide_on_springs_are_named(tmp_path: Path) -> None:
+    text = re.sub(
+        r'_foot_fixed" type="fixed">(.*?)</joint>',
+        r'_spring" type="prismatic">\1<axis xyz="0 0 1"/>'
+        r'<limit lower="-0.02" upper="0" effort="1" velocity="1"/></joint>',
+        urdf(),
+    )
+    words = r"FL_spring, FR_spring, RL_spring, RR_spring slide at the end of its legs.*type=\"fixed\" in place of"
+    with pytest.raises(SurefootError, match=words):
+        read(text, tmp_path)
+
+
+def test_a_mesh_in_millimetres_is_named(tmp_path: Path) -> None:
+    text = urdf(foot='<origin xyz="0 0 0"/><geometry><sphere radius="20"/></geometry>')
+    with pytest.raises(
+        SurefootError, match=r"the shapes of the base are .* m long, and its upper links 0\.2 m; meshes"
+    ):
+        read(text.replace('size="0.4 0.2 0.1"', 'size="400 200 100"').replace('radius="20"', 'radius="0.02"'), tmp_path)
+
+
+def test_an_inertia_in_other_units_is_named(tmp_path: Path) -> None:
+    text = re.sub(r' (i[xyz]{2})="([^"]*)"', lambda m: f' {m[1]}="{float(m[2]) * 1e6}"', urdf())
+    (warning,) = read(text, tmp_path).warnings
+    assert "shapes and joints span 0.4 x 0.2 x 0.1 m; a box of this size has (0.025, 0.085, 0.1) kg m2" in warning
+    assert "it fits if the file has kg mm2; 16 more links are like this" in warning
+
+
+def test_a_foot_whose_mesh_is_missing_is_where_its_link_is(tmp_path: Path) -> None:
+    foot = '<origin xyz="0 0 0"/><geometry><mesh filename="none.stl"/></geometry>'
+    robot = read(urdf(foot=foot), tmp_path)
+    np.testing.assert_allclose(robot.feet[0], [0.18, 0.14, -0.4], atol=1e-9)
+    assert any(note.startswith("feet: a link named so") for note in robot.notes)
 
 
 def test_a_fourth_hinge_with_limits_is_no_wheel(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from surefoot.evaluation.runs import SATURATION
 from surefoot.robot import RobotDescription
 from surefoot.robot.actuator import JointActuatorData
 from surefoot.task.config import load_task
+from surefoot.task.reference_config import FootReferenceConfig
 from surefoot.world.interface import WorldConfig
 from surefoot.world.motor_load import available_torque, describe_torque, measure_load, unlimited
 
@@ -54,6 +55,7 @@ def check_trot(robot: RobotDescription) -> Iterator[CheckResult]:
         return
     if isinstance(robot.actuator, JointActuatorData):
         # What legs are to do, without what commands lead by.
+        assert isinstance(task.reference, FootReferenceConfig)
         plain = replace(task, reference=replace(task.reference, velocity_feedforward=0.0)).gait(robot)
         times = np.arange(0.0, DURATION, robot.timing.control_step)
         targets = np.concatenate([plain.motor_targets([time], zero) for time in times])

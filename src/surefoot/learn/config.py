@@ -32,7 +32,8 @@ class PPOConfig:
     privileged_critic: bool = True
     """Let the value network see the simulation's true state; it is not needed once training is over."""
     symmetry: bool = False
-    """Learn from every sample's mirror image too: for robots and reference gaits that are left-right symmetric."""
+    """Learn from every sample's mirror image too: for reference gaits that are left-right symmetric. A robot whose
+    sides differ by more than 0.5 % of its legs' length learns without, and a note says so."""
     init_std: Annotated[float, Within(0, 100, above=True)] = 0.6
     """Standard deviation of the first policy's normalized actions, which go from -1 to 1."""
     final_std: Annotated[float, Within(0, 100)] = 0.0

@@ -105,7 +105,7 @@ def mirror_note(robot: RobotDescription) -> str | None:
     most = 1e3 * MIRRORED * robot.leg_geometry.length
     return (
         f"{difference.text}: no mirrored samples are learned from (up to {most:.2g} mm they are); if the robot is not "
-        "built so, correct its URDF; --ppo.no-symmetry says the same"
+        "built so, correct its URDF; with --ppo.no-symmetry there is no such note"
     )
 
 

@@ -15,6 +15,10 @@ _MAX_GYRATION = 1.5
 1 is the limit, and shapes may not show all of a link."""
 _MIN_GYRATION = 0.2
 """Radius of gyration, over that of a solid box around the link, below which it is too small."""
+_INERTIA_UNITS = {"kg cm2": 1e4, "kg mm2": 1e6, "g cm2": 1e7, "g mm2": 1e9}
+"""Units that CAD programs write, as many of them are a kg m2."""
+_NEAR = 2.5
+"""Ratio of a link's inertia to a box's up to which it is the same."""
 _SMALL_PART = 0.05
 """Size of a part, over the robot's, under which shapes do not show all of it."""
 
@@ -42,8 +46,8 @@ def describe_gyration(
         name: the link.
         mass: its mass [kg].
         moments: its principal moments (3,) [kg m2].
-        points: points (p, 3) [m] on its shapes and joints, from its centre of mass along the principal axes; None if
-            its size is not known: then it is compared with the robot's.
+        points: points (p, 3) [m] on its shapes and joints, from its centre of mass along its axes; None if its size is
+            not known: then it is compared with the robot's.
         robot_size: length [m] of a straight line through the robot.
     """
     radius = float(np.sqrt(moments.max() / mass))
@@ -56,8 +60,11 @@ def describe_gyration(
     large = radius > _MAX_GYRATION * max(float(np.linalg.norm(points, axis=1).max()), _SMALL_PART * robot_size)
     if not large and radius >= _MIN_GYRATION * float(np.sqrt(box.max() / mass)):
         return None
+    ratio = float(moments.max() / box.max()) if box.max() > 0 else 0.0
+    units = [unit for unit, size in _INERTIA_UNITS.items() if size / _NEAR <= ratio <= size * _NEAR]
+    hint = f"; it fits if the file has {units[0]}" if units else ""
     span, inertia = (" x ".join(f"{side:.2g}" for side in sides), ", ".join(f"{value:.2g}" for value in box))
-    return large, f"{text}, and its shapes and joints span {span} m; a box of this size has ({inertia}) kg m2"
+    return large, f"{text}, and its shapes and joints span {span} m; a box of this size has ({inertia}) kg m2{hint}"
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, fail_if, judge, warn_if
 from surefoot.errors import choices
 from surefoot.robot import RobotDescription
@@ -36,7 +37,7 @@ def check_masses(robot: RobotDescription) -> CheckResult:
             f"; no rigid body has the inertia of {choices(odd)}: none of the moments may be over the sum of the others"
         )
         return judge("masses", False, message, rule, "correct these inertias in the URDF", total)
-    ends: dict[str, list[np.ndarray]] = {name: [] for name in links}
+    ends: dict[str, list[Array]] = {name: [] for name in links}
     for joint in urdf.joints.values():
         ends[joint.parent].append(joint.frame[:3, 3])
     size = 2 * length + robot.body_length
@@ -48,13 +49,13 @@ def check_masses(robot: RobotDescription) -> CheckResult:
     return warn_if("masses", f"{message}; {_first(small)}" if small else None, message, remedy, total)
 
 
-def _gyration(name: str, link: Link, ends: list[np.ndarray], robot_size: float) -> tuple[bool, str] | None:
+def _gyration(name: str, link: Link, ends: list[Array], robot_size: float) -> tuple[bool, str] | None:
     """Return whether a link's inertia is too large or too small for its shapes and joints; see `describe_gyration`."""
     body = link.body
-    moments, axes = body.principal()
+    moments, _ = body.principal()
     corners = [_corners(shape) for shape in link.collisions]
     points = np.concatenate([np.zeros((1, 3)), *corners, *(end[None] for end in ends)])
-    described = describe_gyration(name, body.mass, moments, (points - body.centre) @ axes, robot_size)
+    described = describe_gyration(name, body.mass, moments, points - body.centre, robot_size)
     # What is written of a leg are thin cylinders: only the base's shape shows what is too small.
     return (
         described
@@ -63,12 +64,12 @@ def _gyration(name: str, link: Link, ends: list[np.ndarray], robot_size: float) 
     )
 
 
-def _corners(shape: Shape) -> np.ndarray:
+def _corners(shape: Shape) -> Array:
     """Return the corners (8, 3) of a box around a shape, in its link's frame."""
     size = shape.size
     half = size if shape.kind == "box" else (size[0], size[0], size[-1])
     signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)
-    corners: np.ndarray = signs * half @ shape.frame[:3, :3].T + shape.frame[:3, 3]
+    corners: Array = signs * half @ shape.frame[:3, :3].T + shape.frame[:3, 3]
     return corners
 
 

@@ -109,7 +109,11 @@ def drawn_beyond_feet(robot: RobotDescription) -> Array:
     beyond = np.zeros(len(robot.legs))
     if robot.looks is None or not isinstance(robot.leg_geometry, SerialLegs):
         return beyond
-    parts, joints = robot.appearance().parts, robot.urdf.joints
+    try:
+        parts = robot.appearance().parts
+    except SurefootError:  # physics needs no drawing
+        return beyond
+    joints = robot.urdf.joints
     frames = robot.urdf.frames()
     for k, leg in enumerate(robot.legs):
         shank = joints[leg.motors[-1]].child

@@ -1,4 +1,4 @@
-"""Hinges that are no motors of legs: play of gears, and wheels."""
+"""Joints of legs that are no motors of a walk: play of gears, wheels, and springs of feet."""
 
 from __future__ import annotations
 
@@ -79,3 +79,11 @@ def describe_wheels(names: Sequence[str], is_urdf: bool) -> str:
         f"{choices(names)} {what} at the end of its legs, and robots with wheels are not trained; {lock} locks them: a "
         "wheel that does not turn is a round foot"
     )
+
+
+def describe_springs(names: Sequence[str], is_urdf: bool) -> str:
+    """Return the error for a robot whose legs end in parts that slide."""
+    lock = 'type="fixed" in place of type="prismatic"' if is_urdf else "deleting these <joint>s"
+    what = "slide" if len(names) > 1 else "slides"
+    ends = f"{choices(names)} {what} at the end of its legs, as springs of feet do"
+    return f"{ends}, which is not simulated; {lock} locks them"

@@ -20,6 +20,12 @@ _DENSITY = 1000.0
 """Density [kg/m3] of a link of which nothing but the mass is known."""
 _THINNEST = 0.2
 """Thickness of a link between its joints, over its length."""
+_NO_MOMENT = 1e-14
+"""Moment of inertia [kg m2] below which MuJoCo takes it for none."""
+_POINT = 1e-12
+"""Sum of moments [kg m2] of a fixed link below which it is a point mass."""
+_HEAVY = 0.2
+"""Share of the robot's mass from which a link without inertia is no point mass but a body, as its trunk."""
 _MIN_SHARE = 0.01
 """Share of the robot's mass from which a link is compared with its own shapes; lighter ones with the robot."""
 
@@ -27,8 +33,8 @@ _MIN_SHARE = 0.01
 def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> None:
     """Make a URDF's inertias ready for MuJoCo.
 
-    Links without mass lose theirs. Zero inertias of links that move, or of all links, are made from their shapes.
-    Those that no rigid body has are noted, and MuJoCo balances them.
+    Links without mass lose theirs. Inertias that are zero, missing or negative of links that move, of heavy links, or
+    of all links are made from their shapes. Those that no rigid body has are noted, and MuJoCo balances them.
     """
     moved, frames, odd = _moved_links(root), [], []
     inertials: dict[str, tuple[ElementTree.Element, float, Array]] = {}
@@ -38,6 +44,9 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
         name = link.get("name", "")
         where, tensor = f"{path}: link '{name}'", inertial.find("inertia")
         mass = read_number(inertial.find("mass"), "value", f"{where}: mass")
+        if mass > 0.0 and tensor is None and name in moved:
+            keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+            tensor = ElementTree.SubElement(inertial, "inertia", dict.fromkeys(keys, "0"))
         if mass == 0.0 or tensor is None:
             link.remove(inertial)
         elif 0.0 < mass < NO_MASS and name not in moved:
@@ -50,22 +59,33 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
     if frames:
         notes.append(f"frames of less than {NO_MASS:g} kg count as massless: {choices(frames)}")
     zero = [name for name, (_, mass, inertia) in inertials.items() if mass > 0 and not inertia.any()]
-    made = zero if len(zero) == len(inertials) else [name for name in zero if name in moved]
+    heavy = _HEAVY * sum(mass for _, mass, _ in inertials.values())
+    made = [name for name in zero if len(zero) == len(inertials) or name in moved or inertials[name][1] > heavy]
+    for name, (tensor, mass, inertia) in inertials.items():
+        least = float(np.linalg.eigvalsh(inertia).min())
+        if mass <= 0 or least >= _NO_MOMENT or not inertia.any():
+            continue
+        if name not in moved and least >= 0 and float(np.trace(inertia)) < _POINT:
+            tensor.attrib |= dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0")
+            inertials[name] = tensor, mass, np.zeros((3, 3))
+        else:  # MuJoCo refuses it
+            made.append(name)
     links = {link.get("name", ""): link for link in root.findall("link")}
     for name in made:
         tensor, mass, _ = inertials[name]
         moments = _moments_of_shapes(links[name], root, mass, path)
         tensor.attrib |= {f"i{axis}": f"{value:.6g}" for axis, value in zip(("xx", "yy", "zz"), moments, strict=True)}
+        tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
         inertials[name] = tensor, mass, np.diag(moments)
     if made:
         few = choices(made[:4]) + (f" and {len(made) - 4} more" if len(made) > 4 else "")
-        notes.append(f"inertias are 0 in the file, made of masses and shapes: {few}")
+        notes.append(f"inertias that are 0 in the file, or less, are made of masses and shapes: {few}")
     for name, (tensor, mass, inertia) in inertials.items():
-        moments = np.linalg.eigvalsh(inertia)
+        principal = np.linalg.eigvalsh(inertia)
         point_mass = mass > 0 and not np.diag(inertia).any()
-        if not point_mass and not (mass > 0 and are_moments(moments)):
+        if not point_mass and not (mass > 0 and are_moments(principal)):
             odd.append(name)
-        if not moments.min() > 0:
+        if not principal.min() > 0:
             tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
     if odd:
         notes.append(f"inertias that no rigid body has, balanced: {choices(odd)}")
@@ -130,16 +150,17 @@ def implausible_inertias(model: mujoco.MjModel, data: mujoco.MjData, points: Seq
         data: places at zero angles.
         points: points (p, 3) on the shapes of each body.
     """
-    everything = np.concatenate([data.xpos[1:], *points])
+    everything = np.concatenate([data.xpos[1:], *points[1:]])
     robot_size, total = float(np.linalg.norm(np.ptp(everything, axis=0))), float(model.body_mass.sum())
-    large, small = [], []
+    large: list[str] = []
+    small: list[str] = []
     for body in range(1, model.nbody):
         mass, moments = float(model.body_mass[body]), np.array(model.body_inertia[body])
         if mass <= 0 or not moments.any():
             continue
         joints = data.xpos[[body, *np.flatnonzero(model.body_parentid == body)]]
         own = np.concatenate([points[body], joints])
-        in_frame = (own - data.xipos[body]) @ data.ximat[body].reshape(3, 3)
+        in_frame = (own - data.xipos[body]) @ data.xmat[body].reshape(3, 3)
         known = len(points[body]) > 0 and mass > _MIN_SHARE * total
         words = describe_gyration(model.body(body).name, mass, moments, in_frame if known else None, robot_size)
         if words is not None:

@@ -12,19 +12,19 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco import mjtGeom, mjtInertiaFromGeom, mjtJoint
+from mujoco import mjtInertiaFromGeom, mjtJoint
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, Part
-from surefoot.robot.importing.extra_hinges import describe_play, describe_wheels, find_play, is_wheel
-from surefoot.robot.importing.foot import fit_sphere, sole_sphere, surface_points
+from surefoot.robot.importing.extra_hinges import describe_play, describe_springs, describe_wheels, find_play, is_wheel
+from surefoot.robot.importing.feet import Foot, find_foot, pair_feet
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.inertias import drop_frame_masses, implausible_inertias, prepare_inertias
 from surefoot.robot.importing.meshes import Color, Surface, merge_surfaces
@@ -33,7 +33,8 @@ from surefoot.robot.importing.names import robot_name
 from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
 from surefoot.robot.importing.servo import motor_order, read_servos
-from surefoot.robot.importing.units import convert_degrees, explain_ranges, explain_size
+from surefoot.robot.importing.shapes import BodyShapes
+from surefoot.robot.importing.units import convert_degrees, explain_meshes, explain_ranges, explain_size
 from surefoot.robot.importing.visuals import (
     Visual,
     decimate_visuals,
@@ -47,15 +48,10 @@ from surefoot.robot.urdf_file import attribute, read_xml
 FORWARD = {"+x": 0.0, "-x": np.pi, "+y": -np.pi / 2, "-y": np.pi / 2}
 """Directions in the file's frame that may be forward, and the turn about z that brings them to +x [rad]."""
 _FRONT = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IGNORECASE)
-_FOOT = re.compile(r"foot|toe|tip|sole|ankle", re.IGNORECASE)
 _AXIS_TOLERANCE = 1e-3
 """How far an axis may be from the base's, as a cosine: files write pi/2 with five digits."""
-_SOLE = 0.95
-"""How far from the knee points of the sole are, over the farthest one."""
 _CLEARLY = 0.9
 """Cosine of an axis's angle to x or y from which it is along that."""
-_END = 0.9
-"""How far from the knee a sphere or a link must reach to be the foot, over the farthest point of the last link."""
 _MAX_CHAIN = 100
 """Joints in a row that are looked at."""
 _MESH_SUFFIXES = (".stl", ".obj", ".msh")
@@ -94,6 +90,8 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
             spec.compiler.inertiafromgeom = mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO  # keeps visual shapes' masses
         spec.compiler.fusestatic = False
         drop_frame_masses(spec, notes)
+        if not meshes and root.tag == "mujoco":
+            _drop_files(spec)
         keys = {key.name: list(key.qpos) for key in spec.keys}
         for key in list(spec.keys):
             spec.delete(key)
@@ -101,6 +99,16 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
     poses = order_poses(itertools.chain(_keyframe_poses(keys, model), srdf_poses(path)))
     file_name = root.get("name" if root.tag == "robot" else "model", "")
     return _Reader(path, model, speeds, poses, notes, file_name, root.tag == "robot").read(forward, visuals, incomplete)
+
+
+def _drop_files(spec: mujoco.MjSpec) -> None:
+    """Leave out what an MJCF reads from other files: meshes with their shapes, and textures."""
+    for geom in list(spec.geoms):
+        geom.material = ""
+        if geom.meshname:
+            spec.delete(geom)
+    for item in [*spec.meshes, *spec.materials, *spec.textures]:
+        spec.delete(item)
 
 
 def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iterator[tuple[str, Pose]]:
@@ -147,25 +155,6 @@ def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: li
     return speeds
 
 
-_SPHERE = "the last link's sphere"
-
-
-class _Foot(NamedTuple):
-    centre: Array
-    radius: float
-    source: str
-    """How it was recognized."""
-
-
-def _pair_feet(feet: list[_Foot]) -> list[_Foot]:
-    """Return the feet, by `LEGS`, with one radius left and right where both are estimates."""
-    for left, right in ((0, 1), (2, 3)):
-        if _SPHERE not in (feet[left].source, feet[right].source):
-            radius = (feet[left].radius + feet[right].radius) / 2
-            feet[left], feet[right] = feet[left]._replace(radius=radius), feet[right]._replace(radius=radius)
-    return feet
-
-
 class _Reader:
     """Reader of a compiled model, at zero angles and with the base at the origin."""
 
@@ -181,7 +170,6 @@ class _Reader:
     ) -> None:
         self.path, self.model, self.speeds, self.poses, self.notes = path, model, speeds, poses, notes
         self.file_name, self.is_urdf = file_name, is_urdf
-        self.visuals: Sequence[Visual] = ()
         self.data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, self.data)
         self.play = find_play(model, self.data)
@@ -214,7 +202,7 @@ class _Reader:
 
     def read(self, forward: str | None, visuals: Sequence[Visual], incomplete: Sequence[str]) -> ImportedRobot:
         """Return the robot, of whose links `incomplete` not all is drawn; see `read_robot`."""
-        self.visuals = visuals
+        self.shapes = BodyShapes(self.model, self.data, self.group, visuals)
         chains, base = self._chains()
         model, data = self.model, self.data
         if (joint := self.hinge[base]) >= 0 and model.jnt_type[joint] == mjtJoint.mjJNT_FREE:
@@ -225,7 +213,7 @@ class _Reader:
         places = data.xanchor[self.hinge[chains]]
         feet = [self._foot(chain[-1], place[-1]) for chain, place in zip(chains, places, strict=True)]
         order = self._order(places[:, -2], np.array([foot.centre for foot in feet]))
-        chains, feet = [chains[leg] for leg in order], _pair_feet([feet[leg] for leg in order])
+        chains, feet = [chains[leg] for leg in order], pair_feet([feet[leg] for leg in order])
         joints = tuple(tuple(self._joint_names(chain)) for chain in chains)
         knees = [leg[-1] for leg in joints]
         for source in dict.fromkeys(foot.source for foot in feet):
@@ -233,7 +221,7 @@ class _Reader:
             which = "feet" if len(radii) == len(feet) else f"feet of {choices(radii)}"
             radius = choices(dict.fromkeys(f"{radius:.3g}" for radius in radii.values()))
             self.notes.append(f"{which}: {source}, radius {radius} m")
-        points = [self._points(np.flatnonzero(model.geom_bodyid == body)) for body in range(model.nbody)]
+        points = [self.shapes.hull(np.flatnonzero(model.geom_bodyid == body)) for body in range(model.nbody)]
         warnings = implausible_inertias(model, data, points)
         robot = ImportedRobot(
             name=robot_name(self.path, self.file_name),
@@ -254,7 +242,9 @@ class _Reader:
             notes=tuple(self.notes),
             warnings=tuple(warnings),
         )
-        if (reason := explain_size(robot.mass, robot.length)) is not None:
+        legs, box = np.linalg.norm(robot.links, axis=-1).max(axis=1), float(robot.base_box[1].max())
+        reason = explain_meshes(float(legs[0]), float(legs[1]), box) or explain_size(robot.mass, robot.length)
+        if reason is not None:
             raise self._error(reason)
         parts = self._parts(visuals, robot, chains, base)
         names = dict(zip([base, *itertools.chain(*chains)], ["base", *itertools.chain(*robot.link_names)], strict=True))
@@ -328,7 +318,9 @@ class _Reader:
         chains = [longest(child) for child in children[base]]
         wheels = [chain[-1] for chain in chains if len(chain) > 2 and self._ends_in_wheel(chain)]
         if wheels and len(chains) == 4:
-            raise self._error(describe_wheels(self._joint_names(wheels), self.is_urdf))
+            raise self._error(describe_wheels(self._names_of(wheels), self.is_urdf))
+        if len(chains) == 4 and (springs := [chain[-1] for chain in chains if self._slides(chain[-1])]):
+            raise self._error(describe_springs(self._names_of(springs), self.is_urdf))
         legs = [chain for chain in chains if len(chain) in (2, 3)]
         legs = legs if len(legs) == 4 else chains
         for first, *_ in (chain for chain in chains if chain not in legs):
@@ -346,11 +338,20 @@ class _Reader:
         check_legs(self.path, model.body(base).name, names, next(iter(branches), None), model.neq > 0, slides)
         return legs, base
 
+    def _names_of(self, bodies: list[int]) -> list[str]:
+        """Return the names of the joints of bodies, and of the bodies where joints have none."""
+        names = zip(self._joint_names(bodies), bodies, strict=True)
+        return [name or f"the joint of body '{self.model.body(body).name or body}'" for name, body in names]
+
+    def _slides(self, body: int) -> bool:
+        """Return whether a body slides on the one before it."""
+        return bool(self.model.jnt_type[int(self.hinge[body])] == mjtJoint.mjJNT_SLIDE.value)
+
     def _ends_in_wheel(self, chain: list[int]) -> bool:
         """Return whether a leg's last hinge turns a wheel."""
         above, last = (int(self.hinge[body]) for body in chain[-2:])
         hinges = (self.model.jnt_type[[above, last]] == mjtJoint.mjJNT_HINGE.value).all()
-        points = np.concatenate([np.empty((0, 3)), *map(self._surface, self._geoms(chain[-1]))])
+        points = self.shapes.surface(self.shapes.of(chain[-1]))
         return bool(hinges) and is_wheel(self.model, self.data, above, last, points)
 
     def _guess_forward(self, chains: list[list[int]]) -> str:
@@ -429,88 +430,16 @@ class _Reader:
             "rotor_inertia": model.dof_armature[dofs],
         }
 
-    def _geoms(self, mover: int) -> NDArray[np.int64]:
-        """Return the shapes that move with a body."""
-        return np.flatnonzero(self.group[self.model.geom_bodyid] == mover)
-
-    def _foot(self, body: int, knee: Array) -> _Foot:
-        """Return a leg's foot: the last link's sphere, else a sphere that stands in for its shapes, else a guess.
-
-        The end is at a link that is named so, else where the last link's shapes are farthest from the knee.
-        """
-        model, data, geoms = self.model, self.data, self._geoms(body)
-        points = np.concatenate([np.empty((0, 3)), *map(self._surface, geoms)])
-        if not geoms.size:
-            points = np.concatenate([points, *self._drawn_points(body)])
-        reach = np.linalg.norm(points - knee, axis=1).max(initial=0.0)
-        spheres = geoms[model.geom_type[geoms] == mjtGeom.mjGEOM_SPHERE]
-        if spheres.size:
-            away = np.linalg.norm(data.geom_xpos[spheres] - knee, axis=1)
-            last = spheres[np.argmax(away)]
-            if away.max() + model.geom_size[last, 0] >= _END * reach:  # else it is no foot
-                return _Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), _SPHERE)
-        named = [b for b in np.flatnonzero(self.group == body) if _FOOT.search(model.body(int(b)).name)]
-        if not len(points) and not named:
-            raise self._error(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
-        if not len(points) or (named and np.linalg.norm(data.xpos[named[-1]] - knee) > reach / _END):
-            end = data.xpos[named[-1]].copy()
-            return _Foot(end, self._thickness(geoms, end, knee), "a link named so")
-        away = np.linalg.norm(points - knee, axis=1)
-        end = data.xpos[named[-1]] if named else points[np.argmax(away)]
-        if (sphere := fit_sphere(points, knee, end)) is not None:
-            return _Foot(*sphere, "a sphere fitted to the end of the last link's shapes")
-        end = data.xpos[named[-1]] if named else points[away > _SOLE * reach].mean(axis=0)
-        return _Foot(*sole_sphere(points, knee, end), "a sphere with the lowest point of the last link's shapes")
-
-    def _thickness(self, geoms: NDArray[np.int64], place: Array, knee: Array) -> float:
-        """Return a radius [m] for a foot: half of the width of the shape that is nearest to it.
-
-        Without a shape it is a tenth of the shank, as robots' feet are.
-        """
-        usual = 0.1 * max(float(np.linalg.norm(place - knee)), 0.05)
-        if not geoms.size:
-            return usual
-        nearest = geoms[np.argmin(np.linalg.norm(self.data.geom_xpos[geoms] - place, axis=1))]
-        return float(np.clip(self.model.geom_aabb[nearest, 3:].min(), 0.3 * usual, usual))
-
-    def _points(self, geoms: NDArray[np.int64]) -> Array:
-        """Return points (p, 3) of the hulls of shapes."""
-        return np.concatenate([np.empty((0, 3)), *map(self._corners, geoms)])
-
-    def _corners(self, geom: int) -> Array:
-        """Return points (p, 3) of a shape's hull: vertices of a mesh, or corners of the box around another shape."""
-        model = self.model
-        if model.geom_type[geom] == mjtGeom.mjGEOM_MESH:
-            # The box around a mesh has its principal axes: the box around that one would be too large.
-            first = model.mesh_vertadr[model.geom_dataid[geom]]
-            points = model.mesh_vert[first : first + model.mesh_vertnum[model.geom_dataid[geom]]].astype(float)
-        else:
-            signs = np.array(list(itertools.product((-1, 1), repeat=3)))
-            points = model.geom_aabb[geom, :3] + model.geom_aabb[geom, 3:] * signs
-        placed: Array = self.data.geom_xpos[geom] + points @ self.data.geom_xmat[geom].reshape(3, 3).T
-        return placed
-
-    def _drawn_points(self, mover: int) -> Iterator[Array]:
-        """Yield the points (p, 3) of what is drawn and moves with a body."""
-        for visual in self.visuals:
-            body = self.model.body(visual.body).id
-            if self.group[body] == mover:
-                placed = visual.surface.place(visual.frame).vertices @ self.data.xmat[body].reshape(3, 3).T
-                yield placed + self.data.xpos[body]
-
-    def _surface(self, geom: int) -> Array:
-        """Return points (p, 3) on a shape's surface."""
-        model, kind = self.model, int(self.model.geom_type[geom])
-        if kind == mjtGeom.mjGEOM_MESH:
-            return self._corners(geom)
-        points = surface_points(kind, model.geom_size[geom])
-        placed: Array = self.data.geom_xpos[geom] + points @ self.data.geom_xmat[geom].reshape(3, 3).T
-        return placed
+    def _foot(self, body: int, knee: Array) -> Foot:
+        """Return a leg's foot; see `find_foot`."""
+        if (foot := find_foot(self.shapes, body, knee)) is None:
+            raise self._error(f"'{self.model.body(body).name}' has neither a shape nor a link for its foot; add one")
+        return foot
 
     def _box(self, base: int) -> tuple[Array, Array]:
         """Return centre and half of the sides of a box around the base's shapes, or with its inertia."""
-        if (geoms := self._geoms(base)).size:
-            corners = np.concatenate([self._corners(geom) for geom in geoms])
+        if (geoms := self.shapes.of(base)).size:
+            corners = self.shapes.hull(geoms)
             low, high = corners.min(axis=0), corners.max(axis=0)
             return (low + high) / 2, (high - low) / 2
         body = self._body(base)

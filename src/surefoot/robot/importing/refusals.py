@@ -68,7 +68,10 @@ def explain_mujoco(message: str, path: Path) -> SurefootError:
     match = _MUJOCO.fullmatch(message)
     what, name, line = (match["what"], match["name"], match["line"]) if match else (message, None, None)
     if missing := re.search(r"Error opening file '([^']*)'", what):
-        return SurefootError(f"{path}: names the file '{missing[1]}', which is not there; put it where it is named")
+        return SurefootError(
+            f"{path}: names the file '{missing[1]}', which is not there; put it where it is named, or leave out meshes "
+            "(--no-meshes)"
+        )
     for words, reason in _REASONS.items():
         if name is not None and words in what:
             return SurefootError(f"{path}: '{name}' {reason}")

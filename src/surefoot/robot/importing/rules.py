@@ -58,6 +58,11 @@ def damping_rule(kp: float, length: float) -> Rule:
     return Rule(0.2 * kp * math.sqrt(length / GRAVITY), ".2 kp sqrt(l / g)", "N m s/rad")
 
 
+def one_line(text: str) -> str:
+    """Return a text as a comment of a sheet can hold it: names in files may have line ends and control characters."""
+    return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
+
+
 def factor_between(values: ArrayLike, rule: float) -> float:
     """Return the greatest ratio of values over 0 to a rule's, or its inverse: 1 or more."""
     numbers: Array = np.asarray(values, float).ravel()
@@ -82,6 +87,8 @@ def describe_origins(robot: RobotDescription) -> Iterator[tuple[bool, str]]:
         part = text[start + 1 :].split("\n[", 1)[0] if start >= 0 else ""
         for found in _ORIGIN.finditer(part):
             key, comment = found["key"], found["comment"]
+            if key not in data.get(table, {}):
+                continue
             where = f"{table}.{key} = {_shorten(data[table][key])}"
             if comment.startswith(GUESSED):
                 yield True, f"{where}: {comment.removeprefix(GUESSED)}"

@@ -84,9 +84,17 @@ def _torque(model: mujoco.MjModel, joint: int) -> float:
         gear = abs(float(model.actuator_gear[k, 0]))
         if model.actuator_forcelimited[k]:
             return gear * float(np.abs(model.actuator_forcerange[k]).max())
-        if model.actuator_ctrllimited[k] and model.actuator_biastype[k] == mjtBias.mjBIAS_NONE.value:
+        if model.actuator_ctrllimited[k] and _is_motor(model, k):
             return _motor_gain(model, k) * gear * float(np.abs(model.actuator_ctrlrange[k]).max())
     return math.nan
+
+
+def _is_motor(model: mujoco.MjModel, actuator: int) -> bool:
+    """Return whether an actuator's control is a torque: not an angle or a speed, which an affine bias compares."""
+    if model.actuator_biastype[actuator] == mjtBias.mjBIAS_NONE.value:
+        return True
+    _, position, speed = model.actuator_biasprm[actuator, :3]
+    return not position and not math.isclose(_motor_gain(model, actuator), -speed)
 
 
 def _motor_gain(model: mujoco.MjModel, actuator: int) -> float:

@@ -6,13 +6,13 @@ import json
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.resting_poses import is_standing
-from surefoot.robot.importing.rules import GUESSED, Rule, actuator_rules, damping_rule
+from surefoot.robot.importing.rules import GUESSED, Rule, actuator_rules, damping_rule, one_line
 from surefoot.robot.importing.units import PLACEHOLDER_SPEED, explain_speeds
 from surefoot.robot.sheet import GRAVITY
 
@@ -23,7 +23,7 @@ _MAX_SPREAD = 0.06
 def motor_order(robot: ImportedRobot) -> str:
     """Return the line with the order of the motors."""
     if robot.motor_order:
-        return f"order = {json.dumps(robot.motor_order)}  # the order of the actuators in {robot.path.name}"
+        return f"order = {json.dumps(robot.motor_order)}  # the order of the actuators in {one_line(robot.path.name)}"
     names: tuple[str, ...] = sum(robot.joints, ())
     return f"order = {json.dumps(names)}  # {GUESSED}leg by leg; take the order of the robot's own interface"
 
@@ -49,7 +49,7 @@ def leg_space(robot: ImportedRobot) -> list[str]:
         *([f"abduction = [{-abduction:.3g}, {abduction:.3g}]"] if abducts else []),
         "swing = [-1.0, 1.0]",
         f"extension = [{low:.3g}, {high:.3g}]",
-        f"rest = {rest}  # {origin}",
+        f"rest = {rest}  # {one_line(origin)}",
     ]
 
 
@@ -82,9 +82,9 @@ def actuator(robot: ImportedRobot) -> list[str]:
         else:
             value = numbers[0].tolist()
         text = value if np.ptp(numbers) else value[0]
-        return f"{key} = {text}  # {comment}"
+        return f"{key} = {text}  # {one_line(comment)}"
 
-    def stated(key: str, values: Array, real: Array, rule: Rule, why: str = "") -> str:
+    def stated(key: str, values: Array, real: NDArray[np.bool_], rule: Rule, why: str = "") -> str:
         numbers = np.where(real, values, rule.value)
         if real.all():
             return line(key, numbers, f"{rule.unit}, {file}")
@@ -119,7 +119,7 @@ def _friction_origin(robot: ImportedRobot, values: Array) -> str:
     return f"the damping in {robot.path.name} is the controller's kd" if is_kd else f"{robot.path.name} has none"
 
 
-def _names(robot: ImportedRobot, which: Array) -> str:
+def _names(robot: ImportedRobot, which: NDArray[np.bool_]) -> str:
     """Return the names of some joints, few of them."""
     names: Sequence[str] = [name for name, one in zip(sum(robot.joints, ()), which.ravel(), strict=True) if one]
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

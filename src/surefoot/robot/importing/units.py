@@ -23,6 +23,8 @@ _DENSITIES = (10.0, 5000.0)
 """Mass over the cube of the legs' length [kg/m3] of robots with legs; 60 to 400 in those that are known."""
 _LENGTHS = {"mm": 1e-3}
 _MASSES = {"g": 1e-3}
+_OVERSIZE = 25.0
+"""Size of shapes, over the length of the upper links, from which they are in another unit."""
 _MIN_RANGE = 0.15
 """Range [rad] of the widest hinge below which no leg can step."""
 _ROUND = (100.0, 200.0, 500.0, 1000.0, 10000.0, 100000.0)
@@ -94,3 +96,20 @@ def explain_size(mass: float, length: float) -> str | None:
     if not fits:
         return None
     return f"{mass:.4g} kg on legs of {length:.3g} m are no robot; it looks as if {' or '.join(fits)}: state m and kg"
+
+
+def explain_meshes(upper: float, lower: float, box: float) -> str | None:
+    """Return that shapes are larger than the robot, if so.
+
+    Args:
+        upper: length of the upper links [m], which is between joints.
+        lower: length of the lower links [m], which ends with their shapes.
+        box: half of the longest side of the box around the base's shapes [m].
+    """
+    for part, size in (("the last links", lower), ("the base", box)):
+        if size > _OVERSIZE * upper:
+            return (
+                f"the shapes of {part} are {size:.3g} m long, and its upper links {upper:.3g} m; meshes in mm need "
+                'scale="0.001 0.001 0.001"'
+            )
+    return None

@@ -16,7 +16,7 @@ from surefoot.errors import SurefootError, check_name, describe_os_errors
 from surefoot.files import atomic_write
 from surefoot.robot.appearance import LOOKS, Appearance, Part, shape_part, visual_shapes
 from surefoot.robot.importing.imported import KNEE_SIGNS, LEGS, ImportedRobot, Knees
-from surefoot.robot.importing.rules import GUESSED, WARNING
+from surefoot.robot.importing.rules import GUESSED, WARNING, one_line
 from surefoot.robot.importing.sheet_numbers import actuator, leg_space, motor_order
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.sheet import Leg
@@ -85,9 +85,9 @@ knee = "{"forward" if sign > 0 else "backward"}"{comment}"""
         for leg, joints, sign in zip(LEGS, robot.joints, KNEE_SIGNS[knees or guess], strict=True)
     ]
     return f"""\
-# {name}: made from {robot.path.name}, whose {robot.forward} is forward. SI units, radians.
+# {name}: made from {one_line(robot.path.name)}, whose {robot.forward} is forward. SI units, radians.
 # Lines with 'guessed' are not in that file: replace them by the robot's own numbers.
-{"".join(f"{WARNING}{line}{_NEWLINE}" for line in robot.warnings)}
+{"".join(f"{WARNING}{one_line(line)}{_NEWLINE}" for line in robot.warnings)}
 name = "{name}"
 urdf = "robot.urdf"
 base = "base"

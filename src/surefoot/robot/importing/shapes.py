@@ -1,0 +1,75 @@
+"""Shapes of a compiled model: those that move with a body, and points on them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+
+import mujoco
+import numpy as np
+from mujoco import mjtGeom
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.robot.importing.foot import surface_points
+from surefoot.robot.importing.visuals import Visual
+
+
+class BodyShapes:
+    """Shapes of a model, in the frame of its present places.
+
+    Args:
+        model: the model.
+        data: its places, which may change.
+        group: for each body the one whose joint moves it.
+        visuals: what is drawn.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, group: NDArray[np.int64], visuals: Sequence[Visual]
+    ) -> None:
+        self.model, self.data, self.group, self.visuals = model, data, group, visuals
+
+    def of(self, mover: int) -> NDArray[np.int64]:
+        """Return the shapes that move with a body."""
+        return np.flatnonzero(self.group[self.model.geom_bodyid] == mover)
+
+    def hull(self, geoms: Iterable[int]) -> Array:
+        """Return points (p, 3) whose hull holds shapes: vertices of meshes, and corners of boxes around others."""
+        return np.concatenate([np.empty((0, 3)), *map(self._corners, geoms)])
+
+    def surface(self, geoms: Iterable[int]) -> Array:
+        """Return points (p, 3) on the surfaces of shapes."""
+        return np.concatenate([np.empty((0, 3)), *map(self._surface, geoms)])
+
+    def drawn(self, mover: int) -> Array:
+        """Return points (p, 3) of what is drawn and moves with a body."""
+        return np.concatenate([np.empty((0, 3)), *self._drawn(mover)])
+
+    def _drawn(self, mover: int) -> Iterator[Array]:
+        for visual in self.visuals:
+            body = self.model.body(visual.body).id
+            if self.group[body] == mover:
+                placed = visual.surface.place(visual.frame).vertices @ self.data.xmat[body].reshape(3, 3).T
+                yield placed + self.data.xpos[body]
+
+    def _corners(self, geom: int) -> Array:
+        model = self.model
+        if model.geom_type[geom] == mjtGeom.mjGEOM_MESH:
+            # The box around a mesh has its principal axes: the box around that one would be too large.
+            first = model.mesh_vertadr[model.geom_dataid[geom]]
+            points = model.mesh_vert[first : first + model.mesh_vertnum[model.geom_dataid[geom]]].astype(float)
+        else:
+            signs = np.array(list(itertools.product((-1, 1), repeat=3)))
+            points = model.geom_aabb[geom, :3] + model.geom_aabb[geom, 3:] * signs
+        return self._place(geom, points)
+
+    def _surface(self, geom: int) -> Array:
+        kind = int(self.model.geom_type[geom])
+        if kind == mjtGeom.mjGEOM_MESH:
+            return self._corners(geom)
+        return self._place(geom, surface_points(kind, self.model.geom_size[geom]))
+
+    def _place(self, geom: int, points: Array) -> Array:
+        placed: Array = self.data.geom_xpos[geom] + points @ self.data.geom_xmat[geom].reshape(3, 3).T
+        return placed
