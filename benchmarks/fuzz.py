@@ -402,7 +402,7 @@ def _child(words: Sequence[str], place: Path, output: int) -> None:
 
         # Figures and a video of each training would take most of the time.
         training.finish_run = lambda *_: {}
-        episodes.print_summaries = lambda summaries: None
+        episodes.print_summaries = lambda *_: None
         try:
             code = main(list(words))
         except SystemExit as stop:

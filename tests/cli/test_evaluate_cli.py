@@ -31,6 +31,7 @@ KEYS = {
 EXTRAS = {
     *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "push_force", "command", "set", "robot"),
     *("policy_file", "config_hash", "randomize", "actuator", "params", "params_source", "saturation"),
+    *("gait_reason", "hottest_motor", "hottest_heat"),
     "terrain",
 }
 LEGS = {"front_left", "back_left", "front_right", "back_right"}

@@ -161,7 +161,7 @@ def test_a_partial_file_of_version_1_is_read(recorded, tmp_path, commands):
         (b"\xff\xfe\n", "is not one"),
         (TraceHead(LAYOUT, {}).line(), "holds no whole control step"),
         (TraceHead(RowLayout({}), {}).line() + bytes(800), "holds no whole control step"),
-        (TraceHead(LAYOUT, {}).line() + bytes(8 * LAYOUT.width), "trace: meta.robot is missing"),
+        (TraceHead(LAYOUT, {}).line() + bytes(8 * LAYOUT.width), "trace: meta.robot, meta.world, .* are missing"),
         (HEAD.line().replace(b'"version": 2', b'"version": 3'), "is of version 3; surefoot reads versions 1 and 2"),
         (TraceHead(RowLayout({"time": -1}), META).line() + bytes(800), "columns.time is -1; it must be 0 or more"),
         (

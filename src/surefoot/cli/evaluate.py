@@ -68,7 +68,7 @@ def main(argv: list[str]) -> int:
     command = parse(EvaluateCommand, words, "surefoot evaluate")
     if command.trace:
         evaluation, robot, about = _load_traces(command, ranges != RangeOptions(None, {}))
-        reward = {}
+        reward: dict[str, float] = {}
     elif command.policy is None:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
     else:

@@ -20,7 +20,7 @@ from surefoot.rotations import rpy_matrix
 
 TOLERANCE, RELATIVE_TOLERANCE = 0.05, 0.1
 """Greatest difference [m] of the ground in the map and under the feet, and what is added to it over a leg's length."""
-LYING = 0.01
+LYING = 0.002
 """Least height [m] of the base's origin over the ground, where a robot lies."""
 _PLACES = 0.1
 """Greatest difference of a stated place from the policy's, relative to the distance of the points."""

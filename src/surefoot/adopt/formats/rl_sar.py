@@ -176,11 +176,10 @@ def _names_before_3(data: dict[str, Any], robot: RobotDescription) -> tuple[list
 
 def _order(table: _Config, own: Mapping[str, Any]) -> tuple[tuple[int, ...], str]:
     """Return the place in the file's lists of each joint of the network, and a note about it."""
-    count, sizes = len(table.joint_mapping), [own.get("rows"), own.get("cols")]
+    count, rows, columns = len(table.joint_mapping), own.get("rows"), own.get("cols")
     same = tuple(range(count))
-    if own.get(_BEFORE_3) != "isaacsim" or not all(isinstance(size, int) and size > 0 for size in sizes):
+    if own.get(_BEFORE_3) != "isaacsim" or not isinstance(rows, int) or not isinstance(columns, int):
         return same, ""
-    rows, columns = sizes
     if rows * columns != count:
         raise SurefootError(f"rows and cols are {rows} and {columns}; there are {count} joints")
     if table.hip_scale_reduction_indices == same[::columns]:
