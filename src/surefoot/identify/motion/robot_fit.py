@@ -22,15 +22,8 @@ from surefoot.identify.motion.priors import GAINS, RATIOS, default_names, gains_
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import imu_channels, replay_motion
 from surefoot.identify.motion.robot_estimates import robot_estimates
-from surefoot.identify.motion.robot_model import (
-    SECONDS,
-    considered_unknowns,
-    correlated_noise,
-    fitted_part,
-    robot_model,
-    robot_params,
-    robot_unknowns,
-)
+from surefoot.identify.motion.robot_model import SECONDS, correlated_noise, fitted_part, robot_model
+from surefoot.identify.motion.robot_unknowns import considered_unknowns, robot_params, robot_unknowns
 from surefoot.identify.motion.start_search import find_gains, search_start
 from surefoot.identify.motion.verdict import judge_fit
 from surefoot.identify.motion.words import describe_unknown
