@@ -33,8 +33,9 @@ from surefoot.robot import PhysicalParams, RobotDescription
 
 MOUNTS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 """Yaw of an IMU in the base [rad] that is tried."""
-FIRST_NOISE = 0.02
-"""Standard deviation of angles in the first round of a fit to logs on a rack [rad]; later that of the residuals."""
+FIRST_NOISE = 0.005
+"""Standard deviation of angles in the first round of a fit to logs on a rack [rad]; later that of the residuals. It is
+small: a fit that its priors hold would leave residuals that confirm a large one."""
 MAX_ROUNDS = 3
 SAME_NOISE = 1.25
 """Factor within which the residuals' noise agrees with the assumed one, so that no further round is needed."""
