@@ -4,8 +4,8 @@ The fit is least squares over whole simulated robots (`identify.motion.robot_mod
 where the start is far off. Held-out logs show how well the identified robot moves in ways that were not fitted.
 
 What a log does not determine keeps its value: such unknowns are held and the others fitted again, so that the values
-that are written belong together. What is never fitted, but not known exactly either (the servos'
-latency, the law of friction at turning points, the clock), widens the intervals.
+that are written belong together. What is never fitted, but not known exactly either (the servos' latency, the law of
+friction at turning points, the clock), widens the intervals.
 """
 
 from __future__ import annotations
