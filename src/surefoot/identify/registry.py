@@ -63,10 +63,12 @@ class Experiment:
 EXPERIMENTS = {
     experiment.name: experiment
     for experiment in (
-        Experiment("air", "gains, friction, inertia and latency of joint actuators", air_plan, True, joints=True),
         Experiment("latency", "age of the readings at the servo and at the computer", latency_plan, True),
         Experiment("motor", "motors, servo, friction, the legs' mass and inertia, both latencies", motor_plan, True),
         Experiment("mass", "mass, centre of mass and inertia of the base", mass_plan, False, ("motor",)),
         Experiment("contact", "friction, stiffness and damping of the feet", contact_plan, False, ("motor", "mass")),
+        Experiment(
+            "air", "joint actuators, instead: friction, inertia, leg mass, latency", air_plan, True, joints=True
+        ),
     )
 }

@@ -36,7 +36,7 @@ SETTLE = 0.6
 """Time [s] for which simulated robots hold the first command before the segment begins."""
 STARTING = 0.06
 """Time [s] whose readings give angles and speeds at the start of a motion on a rack."""
-MIN_STARTING = 4
+MIN_STARTING = 5
 """Readings in it that give a speed."""
 HELD = -1
 """Kind of command: servos hold the present angles, as from arming to the first command."""
@@ -155,13 +155,14 @@ def segment_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Segm
 
 
 def _first_readings(motion: RecordedMotion) -> tuple[Array, Array]:
-    """Return angles [rad] and speeds [rad/s] (M,) at the first row: a line through the readings of `STARTING`."""
+    """Return angles [rad] and speeds [rad/s] (M,) at the first row: a parabola through those of `STARTING`."""
     first = motion.read_time <= motion.read_time[0] + STARTING
     angles, since = motion.motor_angle[first], (motion.read_time - motion.read_time[0])[first]
     known = np.isfinite(angles).all(axis=1) & motion.fresh[first]
     if known.sum() < MIN_STARTING:
         return motion.motor_angle[0].copy(), np.zeros(motion.motor_angle.shape[1])
-    slope, angle = np.polyfit(since[known], angles[known], 1)
+    # A parabola: a motion that begins from rest has no speed at its first row.
+    _, slope, angle = np.polyfit(since[known], angles[known], 2)
     return angle, slope
 
 

@@ -16,7 +16,7 @@ from surefoot.identify.motion.priors import default_names, gains_are_commanded, 
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import replay_motion
 from surefoot.identify.motion.robot_fit import fit_robot
-from surefoot.identify.motion.robot_model import CLOCK, considered_unknowns, robot_params, robot_unknowns
+from surefoot.identify.motion.robot_unknowns import CLOCK, considered_unknowns, robot_params, robot_unknowns
 from surefoot.identify.motion.words import describe_unknown
 from surefoot.identify.overlay import check_new_logs, overlay, read_gains
 from surefoot.identify.replay import Replayer, segment_from_motion

@@ -12,7 +12,8 @@ pytest.importorskip("mujoco")
 from surefoot.errors import SurefootError
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_fit import find_imu_yaw, fit_robot
-from surefoot.identify.motion.robot_model import robot_model, robot_params, robot_unknowns
+from surefoot.identify.motion.robot_model import robot_model
+from surefoot.identify.motion.robot_unknowns import robot_params, robot_unknowns
 from surefoot.identify.motion.start_search import search_start
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.robot import PhysicalParams, RobotDescription

@@ -12,7 +12,8 @@ from surefoot.identify.fitting import Fit, forward_jacobian
 from surefoot.identify.motion.priors import RATIOS, default_names
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_estimates import robot_estimates
-from surefoot.identify.motion.robot_model import considered_unknowns, robot_model, robot_unknowns
+from surefoot.identify.motion.robot_model import robot_model
+from surefoot.identify.motion.robot_unknowns import considered_unknowns, robot_unknowns
 from surefoot.identify.motion.words import describe_unknown
 from surefoot.identify.plan import Plan
 from surefoot.identify.replay import Replayer, segment_from_motion

@@ -10,7 +10,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.identify.fitting import Fit
 from surefoot.identify.motion.priors import DAMPING_RATIO, GAINS, RATIOS, gains_are_commanded
-from surefoot.identify.motion.robot_model import CONSIDERED, robot_params
+from surefoot.identify.motion.robot_unknowns import CONSIDERED, robot_params
 from surefoot.identify.result import ParameterEstimate
 from surefoot.robot import PhysicalParams, RobotDescription
 

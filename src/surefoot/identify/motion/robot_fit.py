@@ -4,8 +4,8 @@ The fit is least squares over whole simulated robots (`identify.motion.robot_mod
 where the start is far off. Held-out logs show how well the identified robot moves in ways that were not fitted.
 
 What a log does not determine keeps its value: such unknowns are held and the others fitted again, so that the values
-that are written belong together. What is never fitted, but not known exactly either (the servos'
-latency, the law of friction at turning points, the clock), widens the intervals.
+that are written belong together. What is never fitted, but not known exactly either (the servos' latency, the law of
+friction at turning points, the clock), widens the intervals.
 """
 
 from __future__ import annotations
@@ -22,15 +22,8 @@ from surefoot.identify.motion.priors import GAINS, RATIOS, default_names, gains_
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import imu_channels, replay_motion
 from surefoot.identify.motion.robot_estimates import robot_estimates
-from surefoot.identify.motion.robot_model import (
-    SECONDS,
-    considered_unknowns,
-    correlated_noise,
-    fitted_part,
-    robot_model,
-    robot_params,
-    robot_unknowns,
-)
+from surefoot.identify.motion.robot_model import SECONDS, correlated_noise, fitted_part, robot_model
+from surefoot.identify.motion.robot_unknowns import considered_unknowns, robot_params, robot_unknowns
 from surefoot.identify.motion.start_search import find_gains, search_start
 from surefoot.identify.motion.verdict import judge_fit
 from surefoot.identify.motion.words import describe_unknown
@@ -40,8 +33,9 @@ from surefoot.robot import PhysicalParams, RobotDescription
 
 MOUNTS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 """Yaw of an IMU in the base [rad] that is tried."""
-FIRST_NOISE = 0.02
-"""Standard deviation of angles in the first round of a fit to logs on a rack [rad]; later that of the residuals."""
+FIRST_NOISE = 0.005
+"""Standard deviation of angles in the first round of a fit to logs on a rack [rad]; later that of the residuals. It is
+small: a fit that its priors hold would leave residuals that confirm a large one."""
 MAX_ROUNDS = 3
 SAME_NOISE = 1.25
 """Factor within which the residuals' noise agrees with the assumed one, so that no further round is needed."""

@@ -10,7 +10,7 @@ from surefoot.arrays import Array
 from surefoot.identify.fitting import Fit
 from surefoot.identify.motion.priors import CLOCK, COMMAND_SHIFT
 from surefoot.identify.motion.robot_estimates import MODEL_ACCURACY, parameter_slopes
-from surefoot.identify.motion.robot_model import CONSIDERED
+from surefoot.identify.motion.robot_unknowns import CONSIDERED
 from surefoot.identify.result import NORMAL_95
 from surefoot.robot import PhysicalParams, RobotDescription
 
