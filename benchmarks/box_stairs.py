@@ -1,7 +1,7 @@
 """A world of MuJoCo alone: stairs of box geoms, which feet and bodies meet by MuJoCo's own contacts.
 
 All else is as in the world `mujoco`: servos, motors, delays and sensors. Friction has an elliptic cone and impratio 10:
-in a pyramidal cone feet creep (docs/decisions/contact-law.md).
+in a pyramidal cone feet creep (docs/decisions/physics.md).
 """
 
 from __future__ import annotations

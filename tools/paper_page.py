@@ -21,6 +21,7 @@ NOT_MEASURED = "not measured"
 VERDICTS = {
     "reproduced": "Reproduced",
     "same": "Same direction, not significant",
+    "mixed": "Mixed evidence",
     "differs": "Differs",
     "untestable": "Not testable without a robot",
 }
@@ -34,7 +35,7 @@ class PaperClaim:
     """A claim of the paper, and whether surefoot reproduces it."""
 
     claim: str
-    verdict: Literal["reproduced", "same", "differs", "untestable"]
+    verdict: Literal["reproduced", "same", "mixed", "differs", "untestable"]
     surefoot: str
     """What surefoot found; numbers as in `result_numbers.fill`."""
     where: str
@@ -141,10 +142,11 @@ def claims_markdown(root: Path, verdict: str) -> str:
 def claims_summary() -> str:
     """Return a sentence with the number of claims in each class."""
     verdicts = [one.verdict for one in load_content().claims]
-    same, differs, untestable = (verdicts.count(verdict) for verdict in ("same", "differs", "untestable"))
+    same, mixed, differs, untestable = (verdicts.count(one) for one in ("same", "mixed", "differs", "untestable"))
     return (
         f"Of {len(verdicts)} claims of the paper, {verdicts.count('reproduced')} are reproduced, {same} have the same "
-        f"direction and are not significant, {differs} differ, and {untestable} are not testable without a robot."
+        f"direction and are not significant, {mixed} have mixed evidence, {differs} differ, and {untestable} are not "
+        "testable without a robot."
     )
 
 

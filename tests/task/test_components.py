@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -121,3 +123,18 @@ def test_a_new_component_is_part_of_an_exact_resume(with_load: list[str]) -> Non
     state, first = env.get_state(), env.step(action)[-1]["load"]
     env.set_state(state)
     assert np.array_equal(env.step(action)[-1]["load"], first)
+
+
+def test_the_component_of_the_architecture_page_keeps_its_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```python\n(class .*?)^```", page, re.MULTILINE | re.DOTALL)
+    exec(code, names_of_the_page := dict(globals()))
+    contact_time, made = names_of_the_page["ContactTime"], registry.make_components
+    monkeypatch.setattr("surefoot.task.env.make_components", lambda setup: [*made(setup), contact_time(2, 4)])
+    env = LocomotionEnv(load_task("gallop")[0], 2, SimWorld, threads=1)
+    action = np.zeros((2, 8))
+    for _ in range(5):
+        env.step(action)
+    assert env.privileged_columns[-4:] == [f"contact_time_{k}" for k in range(4)]
+    assert (env.component(contact_time).seconds > 0).any()
+    assert_resumes_exactly(env, [action] * 3)
