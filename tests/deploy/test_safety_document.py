@@ -31,8 +31,8 @@ def test_the_limits_of_a_go2_are_its_sheets(document: str, emulator_page: str):
     robot = RobotDescription.load("go2")
     battery, heat, text = robot.battery, robot.heat, " ".join(document.split())
     assert (
-        f"A Go2 warns at {battery.warn:g} V and {heat.warn:g} degC, sits at {battery.low:g} V and {heat.high:g} degC, "
-        f"and is damped at {battery.empty:g} V and {heat.limit:g} degC"
+        f"On a Go2, surefoot warns at {battery.warn:g} V and {heat.warn:g} degC, sits it down at {battery.low:g} V and "
+        f"{heat.high:g} degC, and damps its motors at {battery.empty:g} V and {heat.limit:g} degC"
     ) in text
     milliohm = 1e3 * battery.resistance
     stated = f"{milliohm:g} mOhm, {battery.capacity:g} Ah, {heat.capacity:g} J/K and {heat.resistance:g} K/W"

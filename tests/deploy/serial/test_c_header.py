@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import re
 import shutil
 import struct
 import subprocess
@@ -179,10 +178,9 @@ def test_sizes_hold_for_any_number_of_motors(tmp_path: Path, motors: int):
 
 @needs_cc
 @pytest.mark.parametrize("standard", ["c99", "c11"])
-def test_the_program_of_the_document_compiles(tmp_path: Path, standard: str):
-    (code,) = re.findall(r"```c\n(.*?)```", (ROOT / "docs" / "wire-protocol.md").read_text(encoding="utf-8"), re.S)
+def test_the_example_of_the_document_compiles(tmp_path: Path, standard: str):
     source = tmp_path / "firmware.c"
-    source.write_text(code, encoding="utf-8")
+    source.write_text((ROOT / "docs" / "surefoot_wire_example.c").read_text(encoding="utf-8"), encoding="utf-8")
     assert warnings_of(source, f"-std={standard}") == ""
 
 
