@@ -65,6 +65,14 @@ def test_a_groups_ranges_replace_those_of_the_study(tmp_path: Path) -> None:
     assert group_config(study, "b").task.randomize == load_ranges("table1") | {"voltage": (15.0, 16.0)}
 
 
+def test_a_table_of_ranges_is_that_of_the_studys_robot(tmp_path: Path) -> None:
+    (tmp_path / "go2-walk.yaml").write_text("{base: trot, robot: go2}")
+    ranges = "{train: {task: {randomize: table1}}}"
+    study = load_study(study_file(tmp_path, f"{{task: go2-walk.yaml, groups: {{a: {{}}, b: {ranges}}}}}"))
+    assert group_config(study, "b").task.randomize == load_ranges("table1", tmp_path, "go2")
+    assert "voltage" not in group_config(study, "b").task.randomize
+
+
 def test_the_path_of_a_task_is_relative_to_the_file_of_the_study(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text("max_steps: 33\ntrain: {num_envs: 4}\n")
     study = load_study(study_file(tmp_path, "{task: mine.yaml, groups: {a: {}}}"))

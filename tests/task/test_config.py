@@ -36,6 +36,13 @@ def test_an_empty_table_gives_the_defaults_and_the_files_name(tmp_path):
     assert load(tmp_path, "{}\n") == TaskConfig(name="mine")
 
 
+def test_a_files_name_may_begin_with_a_robots(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "go2-mine.yaml").write_text("{base: trot, robot: go2}")
+    assert load_task("go2-mine.yaml")[0].name == "go2-mine"
+    assert load_task("go2-mine.yaml")[0].robot == load_task("go2-trot")[0].robot
+
+
 def test_the_train_table_is_returned_as_it_is(tmp_path):
     (tmp_path / "mine.yaml").write_text("train: {steps: 5, seed: 3}\n")
     assert load_task(str(tmp_path / "mine.yaml"))[1] == {"steps": 5, "seed": 3}

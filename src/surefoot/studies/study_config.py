@@ -117,25 +117,35 @@ def load_study(path: Path) -> StudyConfig:
         study = from_mapping(StudyConfig, data)
         if study.task not in preset_names():
             study = replace(study, task=str(path.parent / study.task))
+        robot = base_config(study.task).task.robot
+        train = _with_paths(study.train, path.parent, robot)
+        if isinstance(task := train.get("task"), Mapping) and isinstance(task.get("robot"), str):
+            robot = task["robot"]
         groups = {
-            name: replace(group, train=_with_paths(group.train, path.parent)) for name, group in study.groups.items()
+            name: replace(group, train=_with_paths(group.train, path.parent, robot))
+            for name, group in study.groups.items()
         }
-        study = replace(study, train=_with_paths(study.train, path.parent), groups=groups)
+        study = replace(study, train=train, groups=groups)
         for name in study.groups:
             group_config(study, name)
     return study
 
 
-def _with_paths(train: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return settings with named tables of ranges as their rows, and robots and files of references by whole paths."""
+def _with_paths(train: dict[str, Any], folder: Path, robot: str) -> dict[str, Any]:
+    """Return settings with named tables of ranges as their rows, and robots and files of references by whole paths.
+
+    The ranges are those for the robot, if the settings name no other.
+    """
     task = train.get("task")
     if not isinstance(task, Mapping):
         return train
     # A named table of ranges replaces every range there was.
-    robot = task.get("robot")
-    task = resolve_table(dict(task), folder)
-    if isinstance(robot, str):
-        task["robot"] = RobotDescription.resolve(robot, folder)
+    own = task.get("robot")
+    if isinstance(own, str):
+        robot = RobotDescription.resolve(own, folder)
+    task = resolve_table(dict(task), folder, robot)
+    if isinstance(own, str):
+        task["robot"] = robot
     reference = task.get("reference")
     if isinstance(reference, Mapping) and isinstance(reference.get("file"), str):
         task["reference"] = {**reference, "file": str((folder / reference["file"]).resolve())}

@@ -183,7 +183,7 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
     if robot is not None:
         RobotDescription.load(robot)  # refuses one that is not there
     for name in RobotDescription.available():
-        if robot is None and task.startswith(f"{name}-"):
+        if robot is None and task.startswith(f"{name}-") and not task.endswith((".yaml", ".yml")):
             task, robot = task.removeprefix(f"{name}-"), name
     shipped = _shipped_tasks(robot or DEFAULT_ROBOT)
     if task not in shipped and not Path(task).is_file():

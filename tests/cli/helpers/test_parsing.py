@@ -43,3 +43,13 @@ class Options:
 )
 def test_positional_words_are_not_values_of_options(line: str, found: str):
     assert positional_words(line.split(), Options) == found.split()
+
+
+def test_a_pattern_that_matches_several_runs_needs_the_name_of_one(tmp_path: Path):
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text("{}")
+    done = surefoot("show", tmp_path / "first", tmp_path / "second")
+    refused(done)
+    assert "several runs" in done.stderr
+    assert "several runs" not in surefoot("show", "trot", "more").stderr

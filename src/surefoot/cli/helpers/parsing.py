@@ -8,6 +8,7 @@ import io
 import re
 import typing
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import tyro
@@ -62,7 +63,10 @@ def _shorten(text: str, kind: type) -> str:
     text = re.sub(r" *(For full helptext|Argument helptext:|Perhaps you meant|Arguments similar to).*", "", text)
     text = re.sub(r"^Missing from [^:]*: (\S+).*", r"\1 is missing", text)
     text = re.sub(r"^Missing value for argument '(\S+)'.*", r"\1 has no value", text)
-    text = re.sub(r"^Unrecognized options: ([^,]*).*", r"\1 is one word too many", text)
+    if surplus := re.match(r"Unrecognized options: ([^,]*)", text):
+        is_run = (Path(surplus[1]) / "run.json").is_file()
+        several = "; a pattern that matches several runs needs the name of one of them" if is_run else ""
+        return f"{surplus[1]} is one word too many{several}"
     if choice := re.match(r"invalid choice '(.*)' for argument '(\S+)'. Expected one of \((.*)\)", text):
         return f"{choice[2]} is '{choice[1]}'; {suggest(choice[1], re.findall(_QUOTED, choice[3]))}"
     return text
