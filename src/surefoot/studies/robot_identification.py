@@ -141,6 +141,8 @@ def identify_robots(
                 if not future.result():
                     continue
             except SurefootError as problem:
+                if stopped():  # Ctrl-C ends the processes of a terminal, too.
+                    continue
                 error = failed[seed] = " ".join(str(problem).split())
             on_end(seed, error)
     return failed

@@ -78,9 +78,10 @@ def _group(ax: Axes, place: int, group: GroupOnRobots, marked: bool) -> None:
         error = interval.high - interval.mean if interval.is_finite else 0.0
         ax.bar(middle, interval.mean, _WIDTH, color=color, alpha=_PALE, linewidth=0)
         ax.errorbar(middle, interval.mean, error, color=INK, linewidth=1.3, capsize=4.0, zorder=4)
-        for some, marker, size in ((~crosses, "o", 3.8), (crosses, "X", 5.2)):
+        for some, marker, size in ((~crosses, "o", 3.8), (crosses, "x", 5.0)):
             ax.plot(x[some], values[some], marker, color=color, markersize=size, alpha=0.9, zorder=3)
-    if group.falls > 0 and not math.isnan(group.falls):
-        top = max(float(np.max(group.on_robot)), float(np.mean(group.on_robot)), 0.0)
+    if group.falls > 0:
+        high = t_interval(group.on_robot).high
+        top = max(float(np.max(group.on_robot)), high if math.isfinite(high) else 0.0, 0.0)
         text, where = f"{group.falls:.0%}\nfell", (place + _WIDTH / 2, top)
         ax.annotate(text, where, (0, 5), textcoords="offset points", ha="center", va="bottom", fontsize=7.5, color=INK)
