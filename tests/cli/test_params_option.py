@@ -179,9 +179,8 @@ def test_training_leaves_out_gains_that_an_identification_estimated():
     pytest.importorskip("torch")
     from surefoot.cli.train import _parse
 
-    Path("found.toml").write_text(
-        TEXT.replace("[fit]", '[identified_by]\nservo_kp = "motor"\nvoltage = "motor"\n[fit]')
-    )
+    found = '[identified_by]\nservo_kp = "motor"\nvoltage = "motor"\n'
+    Path("found.toml").write_text(TEXT + found)
     task = _parse(["trot", "--params", "found.toml"])[0].task
     assert task.params == {name: value for name, value in VALUES.items() if name != "servo_kp"}
     task = _parse(["trot", "--params", "found.toml", "--set", "servo_kp=1.1"])[0].task
