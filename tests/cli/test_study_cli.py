@@ -207,6 +207,17 @@ def test_a_study_on_robots_that_was_killed_twice_has_the_same_digits(tmp_path: P
     assert "runs/hidden/half/robot_202/seed_0: was trained with task.params " in done.stderr
 
 
+def test_identify_takes_a_study_with_robots_and_skips_those_that_are_identified(tmp_path: Path) -> None:
+    folder = robots_study(tmp_path / "study")
+    done = surefoot("study", "identify", "hidden.yaml", cwd=folder)
+    assert (done.returncode, done.stdout) == (0, "hidden: all 2 robots are identified\n"), done.stderr
+    (folder / "tiny.yaml").write_text(TINY)
+    done = surefoot("study", "identify", "tiny.yaml", cwd=folder)
+    refused(done, "tiny.yaml: the study has no robots to identify")
+    (folder / "hidden.yaml").write_text(ROBOTS.replace("world: mujoco", "world: ensemble"))
+    refused(surefoot("study", "hidden.yaml", cwd=folder), "world is 'ensemble'")
+
+
 GAP = """
 name: gaps
 task: trot

@@ -44,13 +44,7 @@ def write_robot_report(
         "## How to read",
         _HOW_TO_READ.format(confidence=CONFIDENCE, level=LEVEL),
         *[part for family, file in figures.items() for part in _results(comparison, family, file)],
-        "## Other questions",
-        *[
-            part
-            for one in comparison.answers.values()
-            if not one.question.is_claim
-            for part in _answer(comparison, one)
-        ],
+        *_open_questions(comparison),
         "## Every robot",
         *_every_robot(comparison),
         *(_parameters(tables["parameters"]) if "parameters" in tables else []),
@@ -104,6 +98,13 @@ def _claims(comparison: RobotComparison) -> list[str]:
     out = [f"- {capital(reason)}." for reason in comparison.not_learned.values()]
     parts = [part for one in claims.values() for part in _answer(comparison, one)]
     return ["## Claims", "\n".join([*lines, *out]), *parts]
+
+
+def _open_questions(comparison: RobotComparison) -> list[str]:
+    """Return the section of questions without a claim; empty if there is none."""
+    answers = [one for one in comparison.answers.values() if not one.question.is_claim]
+    parts = [part for one in answers for part in _answer(comparison, one)]
+    return ["## Questions without a claim", *parts] if parts else []
 
 
 def _answer(comparison: RobotComparison, one: Answer) -> list[str]:
