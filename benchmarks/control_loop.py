@@ -33,9 +33,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from emulated import SUREFOOT, gain_options
+from emulated import gain_options
 
 from surefoot.api.policies import find_policy, open_policy
+from surefoot.studies.robot_identification import SUREFOOT
 from surefoot.tables import write_csv
 
 

@@ -3,33 +3,14 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from surefoot.api.policies import find_policy, open_policy
+from surefoot.studies.robot_identification import SUREFOOT, emulated_robot
 from surefoot.task.trace import EpisodeTrace
-
-SUREFOOT = (sys.executable, "-m", "surefoot")
-
-
-@contextmanager
-def emulated_robot(*options: object) -> Iterator[str]:
-    """Run `surefoot emulate --lockstep` with more options; give the name of its port."""
-    command = [*SUREFOOT, "emulate", "--lockstep", *map(str, options)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        try:
-            assert process.stdout is not None
-            words = process.stdout.readline().split()
-            if not words:
-                raise SystemExit(f"surefoot emulate {' '.join(command[4:])}: no robot")
-            yield words[-1]
-        finally:
-            process.terminate()
 
 
 def gain_options(policy: str) -> tuple[str, ...]:

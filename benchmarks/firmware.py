@@ -43,7 +43,7 @@ from typing import Any
 
 import numpy as np
 from bare_loop import BareLoop
-from emulated import SUREFOOT, deploy
+from emulated import deploy
 from link_soak import BadLine
 
 from surefoot.deploy import messages
@@ -55,6 +55,7 @@ from surefoot.emulator.firmware_process import FirmwareProcess
 from surefoot.evaluation.runs import measure_runs
 from surefoot.firmware.project import build_firmware, write_sources
 from surefoot.robot import RobotDescription
+from surefoot.studies.robot_identification import SUREFOOT
 from surefoot.tables import write_csv
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"

@@ -21,7 +21,6 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from emulated import emulated_robot
 
 from surefoot.actuator.motor import motor_torque
 from surefoot.deploy.links import open_link
@@ -32,6 +31,7 @@ from surefoot.identify.registry import EXPERIMENTS
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import read_params
+from surefoot.studies.robot_identification import emulated_robot
 from surefoot.tables import print_table, write_csv
 
 HIDDEN = (

@@ -16,13 +16,11 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from emulated import SUREFOOT, deploy, emulated_robot
+from emulated import deploy
 
 from surefoot.evaluation.runs import measure_runs
+from surefoot.studies.robot_identification import SUREFOOT, identify_robot
 from surefoot.tables import write_csv
-
-EXPERIMENTS = {"motor": True, "latency": True, "mass": False, "contact": False}
-"""Whether the robot is on its rack, in the order in which they are made."""
 
 
 def surefoot(*words: object) -> str:
@@ -33,27 +31,21 @@ def surefoot(*words: object) -> str:
     return done.stdout
 
 
-def identify(robot: tuple[object, ...], path: Path) -> None:
-    """Write what the experiments find of an emulated robot."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    for name, rack in EXPERIMENTS.items():
-        with tempfile.TemporaryDirectory() as folder, emulated_robot(*robot, *(["--rack"] if rack else [])) as port:
-            words = ("--port", port, "--lockstep", "--yes", "--params", path, "--out", f"{folder}/{name}")
-            surefoot("identify", name, *words)
-
-
 def main() -> None:
     """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policy", default="trot-robust")
     parser.add_argument("--hidden-seed", type=int, default=48)
+    parser.add_argument("--hidden-ranges", default="table1", help="as for `surefoot emulate`")
     parser.add_argument("--runs", type=int, default=3, help="on the robot")
     parser.add_argument("--params", type=Path, default=Path("results/identification/hidden-48.toml"))
     parser.add_argument("--out", type=Path, default=Path("results/identification/end_to_end.csv"))
     options = parser.parse_args()
-    robot = ("--world", "bullet", "--hidden-seed", options.hidden_seed, "--seed", options.hidden_seed)
+    drawn = ("--hidden-seed", options.hidden_seed, "--hidden-ranges", options.hidden_ranges)
+    robot = ("--world", "bullet", *drawn, "--seed", options.hidden_seed)
     if not options.params.exists():
-        identify(robot, options.params)
+        with tempfile.TemporaryDirectory() as folder:
+            identify_robot(robot, options.params, Path(folder) / "work", "minitaur")
     traces = deploy(options.policy, "--episodes", options.runs, robot=robot)
     runs = measure_runs(traces)
     on_robot = {

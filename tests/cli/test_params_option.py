@@ -174,6 +174,22 @@ def test_train_takes_simulator_and_file():
     assert (task.actuator, task.params_source) == ("dc", {})
 
 
+def test_training_leaves_out_gains_that_an_identification_estimated():
+    """The contract states the gains of a training and the robot gets these: an estimate's error would act twice."""
+    pytest.importorskip("torch")
+    from surefoot.cli.train import _parse
+
+    found = '[identified_by]\nservo_kp = "motor"\nvoltage = "motor"\n'
+    Path("found.toml").write_text(TEXT + found)
+    task = _parse(["trot", "--params", "found.toml"])[0].task
+    assert task.params == {name: value for name, value in VALUES.items() if name != "servo_kp"}
+    task = _parse(["trot", "--params", "found.toml", "--set", "servo_kp=1.1"])[0].task
+    assert task.params == {**VALUES, "servo_kp": 1.1}
+    # A simulation of the identified robot has them, and so has a training on gains that somebody wrote down.
+    assert Condition(params_file=Path("found.toml")).simulate(TaskConfig()).params == VALUES
+    assert _parse(["trot", "--params", "robot.toml"])[0].task.params == VALUES
+
+
 def test_train_refuses_a_file_of_another_robot_than_named(here: Path):
     pytest.importorskip("torch")
     from surefoot.cli.train import _parse

@@ -143,6 +143,81 @@ def check_results(out: Path) -> None:
         assert (out / name).stat().st_size > 1000, name
 
 
+ROBOTS = """
+name: hidden
+task: trot
+seeds: [0]
+train:
+  {steps: 8192, num_envs: 16, steps_per_update: 16, evaluate_every: 4096, evaluation_episodes: 2,
+   checkpoint_every: 512, ppo: {policy_hidden: [8, 8], value_hidden: [8, 8], epochs: 2}, task: {max_steps: 20}}
+robots: {seeds: [201, 202], ranges: ensemble, world: mujoco, starts: 2}
+groups:
+  half: {identified: [body], train: {task: {actuator: constraint, params: {control_latency: 0.0}}}}
+  whole: {identified: [body, motors, contact, sensors]}
+questions:
+  gap: {text: the gap of the whole is smaller, figure: gap, pairs: [[half, whole]], expect: less}
+"""
+
+
+def robots_study(folder: Path) -> Path:
+    """Write a study of two robots that are identified, in ranges that MuJoCo models."""
+    folder.mkdir()
+    (folder / "ranges.yaml").write_text("base_mass_ratio: [0.8, 1.2]\nvoltage: [14.0, 16.8]\n")
+    (folder / "hidden.yaml").write_text(ROBOTS.replace("ranges: ensemble", "ranges: ranges.yaml"))
+    for seed, mass in ((201, 1.1), (202, 0.9)):
+        path = folder / f"results/hidden/robots/robot_{seed}.toml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"[params]\nbase_mass_ratio = {mass}\nvoltage = 15.0\ncontrol_latency = 0.016\n")
+    return folder
+
+
+@pytest.mark.ray
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_study_on_robots_that_was_killed_twice_has_the_same_digits(tmp_path: Path) -> None:
+    """Two robots, two groups and one seed, once at a stretch and once killed in the first and in the third training."""
+    whole, parts = robots_study(tmp_path / "whole"), robots_study(tmp_path / "parts")
+    command = [*SUREFOOT, "study", "hidden.yaml", "--workers", "1"]
+    for run in ("half/robot_201", "whole/robot_201"):
+        process = subprocess.Popen(command, cwd=parts, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        place = parts / "runs/hidden" / run / "seed_0"
+        wait_until(lambda place=place: len(read_json_lines(place / "figures.jsonl")) >= 4)  # type: ignore[misc]
+        trains = int((place / "lock").read_text())
+        process.kill()
+        process.communicate(timeout=60)
+        wait_until(lambda trains=trains: not alive(trains))  # type: ignore[misc]
+        assert not (place / "policy.onnx").exists()
+    for folder in (whole, parts):
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert "all 2 robots are identified" in done.stdout
+    tables = ["robots", "groups", "questions", "parameters", "episodes"]
+    for table in tables:
+        first, second = ((folder / f"results/hidden/{table}.csv").read_text() for folder in (whole, parts))
+        assert first == second, table
+    with (parts / "results/hidden/episodes.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 2 * 2 * 2 * 2
+    report = (parts / "results/hidden/README.md").read_text()
+    assert "Not complete" not in report
+    assert "- The gap of the whole is smaller: **" in report
+    # Another identification is another training.
+    (parts / "results/hidden/robots/robot_202.toml").write_text("[params]\nbase_mass_ratio = 1.0\n")
+    done = surefoot("study", "hidden.yaml", cwd=parts)
+    assert done.returncode == 2
+    assert "runs/hidden/half/robot_202/seed_0: was trained with task.params " in done.stderr
+
+
+def test_identify_takes_a_study_with_robots_and_skips_those_that_are_identified(tmp_path: Path) -> None:
+    folder = robots_study(tmp_path / "study")
+    done = surefoot("study", "identify", "hidden.yaml", cwd=folder)
+    assert (done.returncode, done.stdout) == (0, "hidden: all 2 robots are identified\n"), done.stderr
+    (folder / "tiny.yaml").write_text(TINY)
+    done = surefoot("study", "identify", "tiny.yaml", cwd=folder)
+    refused(done, "tiny.yaml: the study has no robots to identify")
+    (folder / "hidden.yaml").write_text(ROBOTS.replace("world: mujoco", "world: ensemble"))
+    refused(surefoot("study", "hidden.yaml", cwd=folder), "world is 'ensemble'")
+
+
 GAP = """
 name: gaps
 task: trot

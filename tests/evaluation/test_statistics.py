@@ -14,6 +14,7 @@ from surefoot.evaluation.statistics import (
     Interval,
     MeanEstimate,
     crossed_interval,
+    equivalence_p,
     holm,
     share_difference,
     share_interval,
@@ -178,3 +179,25 @@ def test_an_interval_over_rows_and_columns_covers_the_truth() -> None:
         hits += interval.low <= 0 <= interval.high
     # 95 % of 400, within three standard errors below; the interval is rather too wide.
     assert hits >= 367
+
+
+def test_t_interval_of_another_confidence_is_scipys() -> None:
+    values = [0.3, -0.1, 0.4, 0.2]
+    interval, test = t_interval(values, 0.9), stats.ttest_1samp(values, 0.0).confidence_interval(0.9)
+    assert (interval.low, interval.high) == pytest.approx((test.low, test.high), rel=1e-12)
+
+
+def test_equivalence_of_three_numbers_by_hand() -> None:
+    # Mean 0, standard error 1 / sqrt 3. The bound is t(0.95, 2) = 2.919986 standard errors away, so p is .05.
+    assert equivalence_p([-1.0, 0.0, 1.0], 2.919986 / math.sqrt(3)) == pytest.approx(0.05, rel=1e-6)
+    # A mean at the bound lies as likely on either side of it.
+    assert equivalence_p([1.0, 2.0, 3.0], 2.0) == pytest.approx(0.5)
+    assert [equivalence_p([level] * 3, 0.5) for level in (0.4, 0.6)] == pytest.approx([0, 1], abs=1e-9)
+    assert math.isnan(equivalence_p([0.1, 0.2], 0.5))
+
+
+def test_equivalence_is_scipys_pair_of_one_sided_tests() -> None:
+    values = np.random.default_rng(2).normal(0.2, 0.3, 12)
+    tests = ((-0.5, "greater"), (0.5, "less"))
+    p = max(stats.ttest_1samp(values, bound, alternative=side).pvalue for bound, side in tests)
+    assert equivalence_p(values, 0.5) == pytest.approx(p, rel=1e-10)

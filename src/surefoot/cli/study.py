@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -15,12 +16,15 @@ from surefoot.cli.helpers.options import PluginNames, Ray, Workers
 from surefoot.cli.helpers.output import Actions, make_console, run_action
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
-from surefoot.configuration import Seed
+from surefoot.configuration import Seed, Threads
 from surefoot.errors import SurefootError, prefix_errors, suggest
 from surefoot.learn.config import Steps
+from surefoot.stop_signals import StopSignals
+from surefoot.studies.hidden_robots import HiddenRobots, robot_name
 from surefoot.studies.study_config import StudyConfig, load_study, study_runs
 from surefoot.studies.training import Training
 from surefoot.studies.workers import TrainingsOutcome, check_address
+from surefoot.world.registry import check_takes_params
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,21 @@ class StudyCommand:
     """Train nothing: evaluate the runs that are finished, and report what is there."""
 
 
+@dataclass(frozen=True)
+class IdentifyCommand:
+    """Identify the hidden robots of a study by four experiments each, as `surefoot study run` does first.
+
+    Robots that are identified are skipped, so that the same command goes on where it was stopped.
+    """
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """YAML file of the study."""
+    out: Path | None = None
+    """Folder for the report, with the robots' files in robots/, and for recordings, in runs/; results/NAME and
+    runs/NAME, if not given."""
+    workers: Annotated[Threads, tyro.conf.arg(help="Robots side by side; 0 means one a core.")] = 0
+
+
 def main(argv: list[str]) -> int:
     """Run the command with the arguments `argv`; return the exit code."""
     word = argv[0] if argv else ""
@@ -67,35 +86,95 @@ def _run(argv: list[str]) -> int:
     command = parse(StudyCommand, argv, "surefoot study run")
     if command.train_only and command.report_only:
         raise SurefootError("--train-only and --report-only leave nothing to do; give one of them, or neither")
-    from surefoot.cli.helpers.study_results import check_evaluations, evaluate_runs, report
+    from surefoot.cli.helpers.study_results import (
+        check_evaluations,
+        evaluate_runs,
+        report,
+        report_robots,
+        robots_folder,
+    )
 
     study = load_study(command.file)
     check_evaluations(study, worlds=not command.train_only)
     if command.seeds:
-        study = replace(study, seeds=command.seeds)
+        groups = {name: replace(group, seeds=()) for name, group in study.groups.items()}
+        study = replace(study, seeds=command.seeds, groups=groups)
     if command.steps is not None:
         study = study.with_steps(command.steps)
-    root = Path("runs") / study.name if command.out is None else command.out / "runs"
-    runs = study_runs(study, root, command.only)
+    root, out = _folders(study, command.out)
+    console, failed = make_console(), dict[str, str]()
+    takes = any(study.groups[name].identified for name in command.only or study.groups if name in study.groups)
+    if study.robots is not None and takes and not command.report_only:
+        failed = identify(study.robots, study.name, root, out, command.workers, console)
+    runs = study_runs(study, root, command.only, robots_folder(out))
     for run in runs:
         run.check(extend=command.extend)
     for run in runs if command.extend else []:
         run.extend()
-    console = make_console()
-    failed: dict[str, str] = {}
     if not command.report_only:
         outcome = train(study, runs, command, console)
-        failed = outcome.failed
+        failed |= outcome.failed
         if outcome.stopped:
             console.print("Stopped; every run under way is saved. The same command goes on.")
             return 130
     if not command.train_only:
-        evaluate_runs(study, runs, command.workers, console)
-        words = shlex.join(["surefoot", "study", *argv])
-        report(study, root, command.out or Path("results") / study.name, words, console)
+        evaluate_runs(study, runs, root, command.workers, console)
+        write = report if study.robots is None else report_robots
+        write(study, root, out, shlex.join(["surefoot", "study", *argv]), console)
+    return _end(failed)
+
+
+def _folders(study: StudyConfig, out: Path | None) -> tuple[Path, Path]:
+    """Return the folders of a study's runs and of its report."""
+    return (Path("runs") / study.name, Path("results") / study.name) if out is None else (out / "runs", out)
+
+
+def _end(failed: dict[str, str]) -> int:
+    """Print what failed; return the exit code."""
     for name, line in failed.items():
         print(f"surefoot: error: {name}: {line}", file=sys.stderr)
     return 1 if failed else 0
+
+
+def _identify(argv: list[str]) -> int:
+    """Identify the hidden robots of a study."""
+    command = parse(IdentifyCommand, argv, "surefoot study identify")
+    study = load_study(command.file)
+    if study.robots is None:
+        raise SurefootError(f"{command.file}: the study has no robots to identify")
+    check_takes_params(study.robots.world)
+    return _end(identify(study.robots, study.name, *_folders(study, command.out), command.workers, make_console()))
+
+
+def identify(robots: HiddenRobots, name: str, root: Path, out: Path, workers: int, console: Console) -> dict[str, str]:
+    """Identify the robots of a study that are not identified yet; return what failed, by name.
+
+    Raises:
+        KeyboardInterrupt: the operator stopped.
+    """
+    from surefoot.cli.helpers.study_results import robots_folder
+    from surefoot.studies.robot_identification import identify_robots, waiting_robots
+
+    folder = robots_folder(out)
+    waiting, start, count = waiting_robots(robots, folder), time.perf_counter(), 0
+    if not waiting:
+        console.print(f"{name}: all {len(robots.seeds)} robots are identified")
+        return {}
+    console.print(f"{name}: {len(waiting)} of {len(robots.seeds)} robots to identify")
+
+    def ended(seed: int, error: str) -> None:
+        nonlocal count
+        count += 1
+        state = "failed" if error else "identified"
+        seconds = time.perf_counter() - start
+        console.print(f"{count:>3} of {len(waiting)}  {robot_name(seed)} {state}  (after {seconds:.0f} s)")
+
+    with StopSignals(respect_nohup=True) as stops:
+        failed = identify_robots(robots, folder, root / "robots", workers, ended, lambda: stops.count > 0)
+    if stops.count:
+        console.print("Stopped; robots that are identified are kept. The same command goes on.")
+        raise KeyboardInterrupt
+    return {robot_name(seed): error for seed, error in failed.items()}
 
 
 def train(study: StudyConfig, runs: list[Training], command: StudyCommand, console: Console) -> TrainingsOutcome:
@@ -116,6 +195,7 @@ def train(study: StudyConfig, runs: list[Training], command: StudyCommand, conso
 
 ACTIONS: Actions = {
     "run": ("run the study of a file (`surefoot study FILE.yaml` does, too): groups of trainings, compared", _run),
+    "identify": ("identify the hidden robots of a study, which `run` does first", _identify),
     "search": ("train many times with searched settings, and see what emerges", "surefoot.cli.study_search"),
     "tune": ("find a handcrafted gait for a robot and a speed", "surefoot.cli.study_tune"),
     "paper": ("write one page: the paper and surefoot's results side by side", "surefoot.cli.study_paper"),

@@ -128,7 +128,7 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     # Ranges have options of their own: tyro's would take any count of numbers.
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize={})})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
-    task = command.simulator.condition(command.settings).simulate(command.task)
+    task = command.simulator.condition(command.settings, estimated_gains=False).simulate(command.task)
     pushes = replace(task.pushes, enabled=task.pushes.enabled or command.pushes)
     task = replace(task, pushes=pushes, randomize=ranges)
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command

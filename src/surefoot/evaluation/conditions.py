@@ -38,6 +38,9 @@ class Condition:
     """Actuator of the motors; defaults to the task's."""
     params_file: Path | None = None
     """File of a robot's parameters (.toml), or the name of one that ships with it, in place of the task's."""
+    estimated_gains: bool = True
+    """Take the file's servo gains also where an identification estimated them. A policy's contract states the gains of
+    its training, and the robot gets these: a training on estimates would apply their error twice."""
     params: Mapping[str, ParamValue] = field(default_factory=dict)
     """Physical parameters by name, over those of task and file."""
     thermal_protection: bool = False
@@ -73,7 +76,7 @@ class Condition:
         if self.data_sheet:
             task = away_task(task)
         if self.params_file is not None:
-            task = _apply_file(task, self.params_file)
+            task = _apply_file(task, self.params_file, self.estimated_gains)
         task = replace(task, actuator=self.actuator or task.actuator, params={**task.params, **self.params})
         WorldConfig(actuator=task.actuator, thermal_protection=task.thermal_protection)  # checked early
         return task
@@ -126,11 +129,12 @@ def away_task(task: TaskConfig) -> TaskConfig:
     return replace(home_task(task), actuator="dc", params=params, params_source={})
 
 
-def _apply_file(task: TaskConfig, path: Path) -> TaskConfig:
+def _apply_file(task: TaskConfig, path: Path, estimated_gains: bool) -> TaskConfig:
     """Return the task on the robot of a file of parameters.
 
     The file replaces all of the task's parameters, so that a policy that was trained on one identified robot does not
-    run on a mixture of two. Only what the controller sets stays: the control step, and gains unless the file has them.
+    run on a mixture of two. Only what the controller sets stays: the control step, and gains unless the file has them,
+    as estimates only with `estimated_gains`.
     """
     robot = RobotDescription.load(task.robot)
     path = find_params(path, robot)
@@ -141,8 +145,10 @@ def _apply_file(task: TaskConfig, path: Path) -> TaskConfig:
             f"{path}: control_step is {step:g}, and the task's is {expected:g}; "
             "it belongs to the policy, not to the robot: leave it out of the file"
         )
-    own = {name: task.params[name] for name in CONTROLLER if name in task.params and name not in file.names}
-    return replace(task, params={**file.values, **own}, params_source=file.source)
+    estimated = () if estimated_gains else file.tables.get("identified_by", ())
+    values = {name: value for name, value in file.values.items() if name not in CONTROLLER or name not in estimated}
+    own = {name: task.params[name] for name in CONTROLLER if name in task.params and name not in values}
+    return replace(task, params={**values, **own}, params_source=file.source)
 
 
 def on_terrain(task: TaskConfig, terrain: str) -> TaskConfig:

@@ -86,11 +86,32 @@ class Interval:
         return Interval(self.mean * factor, self.low * factor, self.high * factor, self.p)
 
 
-def t_interval(values: ArrayLike) -> Interval:
+def t_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """Return the mean of numbers (N,) with Student's t interval; fewer than `MIN_NUMBERS` have none."""
     array = np.asarray(values, np.float64)
-    interval = _satterthwaite([array])
+    if not array.size:
+        return Interval(math.nan)
+    interval = _satterthwaite([array], confidence=confidence)
     return interval if interval.is_finite else Interval(interval.mean, values=tuple(map(float, array)))
+
+
+def equivalence_p(values: ArrayLike, bound: float) -> float:
+    """Return the p value of the claim that the mean of numbers (N,) lies within +-bound.
+
+    It is the greater one of two one-sided t tests, of mean <= -bound and of mean >= bound (Schuirmann 1987). It is
+    below a level exactly if the interval of confidence 1 - 2 level lies within the bounds. Fewer than `MIN_NUMBERS`
+    have NaN.
+    """
+    from scipy.special import stdtr
+
+    array = np.asarray(values, np.float64)
+    if len(array) < MIN_NUMBERS:
+        return math.nan
+    room = bound - abs(float(array.mean()))
+    error = float(array.std(ddof=1)) / math.sqrt(len(array))
+    if error == 0:
+        return float(room <= 0)
+    return float(stdtr(len(array) - 1, -room / error))
 
 
 def share_interval(shares: ArrayLike, trials: int) -> Interval:
@@ -168,7 +189,7 @@ def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interv
     return _satterthwaite([*(table.mean(axis=1) for table in tables), columns], float(columns.mean()))
 
 
-def _satterthwaite(samples: Sequence[Array], mean: float | None = None) -> Interval:
+def _satterthwaite(samples: Sequence[Array], mean: float | None = None, confidence: float = CONFIDENCE) -> Interval:
     """Return the interval of a sum of means of independent samples with unequal variances, around `mean`."""
     # What `scipy.stats.t` computes; importing that takes seconds.
     from scipy.special import stdtr, stdtrit
@@ -180,7 +201,7 @@ def _satterthwaite(samples: Sequence[Array], mean: float | None = None) -> Inter
     if variance == 0:
         return Interval(mean, mean, mean, float(mean == 0))
     error = math.sqrt(variance)
-    half = float(stdtrit(freedom, 0.5 + CONFIDENCE / 2)) * error
+    half = float(stdtrit(freedom, 0.5 + confidence / 2)) * error
     return Interval(mean, mean - half, mean + half, 2 * float(stdtr(freedom, -abs(mean) / error)))
 
 

@@ -275,27 +275,30 @@ def find_gap(kinds: Iterable[str]) -> str:
     return gaps[0] if gaps else ""
 
 
-def stored_result(policy: Path, name: str) -> Result | None:
-    """Return the cached result of an evaluation of a policy file as it is now; None if there is none."""
-    return _load(policy, name, _identity(policy, _settings(name)))
+def stored_result(policy: Path, name: str, kind: EvaluationKind | None = None) -> Result | None:
+    """Return the cached result of an evaluation of a policy file as it is now; None if there is none.
 
-
-def evaluate(policy: Path, name: str, threads: int = 0) -> Result:
-    """Run the evaluation `name` of `EVALUATIONS` on a policy file, or return its cached result.
-
-    Results are stored in `evaluations/` beside the file, and traces that the evaluation keeps in
-    `evaluations/NAME/WORLD/run_000.npz` and on.
+    `kind` defaults to the one of `EVALUATIONS`.
     """
+    return _load(policy, name, _identity(policy, _settings(kind or EVALUATIONS[name])))
+
+
+def evaluate(policy: Path, name: str, threads: int = 0, kind: EvaluationKind | None = None) -> Result:
+    """Run the evaluation `name` on a policy file, or return its cached result.
+
+    `kind` defaults to the one of `EVALUATIONS`. Results are stored in `evaluations/` beside the file, and traces that
+    the evaluation keeps in `evaluations/NAME/WORLD/run_000.npz` and on.
+    """
+    kind = kind or EVALUATIONS[name]
 
     def compute() -> Result:
-        kind = EVALUATIONS[name]
         result, stored = kind.run(EvaluationRun.load(policy, kind.settings, threads))
         # Traces before the result, so that a result never lacks them.
         for world, traces in stored.items():
             save_runs(_result_path(policy, name).with_suffix("") / world, traces)
         return result
 
-    return cached_result(policy, name, _settings(name), compute)
+    return cached_result(policy, name, _settings(kind), compute)
 
 
 def cached_result(policy: Path, name: str, settings: dict[str, Any], compute: Callable[[], Result]) -> Result:
@@ -329,10 +332,10 @@ def _result_path(policy: Path, name: str) -> Path:
     return policy.parent / "evaluations" / f"{name}.json"
 
 
-def _settings(name: str) -> dict[str, Any]:
+def _settings(kind: EvaluationKind) -> dict[str, Any]:
     """Return the settings of an evaluation with the ranges themselves, not the name of their table."""
-    settings = dict(EVALUATIONS[name].settings)
-    if "ranges" in settings:
+    settings = dict(kind.settings)
+    if isinstance(settings.get("ranges"), str):
         settings["ranges"] = to_mapping(load_ranges(settings["ranges"]))
     return settings
 

@@ -12,7 +12,16 @@ from surefoot.configuration import Seed, Within, from_mapping, read_yaml
 from surefoot.errors import SurefootError, check_name, choices, prefix_errors, suggest
 from surefoot.learn.config import TrainConfig
 from surefoot.robot import RobotDescription
-from surefoot.robot.randomization import resolve_table
+from surefoot.robot.params_file import ParamsFile
+from surefoot.robot.randomization import check_ranges, resolve_table
+from surefoot.studies.hidden_robots import (
+    HiddenRobots,
+    check_identified,
+    read_identified,
+    robot_name,
+    take_identified,
+)
+from surefoot.studies.questions import Question
 from surefoot.studies.training import Training, base_config
 from surefoot.task.config import preset_names
 
@@ -25,6 +34,11 @@ class GroupConfig:
     """What figures and tables call the group; its name, if empty."""
     train: dict[str, Any] = field(default_factory=dict)
     """What differs from the study's training run: any field of TrainConfig."""
+    identified: tuple[str, ...] = ()
+    """Physical parameters, or groups of them, that a training takes from the file of its identified robot; `train` may
+    state others. A group with any is trained for each robot, others once on the data sheet."""
+    seeds: tuple[Seed, ...] = ()
+    """A training for each; the study's, if empty."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +76,14 @@ class StudyConfig:
     """Groups whose reality gaps are drawn side by side, by the name of the figure."""
     findings: tuple[PublishedFinding, ...] = ()
     """Published results, reported beside the groups that repeat them."""
+    robots: HiddenRobots | None = None
+    """Robots that are identified, and that policies run on; none by default."""
+    questions: dict[str, Question] = field(default_factory=dict)
+    """Questions on groups and robots by name, each a family of its own."""
+    primary_questions: tuple[str, ...] = ()
+    """The claims that the study is about."""
+    least_home_return: Annotated[float, Within(-1e6, 1e6)] = 0.0
+    """Mean return at home [m] below which a group did not learn, and leaves claims on the gap."""
 
     def __post_init__(self) -> None:
         """Refuse groups, seeds or sets that do not fit together."""
@@ -71,6 +93,10 @@ class StudyConfig:
             check_name("name", name)
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             raise SurefootError(f"seeds is {list(self.seeds)}; it takes 1 or more, none twice")
+        for name, group in self.groups.items():
+            if len(set(group.seeds)) < len(group.seeds):
+                raise SurefootError(f"groups.{name}.seeds is {list(group.seeds)}; none may be given twice")
+        self._check_robots()
         for pair in self.compare:
             self._check_names("compare", pair)
         findings = {f"findings[{number}]": finding.groups for number, finding in enumerate(self.findings)}
@@ -86,10 +112,38 @@ class StudyConfig:
                     "not be reported"
                 )
 
+    def _check_robots(self) -> None:
+        for name, group in self.groups.items():
+            if group.identified and self.robots is None:
+                raise SurefootError(f"groups.{name}.identified is given; the study has no robots")
+            check_identified(group.identified, f"groups.{name}.identified")
+        if self.questions and self.robots is None:
+            raise SurefootError("questions are about robots, and the study has none; compare takes pairs of groups")
+        if self.robots is not None and (self.evaluate or self.compare or self.bars or self.findings):
+            raise SurefootError(
+                "robots: runs on them are the evaluation, and questions the comparisons; leave out evaluate, compare, "
+                "bars and findings"
+            )
+        for name, question in self.questions.items():
+            with prefix_errors(f"questions.{name}"):
+                question.check(tuple(self.groups))
+        claims = [name for name, question in self.questions.items() if question.is_claim]
+        for name in self.primary_questions:
+            if name not in claims:
+                raise SurefootError(
+                    f"primary_questions: '{name}' is no question that claims something; {suggest(name, claims)}"
+                )
+
     def _check_names(self, where: str, groups: tuple[str, ...]) -> None:
         for name in groups:
             if name not in self.groups:
                 raise SurefootError(f"{where}: '{name}' is no group of the study; {suggest(name, self.groups)}")
+
+    @property
+    def hidden(self) -> HiddenRobots:
+        """The robots of a study that has some."""
+        assert self.robots is not None
+        return self.robots
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
@@ -100,6 +154,14 @@ class StudyConfig:
         """Return the study with a number of control steps for every training, evaluated halfway and at the end."""
         groups = {name: replace(group, train={**group.train, "steps": steps}) for name, group in self.groups.items()}
         return replace(self, groups=groups, train={**self.train, "evaluate_every": max(1, steps // 2)})
+
+    def trained_on(self, group: str) -> tuple[int | None, ...]:
+        """Return the seeds of the robots that a group is trained for; None for the data sheet."""
+        return self.robots.seeds if self.robots is not None and self.groups[group].identified else (None,)
+
+    def seeds_of(self, group: str) -> tuple[int, ...]:
+        """Return the seeds of a group's trainings."""
+        return self.groups[group].seeds or self.seeds
 
     def label(self, group: str) -> str:
         """Return what figures and tables call a group."""
@@ -114,6 +176,9 @@ def load_study(path: Path) -> StudyConfig:
     """
     data = {"name": path.stem, **read_yaml(path)}
     with prefix_errors(path):
+        if isinstance(robots := data.get("robots"), Mapping):
+            table = resolve_table({"randomize": robots.get("ranges")}, path.parent)
+            data["robots"] = {**robots, "ranges": table["randomize"]}
         study = from_mapping(StudyConfig, data)
         if study.task not in preset_names():
             study = replace(study, task=str(path.parent / study.task))
@@ -127,8 +192,18 @@ def load_study(path: Path) -> StudyConfig:
         }
         study = replace(study, train=train, groups=groups)
         for name in study.groups:
-            group_config(study, name)
+            config = group_config(study, name)
+            if study.robots is not None:
+                study = replace(study, robots=_with_robot(study.robots, config.task.robot, name))
     return study
+
+
+def _with_robot(robots: HiddenRobots, robot: str, group: str) -> HiddenRobots:
+    """Return the hidden robots with their description, the same for all groups."""
+    if robots.robot and robots.robot != robot:
+        raise SurefootError(f"groups.{group}: its robot is {robot}, and the hidden ones are {robots.robot}")
+    check_ranges(robots.ranges, RobotDescription.load(robot))
+    return replace(robots, robot=robot)
 
 
 def _with_paths(train: dict[str, Any], folder: Path, robot: str) -> dict[str, Any]:
@@ -152,8 +227,14 @@ def _with_paths(train: dict[str, Any], folder: Path, robot: str) -> dict[str, An
     return {**train, "task": task}
 
 
-def group_config(study: StudyConfig, group: str) -> TrainConfig:
+def group_config(study: StudyConfig, group: str, identified: ParamsFile | None = None) -> TrainConfig:
     """Return the training of a group: its own settings over the study's, over the task's; one thread.
+
+    Args:
+        study: the study.
+        group: name of the group.
+        identified: file of the robot that it is trained for. Of what the group takes from it, parameters that settings
+            state stay as stated.
 
     Raises:
         SurefootError: settings that do not fit.
@@ -161,23 +242,52 @@ def group_config(study: StudyConfig, group: str) -> TrainConfig:
     config = replace(base_config(study.task), name=group)
     for where, data in (("train", study.train), (f"groups.{group}.train", study.groups[group].train)):
         config = from_mapping(TrainConfig, data, where, base=config)
-    return config
+    if identified is None:
+        return config
+    params = {**take_identified(identified, study.groups[group].identified), **config.task.params}
+    return replace(config, task=replace(config.task, params=params, params_source=identified.source))
 
 
-def study_runs(study: StudyConfig, root: Path, only: tuple[str, ...] = ()) -> list[Training]:
+def study_runs(
+    study: StudyConfig, root: Path, only: tuple[str, ...] = (), robots: Path | None = None
+) -> list[Training]:
     """Return the trainings of some groups, or of all, in the folder `root`.
 
     They go seed by seed, so that a study that is stopped has runs of every group.
 
+    Args:
+        study: the study.
+        root: folder of the runs.
+        only: the groups; all, if empty.
+        robots: folder with files of identified robots; robots without a file have no trainings.
+
     Raises:
-        SurefootError: no such group.
+        SurefootError: no such group, or a file that does not fit.
     """
     for name in only:
         if name not in study.groups:
             raise SurefootError(f"group '{name}' is not in the study; {suggest(name, study.groups)}")
-    configs = {name: group_config(study, name) for name in study.groups if not only or name in only}
+    runs = []
+    for group in [name for name in study.groups if not only or name in only]:
+        for robot in study.trained_on(group):
+            file, name = None, ""
+            if robot is not None:
+                file, name = read_identified(robots, robot, study.hidden.robot), robot_name(robot)
+                if file is None:
+                    continue
+            config = group_config(study, group, file)
+            for seed in study.seeds_of(group):
+                runs.append(Training(group, replace(config, seed=seed), root / group / name / f"seed_{seed}", name))
+    order = list(dict.fromkeys(run.config.seed for run in runs))
+    return sorted(runs, key=lambda run: order.index(run.config.seed))
+
+
+def training_names(study: StudyConfig) -> list[str]:
+    """Return the names of all trainings of a study, also of robots that are not identified yet."""
     return [
-        Training(name, replace(config, seed=seed), root / name / f"seed_{seed}")
-        for seed in study.seeds
-        for name, config in configs.items()
+        Training(group, base, Path(), "" if robot is None else robot_name(robot)).name
+        for group in study.groups
+        for robot in study.trained_on(group)
+        for seed in study.seeds_of(group)
+        for base in [replace(group_config(study, group), seed=seed)]
     ]

@@ -39,13 +39,20 @@ class Training:
     """Name of its group in a study, or of the trial."""
     config: TrainConfig
     path: Path
+    robot: str = ""
+    """Name of the identified robot whose parameters it has, such as robot_201; empty for the data sheet's."""
     trial: bool = False
     """Whether it is a trial of a search: its last policy is exported, not its best, and its checkpoints are removed."""
 
     @property
+    def title(self) -> str:
+        """Group, and robot if it has one."""
+        return f"{self.group} {self.robot}".rstrip()
+
+    @property
     def name(self) -> str:
-        """Group and seed, as the user reads them."""
-        return f"{self.group} seed {self.config.seed}"
+        """Group, robot and seed, as the user reads them."""
+        return f"{self.title} seed {self.config.seed}"
 
     @property
     def policy(self) -> Path:

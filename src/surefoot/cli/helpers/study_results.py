@@ -10,12 +10,14 @@ from rich.console import Console
 
 from surefoot.cli.helpers.options import make_figures_folder
 from surefoot.errors import SurefootError, suggest
-from surefoot.studies.study_config import StudyConfig, study_runs
+from surefoot.studies.hidden_robots import read_identified, robot_name
+from surefoot.studies.study_config import StudyConfig, study_runs, training_names
 from surefoot.studies.training import Training
-from surefoot.world.registry import find_world
+from surefoot.world.registry import check_takes_params, find_world
 
 if TYPE_CHECKING:
     from surefoot.studies.comparison import Comparison
+    from surefoot.studies.evaluations import EvaluationKind
 
 
 def check_evaluations(study: StudyConfig, worlds: bool) -> None:
@@ -26,6 +28,10 @@ def check_evaluations(study: StudyConfig, worlds: bool) -> None:
     """
     from surefoot.studies.evaluations import EVALUATIONS, evaluation_names, find_gap
 
+    if study.robots is not None:
+        for world in ("mujoco", study.robots.world):
+            check_takes_params(world)
+        return
     kinds = evaluation_names(study.evaluate)
     figures = [figure.name for kind in kinds for figure in EVALUATIONS[kind].figures]
     if study.primary not in figures:
@@ -38,26 +44,81 @@ def check_evaluations(study: StudyConfig, worlds: bool) -> None:
         find_world(world)
 
 
-def evaluate_runs(study: StudyConfig, runs: list[Training], threads: int, console: Console) -> None:
+def evaluation_kinds(study: StudyConfig, run: Training, root: Path) -> dict[str, EvaluationKind]:
+    """Return the evaluations of a run's policy by name."""
+    from surefoot.studies.evaluations import EVALUATIONS, evaluation_names
+    from surefoot.studies.robot_runs import NAME, robot_kind
+
+    if study.robots is None:
+        return {name: EVALUATIONS[name] for name in evaluation_names(study.evaluate)}
+    seeds = [seed for seed in study.robots.seeds if run.robot in ("", robot_name(seed))]
+    return {NAME: robot_kind(study.robots, seeds, other_motors_folder(root))}
+
+
+def evaluate_runs(study: StudyConfig, runs: list[Training], root: Path, threads: int, console: Console) -> None:
     """Run every evaluation of every finished run that is not cached."""
     from surefoot.evaluation.statistics import decimal
-    from surefoot.studies.evaluations import EVALUATIONS, evaluate, evaluation_names, stored_result
+    from surefoot.studies.evaluations import evaluate, stored_result
     from surefoot.world.process_world import worker_pool
 
-    kinds, finished = evaluation_names(study.evaluate), [run for run in runs if run.state == "finished"]
-    todo = [(run, kind) for run in finished for kind in kinds if stored_result(run.policy, kind) is None]
+    todo = [
+        (run, name, kind)
+        for run in runs
+        if run.state == "finished"
+        for name, kind in evaluation_kinds(study, run, root).items()
+        if stored_result(run.policy, name, kind) is None
+    ]
     with worker_pool():
-        for number, (run, kind) in enumerate(todo, start=1):
+        for number, (run, name, kind) in enumerate(todo, start=1):
             start = time.perf_counter()
-            with console.status(f"evaluating {run.name}: {kind} ({number} of {len(todo)})"):
-                values = EVALUATIONS[kind].read_figures(evaluate(run.policy, kind, threads))
+            with console.status(f"evaluating {run.name}: {name} ({number} of {len(todo)})"):
+                values = kind.read_figures(evaluate(run.policy, name, threads, kind))
             figures = ", ".join(
-                f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in EVALUATIONS[kind].figures
+                f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in kind.figures
             )
             seconds = time.perf_counter() - start
             console.print(
-                f"{number:>3} of {len(todo)}  {run.group:<20} seed {run.config.seed:<3} {figures}  ({seconds:.0f} s)"
+                f"{number:>3} of {len(todo)}  {run.title:<20} seed {run.config.seed:<3} {figures}  ({seconds:.0f} s)"
             )
+
+
+def robots_folder(out: Path) -> Path:
+    """Return the folder with files of identified robots in the folder of a study's report."""
+    return out / "robots"
+
+
+def other_motors_folder(root: Path) -> Path:
+    """Return the folder with the description of robots with other motors in the folder of a study's runs."""
+    return root / "robots" / "other_motors"
+
+
+def report_robots(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:
+    """Write tables, figures and README of a study on hidden robots: of all runs that are finished and evaluated."""
+    import pandas as pd
+
+    from surefoot.studies.evaluations import stored_result
+    from surefoot.studies.robot_comparison import RobotComparison, episode_rows, parameter_rows
+    from surefoot.studies.robot_runs import NAME
+
+    robots, rows = study.hidden, dict[str, pd.DataFrame]()
+    for run in study_runs(study, root, robots=robots_folder(out)):
+        if _is_studys(run):
+            result = stored_result(run.policy, NAME, evaluation_kinds(study, run, root)[NAME])
+            rows |= {} if result is None else {run.name: episode_rows(run, result)}
+    if not rows:
+        raise SurefootError(f"{root}: no run of the study is finished and evaluated; there is nothing to report yet")
+    missing = tuple(name for name in training_names(study) if name not in rows)
+    make_figures_folder(out)
+    from surefoot.studies.robot_report import write_robot_report
+
+    files = {seed: read_identified(robots_folder(out), seed, robots.robot) for seed in robots.seeds}
+    found = {seed: file for seed, file in files.items() if file is not None}
+    comparison = RobotComparison(study, pd.concat(rows.values(), ignore_index=True), missing)
+    parameters = parameter_rows(study, found, other_motors_folder(root))
+    readme = write_robot_report(comparison, parameters, out, command)
+    if missing:
+        console.print(f"Not in the report: {', '.join(missing)}")
+    console.print(f"Report: {readme}")
 
 
 def report(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:
@@ -93,11 +154,7 @@ def _policy_row(run: Training, study: StudyConfig) -> dict[str, Any] | None:
     from surefoot.studies.comparison import policy_row
     from surefoot.studies.evaluations import evaluation_names, stored_result
 
-    if run.state != "finished":
-        return None
-    try:
-        run.check()
-    except SurefootError:
+    if not _is_studys(run):
         return None
     results = {kind: stored_result(run.policy, kind) for kind in evaluation_names(study.evaluate)}
     stored = {kind: result for kind, result in results.items() if result is not None}
@@ -106,3 +163,14 @@ def _policy_row(run: Training, study: StudyConfig) -> dict[str, Any] | None:
     best = PolicyRuntime.load(run.policy).contract.figures.get("training", {}).get("steps")
     row = policy_row(run.group, run.config.seed, run.rows(), stored)
     return row | {"best_steps": best, "policy": run.policy}
+
+
+def _is_studys(run: Training) -> bool:
+    """Return whether a run is finished, and the one that the study asks for."""
+    if run.state != "finished":
+        return False
+    try:
+        run.check()
+    except SurefootError:
+        return False
+    return True

@@ -91,7 +91,7 @@ class _Row:
                 falls += f", pushed {self.evaluation['pushed_falls']}"
         left = f"{(total - self.steps) / self.rate / 60:.0f} min left" if self.rate else ""
         steps = f"{self.steps:,} of {total:,}"
-        return self.training.group, str(config.seed), self.state, steps, speed, gained, falls, left
+        return self.training.title, str(config.seed), self.state, steps, speed, gained, falls, left
 
     def line(self) -> str:
         """Return the training's line for a log."""

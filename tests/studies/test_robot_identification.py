@@ -1,0 +1,87 @@
+"""Identification of a study's robots by surefoot's commands, which a script stands in for."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from surefoot.configuration import read_yaml
+from surefoot.robot.randomization import load_ranges
+from surefoot.studies import robot_identification
+from surefoot.studies.hidden_robots import HiddenRobots, OtherMotors
+from surefoot.studies.robot_identification import identify_robots, waiting_robots
+
+SCRIPT = """
+import json, sys, time
+from pathlib import Path
+words = sys.argv[1:]
+value = lambda name: words[words.index(name) + 1]
+with Path("calls.jsonl").open("a") as file:
+    file.write(json.dumps(words) + "\\n")
+if words[0] == "emulate":
+    print("robot on port-" + value("--hidden-seed"), flush=True)
+    time.sleep(60)
+if value("--port") == "port-2" and words[1] == "mass":
+    sys.exit("surefoot: error: the robot has fallen")
+with Path(value("--params")).open("a") as file:
+    file.write(words[1] + "\\n")
+"""
+ROBOTS = HiddenRobots(
+    (1, 2, 3), load_ranges("ensemble"), other_motors=OtherMotors((3,), {"voltage_clip": 6.0}), robot="minitaur"
+)
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    monkeypatch.setattr(robot_identification, "SUREFOOT", (sys.executable, "script.py"))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def calls() -> list[list[str]]:
+    path = Path("calls.jsonl")
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def test_every_robot_is_identified_once_and_a_failure_stops_no_other() -> None:
+    pytest.importorskip("tomli_w")
+    ended: list[tuple[int, str]] = []
+    folder, work = Path("robots"), Path("work")
+    failed = identify_robots(ROBOTS, folder, work, 1, lambda seed, error: ended.append((seed, error)))
+    assert list(failed) == [2]
+    assert failed[2] == "experiment mass: surefoot: error: the robot has fallen (work/robot_2/mass.txt)"
+    assert ended == [(1, ""), (2, failed[2]), (3, "")]
+    # Experiments in their order, the first two on the rack; a robot's file appears when all are done.
+    assert (folder / "robot_1.toml").read_text().split() == ["motor", "latency", "mass", "contact"]
+    assert sorted(path.name for path in folder.iterdir()) == ["robot_1.toml", "robot_3.toml"]
+    emulated = [words for words in calls() if words[0] == "emulate"]
+    assert ["--rack" in words for words in emulated[:4]] == [True, True, False, False]
+    assert {words[words.index("--hidden-ranges") + 1] for words in emulated} == {"work/ranges.yaml"}
+    assert load_ranges("work/ranges.yaml") == ROBOTS.ranges
+    assert "voltage" in read_yaml(work / "ranges.yaml")
+    robots = {words[words.index("--hidden-seed") + 1]: words[words.index("--robot") + 1] for words in emulated}
+    assert robots == {"1": "minitaur", "2": "minitaur", "3": str((work / "other_motors").absolute())}
+    hosts = {words[words.index("--robot") + 1] for words in calls() if words[0] == "identify"}
+    assert hosts == {"minitaur"}  # an owner has the data sheet
+
+    # The same again tries the robot that is left.
+    before = len(calls())
+    assert waiting_robots(ROBOTS, folder) == [2]
+    assert list(identify_robots(ROBOTS, folder, work, 1, lambda *_: None)) == [2]
+    assert len(calls()) == before + 6
+
+
+def test_a_stop_leaves_no_half_of_a_file() -> None:
+    count = 0
+
+    def stopped() -> bool:
+        nonlocal count
+        count += 1
+        return count > 3
+
+    assert identify_robots(ROBOTS, Path("robots"), Path("work"), 1, lambda *_: None, stopped) == {}
+    assert waiting_robots(ROBOTS, Path("robots")) == [1, 2, 3]
