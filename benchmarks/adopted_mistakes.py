@@ -4,7 +4,7 @@ Configurations are made from those of two policies of rl_sar (`data/rl_sar`), ea
 `adopt/mistakes.py` is applied to the right one. A seed draws a policy and a kind of mistake, no pair twice before all
 were drawn, and a change of that kind. Each configuration is adopted and examined as the doctor does.
 
-    python benchmarks/adopted_mistakes.py [--seeds 0 1] [--count 20] [--minutes 30]
+    python benchmarks/adopted_mistakes.py [--seeds 2 3] [--count 20] [--minutes 30]
 
 Number -1 and -2 of a seed are the right configurations, in which nothing must be found. Rows go to
 results/adopted_mistakes.csv; those that are there already are not run again.
