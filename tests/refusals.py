@@ -292,7 +292,7 @@ REFUSALS = [
             "--from rl_sar --robot go2 --out x.onnx": "config.yaml: can't be read: No such file",
             "--from isaac --robot go2 --out x.onnx": "--from",
             "--from mjlab --robot go2 --out x.onnx --forward 0.2 0.7": (
-                "forward is [0.2, 0.7]; it must go from 0 or less to 0 or more"
+                "--forward is 0.2 to 0.7; it must go from 0 or less to 0 or more"
             ),
             "--from mjlab --robot go2 --out x.onnx --kp -3": "kp is -3; it must be 0 or more",
         },
@@ -558,7 +558,7 @@ REFUSALS = [
         "identify",
         {
             "tail": (
-                "'tail' is no experiment; choices: latency, motor, mass, contact, replay, import, motor-figure, or "
+                "'tail' is no experiment; choices: latency, motor, mass, contact, air, replay, import, motor-figure, or "
                 "--trace FOLDER"
             ),
             "imprt": "'imprt' is no experiment; did you mean import?",
@@ -616,7 +616,7 @@ REFUSALS = [
         {
             "serach trot": (
                 "'serach' is neither the file of a study (.yaml) nor an action; did you mean search? choices: run, "
-                "search"
+                "identify, search"
             ),
             "study-name.yaml": "name is '../../x'; a name has letters",
             "study.yaml --workers -1": "workers is -1; it must be 0",

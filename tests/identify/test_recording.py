@@ -81,7 +81,7 @@ def test_load_names_missing_and_unknown_entries(recorded: Recording, robot: Robo
     path = tmp_path / "recording.npz"
     meta = {key: value for key, value in recorded.meta.items() if key not in ("period", "frames")}
     replace(recorded, meta=meta).save(path)
-    assert refused(path, robot).endswith("meta.period is missing; it must be given")
+    assert refused(path, robot).endswith("meta.period, meta.frames are missing; they must be given")
     recorded.save(path)
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files if name != "voltage"}
