@@ -10,7 +10,7 @@ import struct
 import pytest
 from wire_vectors import EXAMPLES, TEXT, VECTORS, part
 
-from surefoot.deploy.messages import Mode, Position, Reason, State
+from surefoot.deploy.messages import Mode, Position, Reason, SessionMessage, State
 from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec, encodings
 from surefoot.deploy.serial.frames import MAX_FRAME, frame_bytes
 from surefoot.deploy.serial.port import BAUD
@@ -30,7 +30,9 @@ def test_every_field_of_every_message_stands_in_the_tables():
             sort = f"text of {spec.length}" if spec.kind == "text" else spec.kind
             sort += "" if spec.count == 1 else f" × {spec.entries(8)}"
             scale = f"{spec.scale:g}".replace("e-0", "e-") if spec.scale else ""
-            expected.append([str(offset), f"`{name}`", sort, spec.unit, scale, spec.meaning.replace("|", "!")])
+            unit = "" if spec.unit == "1" else spec.unit
+            if name != "session" or not issubclass(kind, SessionMessage):
+                expected.append([str(offset), f"`{name}`", sort, unit, scale, spec.meaning.replace("|", "!")])
             offset += struct.calcsize("<" + spec.format(8))
         assert " ".join((inspect.getdoc(kind) or "").split()) in part("Messages")
     assert rows(part("Messages")) == expected
@@ -88,10 +90,11 @@ def test_offsets_go_without_gaps_to_the_size_in_the_title():
     for kind in MESSAGES:
         block = part("Messages").partition(f"### {kind.__name__}: ")[2].partition("\n### ")[0]
         size = Codec(8).size(kind)
-        assert block.startswith(
-            f"type {NUMBERS[kind]}, {'to' if NUMBERS[kind] < 64 else 'from'} the robot, {size} bytes\n"
-        )
+        assert block.startswith(f"type {NUMBERS[kind]}, {size} bytes\n")
         offsets = [int(offset) for offset in re.findall(r"^\| (\d+) \|", block, re.M)]
+        if issubclass(kind, SessionMessage):
+            assert kind.__name__ in part("Messages").partition("begin with the operator's `session` (u16)")[0]
+            offsets = [0, *offsets]
         sizes = [struct.calcsize("<" + spec.format(8)) for spec in encodings(kind).values()]
         assert [end - start for start, end in zip(offsets, [*offsets[1:], size], strict=True)] == sizes
 
