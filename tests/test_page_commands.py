@@ -29,7 +29,6 @@ SMALLER = {
 """What makes Python of pages quick."""
 
 SQUARE = "time,forward,sideways,yaw_rate\n0,0.5,0,0\n1,0,0,0.5\n"
-GO2 = ("--robot", "go2", "--set", "servo_kp=40", "servo_kd=1")
 
 
 def test_options_make_commands_short():
@@ -62,32 +61,22 @@ PAGES: dict[str, dict[str, Any]] = {
         "before": (*ADOPTED, ("evaluate", "trot", "--episodes", "1", "--duration", "0.5", "--out", "traces")),
         "names": {"FOLDER": "traces"},
     },
+    "steer": {"elsewhere": {"deploy go2-steer": "tests/cli/test_deploy_cli.py, tests/cli/test_deploy_page_cli.py"}},
     "watch": {
         "elsewhere": {
             "--commands gamepad": "tests/deploy/test_command_sources.py",
             "train steer --robot go2 --browser": "tests/cli/test_train_page_cli.py",
-            "deploy go2-steer": "tests/test_page_commands.py, page deploy",
+            "deploy go2-steer": "tests/cli/test_deploy_page_cli.py",
         }
     },
 }
 """Pages, and what their commands need."""
-REAL_TIME: dict[str, dict[str, Any]] = {
-    "steer": {"emulated": GO2, "elsewhere": {"--commands keyboard": "tests/cli/test_deploy_cli.py"}},
-    "deploy": {},
-}
-"""Pages that deploy to an emulated robot."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_commands_of_a_page_run(tmp_path: Path, page: str):
     assert reader(tmp_path, page, **PAGES[page]).ran
-
-
-@pytest.mark.realtime
-@pytest.mark.parametrize("page", REAL_TIME)
-def test_commands_of_a_page_that_deploys_run(tmp_path: Path, page: str):
-    assert reader(tmp_path, page, **REAL_TIME[page]).ran
 
 
 def fenced(page: str, language: str) -> list[str]:
