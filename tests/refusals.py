@@ -558,8 +558,8 @@ REFUSALS = [
         "identify",
         {
             "tail": (
-                "'tail' is no experiment; choices: latency, motor, mass, contact, air, replay, import, motor-figure, or "
-                "--trace FOLDER"
+                "'tail' is no experiment; choices: latency, motor, mass, contact, air, replay, import, motor-figure, "
+                "or --trace FOLDER"
             ),
             "imprt": "'imprt' is no experiment; did you mean import?",
             "motor": "give one of them; none is given",
