@@ -73,6 +73,18 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     thread.start()
     yield Running(drive, server)
     stop.set()
+
+
+@pytest.fixture
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """Return a page that no browser has open."""
+    folder = tmp_path_factory.mktemp("recordings")
+    drive, view, stop = DrivePage("go2-steer", "mujoco", recordings=folder), RobotView(), threading.Event()
+    server = PageServer(None, 0, view.port)
+    thread = threading.Thread(target=drive.run, args=(server, view, stop))
+    thread.start()
+    yield Running(drive, server)
+    stop.set()
     thread.join()
     server.stop()
     view.stop()
@@ -150,7 +162,8 @@ def test_flood_of_messages_ends_the_connection_and_not_the_robot(running: Runnin
 
 
 @pytest.mark.realtime
-def test_command_that_is_not_repeated_ends(running: Running):
+def test_command_that_is_not_repeated_ends(alone: Running):
+    running = alone
     with open_socket(running.server) as line:
         running.until(lambda: running.server.tabs > 0)
         line.send('{"command": [0.5, 0, 0]}')
