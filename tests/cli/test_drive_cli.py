@@ -11,6 +11,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -64,30 +65,33 @@ class Running:
         return [row for row in list(robot.rows) if row.time > begin]
 
 
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    folder = tmp_path_factory.mktemp("recordings")
+@contextmanager
+def drive_page(folder: Path) -> Iterator[Running]:
+    """Run a drive page while entered."""
     drive, view, stop = DrivePage("go2-steer", "mujoco", recordings=folder), RobotView(), threading.Event()
     server = PageServer(None, 0, view.port)
     thread = threading.Thread(target=drive.run, args=(server, view, stop))
     thread.start()
-    yield Running(drive, server)
-    stop.set()
+    try:
+        yield Running(drive, server)
+    finally:
+        stop.set()
+        thread.join()
+        server.stop()
+        view.stop()
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with drive_page(tmp_path_factory.mktemp("recordings")) as page:
+        yield page
 
 
 @pytest.fixture
-def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+def alone(tmp_path: Path) -> Iterator[Running]:
     """Return a page that no browser has open."""
-    folder = tmp_path_factory.mktemp("recordings")
-    drive, view, stop = DrivePage("go2-steer", "mujoco", recordings=folder), RobotView(), threading.Event()
-    server = PageServer(None, 0, view.port)
-    thread = threading.Thread(target=drive.run, args=(server, view, stop))
-    thread.start()
-    yield Running(drive, server)
-    stop.set()
-    thread.join()
-    server.stop()
-    view.stop()
+    with drive_page(tmp_path) as page:
+        yield page
 
 
 # These come first: while no browser's tab is open, their web sockets drive.
