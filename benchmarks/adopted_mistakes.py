@@ -33,6 +33,7 @@ from surefoot.adopt.mistakes import Correction, corrections
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
+from surefoot.tables import write_csv
 from surefoot.task.contract_mapping import task_from_contract
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -97,6 +98,14 @@ def draw(right: dict[str, PolicySpecification], robot: RobotDescription, seed: i
             yield Case(name, kind, text, change.specification)
 
 
+def read_rows(path: Path) -> list[dict[str, object]]:
+    """Return the rows of a table that is begun; none where there is no file."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -111,10 +120,7 @@ def main() -> None:
     right = {name: FORMATS["rl_sar"].read(path.parent / "config.yaml", robot, {}) for name, path in NETWORKS.items()}
     widths = {name: check_specification(one, robot) for name, one in right.items()}
     networks = {name: load_network(path, path.read_bytes(), widths[name]) for name, path in NETWORKS.items()}
-    rows: list[dict[str, object]] = []
-    if options.out.exists():
-        with options.out.open(newline="") as file:
-            rows = list(csv.DictReader(file))
+    rows = read_rows(options.out)
     done = {(str(row["seed"]), str(row["number"])) for row in rows}
     for seed in options.seeds:
         cases = draw(right, robot, seed)
@@ -155,10 +161,7 @@ def main() -> None:
             }
             rows.append(row)
             print(row, flush=True)
-            with options.out.open("w", newline="") as file:
-                writer = csv.DictWriter(file, list(row), lineterminator="\n")
-                writer.writeheader()
-                writer.writerows(rows)
+            write_csv(options.out, rows)
         results = Counter(str(row["result"]) for row in rows if str(row["seed"]) == str(seed))
         print(f"seed {seed}: {', '.join(f'{count} {result}' for result, count in results.most_common())}")
 

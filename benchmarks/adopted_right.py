@@ -13,14 +13,13 @@ Rows go to results/adopted_right.csv; those that are there already are not run a
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from adopted_mistakes import NETWORKS, ROOT
+from adopted_mistakes import NETWORKS, ROOT, read_rows
 
 from surefoot.adopt.adoption import FORMATS, load_network
 from surefoot.adopt.builder import build_policy, check_specification
@@ -28,6 +27,7 @@ from surefoot.adopt.diagnosis import diagnose
 from surefoot.adopt.robot_guesses import RobotGuess
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.tables import write_csv
 from surefoot.task.contract_mapping import task_from_contract
 
 RESULTS = ROOT / "results" / "adopted_right.csv"
@@ -66,10 +66,7 @@ def main() -> None:
         network = load_network(path, path.read_bytes(), check_specification(stated[name], robot))
         policies[name] = PolicyRuntime.parse(build_policy(stated[name], network, robot, name, {}))
     nominal = PhysicalParams.nominal(robot)
-    rows: list[dict[str, object]] = []
-    if options.out.exists():
-        with options.out.open(newline="") as file:
-            rows = list(csv.DictReader(file))
+    rows = read_rows(options.out)
     done = {(str(row["seed"]), str(row["number"])) for row in rows}
     for number, (name, guessed) in enumerate(draw(options.seed, options.count)):
         if (str(options.seed), str(number)) in done or time.monotonic() > end:
@@ -101,10 +98,7 @@ def main() -> None:
         }
         rows.append(row)
         print(row, flush=True)
-        with options.out.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(row), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        write_csv(options.out, rows)
     results = Counter(str(row["result"]) for row in rows if str(row["seed"]) == str(options.seed))
     print(f"seed {options.seed}: {', '.join(f'{count} {result}' for result, count in results.most_common())}")
 

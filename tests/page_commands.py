@@ -7,12 +7,11 @@ import glob
 import re
 import shlex
 import urllib.request
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from markdown_pages import COMMENT, FENCED, ROOT, lines
-from processes import Emulator, emulators, served, surefoot
+from processes import served, surefoot
 
 LIMITS = {"--steps": 256, "--episodes": 2, "--duration": 1, "--trials": 2}
 """Greatest values of options."""
@@ -25,15 +24,11 @@ SHORT = {
     },
     "evaluate": {"--episodes": 2},
     "gap": {"--episodes": 1},
-    "deploy": {"--duration": 1},
 }
 """Options that make a command short, unless the page has them."""
 FULL_SIZE = ("--help", "--resume", "--trace", "--command-grid")
 """Options of commands that take none of `SHORT`."""
 SENSITIVITY = {"--values": 2, "--episodes": 1}
-PORT = "/dev/pts/3"
-"""Port of an emulated robot on pages."""
-Start = Callable[..., Emulator]
 IGNORED = ("pip", "python3", "tensorboard", "make", "ping", "sudo", "git", "cmake", "CYCLONEDDS_HOME")
 """Programs that a page names and that no test runs here; README's `make` and `pip` lines have tests of their own."""
 
@@ -45,7 +40,6 @@ class PageRun:
     Attributes:
         folder: the folder in which everything runs.
         elsewhere: commands that are not run here, by a part of the line, and the test that runs them.
-        emulated: words of the emulated robot that runs at the page's port before the page starts one.
         before: words of commands that make what the page takes as there.
         names: what stands for a name on the page, such as FOLDER; RUN is the newest training.
         ran: lines that were run.
@@ -53,11 +47,9 @@ class PageRun:
 
     folder: Path
     elsewhere: dict[str, str] = field(default_factory=dict)
-    emulated: tuple[str, ...] = ()
     before: tuple[tuple[str, ...], ...] = ()
     names: dict[str, str] = field(default_factory=dict)
     ran: list[str] = field(default_factory=list)
-    _emulator: Emulator | None = None
 
     def run(self, page: Path) -> None:
         """Run all blocks of a page.
@@ -66,7 +58,7 @@ class PageRun:
             AssertionError: a command that fails, or an entry of `elsewhere` that is on no line.
         """
         text, unused = COMMENT.sub("", page.read_text(encoding="utf-8")), set(self.elsewhere)
-        with emulators(Emulator) as start, contextlib.chdir(self.folder):
+        with contextlib.chdir(self.folder):
             for words in self.before:
                 done = surefoot(*words)
                 assert done.returncode == 0, done.stderr
@@ -80,7 +72,7 @@ class PageRun:
                         if parts := [part for part in self.elsewhere if part in line]:
                             unused -= set(parts)
                         else:
-                            self._command(line, start)
+                            self._command(line)
         assert not unused, f"{page.name} no longer has {unused}"
 
     def _save(self, code: str) -> None:
@@ -88,7 +80,7 @@ class PageRun:
         if name := re.match(r"# (\w[\w.-]*\.yaml)", code):
             Path(name[1]).write_text(code, encoding="utf-8")
 
-    def _command(self, line: str, start: Start) -> None:
+    def _command(self, line: str) -> None:
         program, *words = shlex.split(line)
         if program in IGNORED or "=" in program:
             return
@@ -96,13 +88,10 @@ class PageRun:
         command, *words = [one for word in words for one in self._filled(word)]
         words = shortened(command, words)
         print("surefoot", command, shlex.join(words))
-        if command == "emulate":
-            self._start(words, start)
-        elif command == "drive" or "--browser" in words:
-            self._serve(command, words, start)
+        if command == "drive":
+            with served(command, *words, cwd=self.folder) as address:
+                assert urllib.request.urlopen(address).status == 200
         else:
-            if PORT in words:
-                words = self._with_port(words, start)
             done = surefoot(command, *words)
             assert done.returncode == 0, f"{line}: {done.stdout[-2000:]}{done.stderr[-2000:]}"
         self.ran.append(line)
@@ -111,22 +100,6 @@ class PageRun:
         """Return a word with the newest file that a pattern matches, or what stands for a name."""
         word = {"RUN": "runs/*/*", **self.names}.get(word, word)
         return sorted(glob.glob(word), key=lambda path: Path(path).stat().st_mtime)[-1:] if "*" in word else [word]
-
-    def _start(self, words: list[str], start: Start) -> None:
-        if self._emulator is not None:
-            self._emulator.stop()
-        self._emulator = start(*words)
-
-    def _with_port(self, words: list[str], start: Start) -> list[str]:
-        if self._emulator is None:
-            self._start(list(self.emulated), start)
-        assert self._emulator is not None
-        return [self._emulator.port if word == PORT else word for word in words]
-
-    def _serve(self, command: str, words: list[str], start: Start) -> None:
-        words = self._with_port(words, start) if PORT in words else words
-        with served(command, *words, cwd=self.folder) as address:
-            assert urllib.request.urlopen(address).status == 200
 
 
 def shortened(command: str, words: list[str]) -> list[str]:
@@ -149,5 +122,5 @@ def shortened(command: str, words: list[str]) -> list[str]:
 
 
 def page_path(name: str) -> Path:
-    """Return the path of a page of docs/, or of README."""
-    return ROOT / "README.md" if name == "README" else ROOT / "docs" / f"{name}.md"
+    """Return the path of a page of docs/."""
+    return ROOT / "docs" / f"{name}.md"

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 from markdown_pages import PAGES, ROOT, anchors, blocks, commands, dead_links, lines, links
+from page_commands import shortened
 from processes import Emulator, emulators, served, surefoot
 
 from surefoot.cli.main import COMMANDS
@@ -24,11 +25,6 @@ from surefoot.cli.main import COMMANDS
 README = ROOT / "README.md"
 NO_COMMANDS = ("needs", "COMMAND", "1")
 """Second words of messages and of examples of a protocol that begin with the program's name."""
-TINY = (
-    *("--steps", "256", "--num-envs", "8", "--steps-per-update", "16", "--evaluate-every", "128"),
-    *("--evaluation-episodes", "2", "--task.max-steps", "30", "--threads", "1"),
-)
-"""Options that make a training of a few seconds."""
 
 
 def names(paths: list[Path]) -> list[str]:
@@ -203,7 +199,7 @@ def test_commands_of_readme_run_in_an_empty_folder(tmp_path: Path, monkeypatch: 
             assert done.returncode == 2, done.stderr
             assert "eth0" in done.stdout + done.stderr
         else:
-            done = surefoot(command, *words, *(TINY if command == "train" else ()))
+            done = surefoot(command, *shortened(command, words))
             assert done.returncode == 0, f"{line}: {done.stdout[-2000:]}{done.stderr[-2000:]}"
         ran.append(command)
     assert set(ran) >= {"drive", "train", "show", "robot", "adopt", "doctor", "emulate"}

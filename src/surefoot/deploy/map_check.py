@@ -118,8 +118,8 @@ def _difference(ground: float, stands: float, robot: RobotDescription) -> str:
     elif 70 <= size <= 140:
         likely = ": are they in centimetres?"
     else:
-        likely = ""
+        likely = "."
     return (
         f"the map has the ground under the base at {ground:.2f} m; the robot stands {stands:.2f} m above it{likely} "
         "Heights must count from the base's origin, upward, in metres"
-    ).replace("it Heights", "it. Heights")
+    )
