@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import re
-import statistics
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
-from result_numbers import find_row, find_value, read_rows
+from result_numbers import COMBINED, find_row, find_value, read_rows
 
 from surefoot.configuration import from_mapping, read_yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 WORDS = {"one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "ten": 10, "twelve": 12, "forty": 40}
 NUMBER = re.compile(rf"(?<![\w.-])\d+(?:\.\d+)?(?![\w.]*\w)|\b(?:{'|'.join(WORDS)})\b", re.IGNORECASE)
-COMBINED = {"sum": sum, "mean": statistics.fmean, "min": min, "max": max}
 
 
 @dataclass(frozen=True)

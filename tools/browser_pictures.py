@@ -55,19 +55,7 @@ if __name__ == "__main__":
         traces = [Path(folder) / f"go2-terrain, {world}.npz" for world in ("mujoco", "bullet")]
         for trace in traces:
             world = trace.stem.rpartition(" ")[2]
-            words = [
-                "--world",
-                world,
-                "--terrain",
-                "stairs:0.10",
-                "--command",
-                "0.5",
-                "0",
-                "0",
-                "--push-force",
-                "80",
-                "120",
-            ]
+            words = ["--world", world, "--terrain", "stairs:0.10", "--command", "0.5", "0", "0", "--episodes", "1"]
             words += ["--push-force", "80", "120", "--duration", "6", "--out", str(trace.with_suffix(""))]
             subprocess.run([*SUREFOOT, "evaluate", "go2-terrain", *words], check=True)
             (trace.with_suffix("") / "episode_000.npz").rename(trace)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from html import escape
 from pathlib import Path
 from typing import Literal
@@ -118,6 +119,7 @@ def evaluations_on_page() -> list[str]:
     return sorted({name for text in texts for name in re.findall(r"\{evaluations ([\w/-]+):", text)})
 
 
+@cache
 def load_content() -> PaperContent:
     """Return the text of the page."""
     with prefix_errors(CONTENT):

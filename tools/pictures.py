@@ -2,8 +2,8 @@
 
 They are docs/hero.webp, four policies in motion; docs/gaits.png, moments of a stride; docs/leg-space.png, the
 coordinates of a leg; docs/robots.png, the released robots; docs/terrain.png and docs/terrain-seeing.png, policies on
-terrain; docs/learning.png, errors over minutes of training; docs/doctor.svg, a terminal; and, out of six folders that
-`surefoot robot new` wrote, docs/robots-imported.png.
+terrain; docs/learning.png, errors over minutes of training; and, out of six folders that `surefoot robot new` wrote,
+docs/robots-imported.png.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from surefoot.files import check_readable
 
 FORM = re.compile(r"([+]?)0?(?:\.(\d))?")
 BRACES = re.compile(r"\{([^{}]+)\}")
-_COMBINED: dict[str, Callable[[Iterable[float]], float]] = {
+COMBINED: dict[str, Callable[[Iterable[float]], float]] = {
     **{"sum": sum, "mean": statistics.fmean, "sd": statistics.stdev},
     **{"min": min, "max": max},
 }
@@ -78,7 +78,7 @@ def look_up(root: Path, source: str, form: str) -> list[str]:
         column, _, factor = column.partition(" x")
         word, _, rest = column.partition(" ")
         # A column may be called mean, and have a spread.
-        combine = _COMBINED.get(word) if rest and rest[0] not in "[±" else None
+        combine = COMBINED.get(word) if rest and rest[0] not in "[±" else None
         rows = [row for one in selectors.split("; ") for row in select_rows(path, one)]
 
         def texts(key: str) -> list[str]:

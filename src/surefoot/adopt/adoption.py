@@ -23,6 +23,7 @@ from surefoot.adopt.specification import PolicySpecification
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
+from surefoot.robot.commands import COMMANDS
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def adopt(
 
 def _check_ranges(changes: Mapping[str, Any]) -> None:
     """Refuse ranges of commands that the user gives and that do not hold 0."""
-    for name in ("forward", "sideways", "yaw_rate"):
+    for name in COMMANDS:
         low, high = changes.get(name) or (0.0, 0.0)
         if not low <= 0.0 <= high:
             raise SurefootError(
@@ -128,10 +129,9 @@ def _find_config(path: Path, kind: Format, name: str, config: Path | None) -> Pa
 
 def _stand_note(read: PolicySpecification) -> dict[str, str]:
     """Return the note about a policy that was never trained to stand, by the speeds that its file states."""
-    ranges = (("forward", "m/s"), ("sideways", "m/s"), ("yaw_rate", "rad/s"))
     apart = [
         f"{name.replace('_', ' ')} {low:g} to {high:g} {unit}"
-        for name, unit in ranges
+        for name, unit in COMMANDS.items()
         for low, high in [getattr(read, name)]
         if not low <= 0.0 <= high
     ]

@@ -161,10 +161,11 @@ def _effect_of_constants(maker: PolicyMaker) -> dict[str, float]:
         return np.asarray(run_model(model, {"observation": inputs.astype(np.float32), **at_rest})[0] * scale)
 
     scale, effects = maker.target_map()[0], []
+    before = targets(rows)
     for place in maker.constant_places:
         changed = rows.copy()
         changed[:, place] += 1.0
-        effects.append(float(np.abs(targets(changed) - targets(rows)).mean(axis=0).max()))
+        effects.append(float(np.abs(targets(changed) - before).mean(axis=0).max()))
     return {EFFECT: max(effects)}
 
 

@@ -65,13 +65,12 @@ class Diagnosis:
     def from_answers(
         cls, answers: Sequence[Answer], others: Sequence[Answer] = (), constants: ConstantInputs | None = None
     ) -> Diagnosis:
-        """Return the diagnosis of answers, the policy's as it is first; corrections in `others` are less likely."""
-        found, less = (
-            sorted((one for one in part if one.correction is not None), key=lambda answer: -answer.likelihood)
-            for part in (answers[1:], others)
+        """Return the diagnosis of answers, the policy's as it is first; corrections in `others`, sorted, come last."""
+        found = sorted(
+            (one for one in answers[1:] if one.correction is not None), key=lambda answer: -answer.likelihood
         )
         guesses = sorted((one for one in answers if isinstance(one.change, RobotGuess)), key=_order_of_guess)
-        return cls(answers[0], (*found, *less), tuple(guesses), constants)
+        return cls(answers[0], (*found, *others), tuple(guesses), constants)
 
     @property
     def mistake(self) -> Answer | None:
@@ -224,7 +223,6 @@ def _judge_specification(diagnosis: Diagnosis) -> CheckResult:
         return CheckResult("specification", True, message, "", own.score)
     message = f"{tried}; without any of them it does not walk clearly better (score {own.score:.2f}"
     message += f", best {diagnosis.ranked[0].score:.2f})" if diagnosis.ranked else ")"
-    deaf = not own.fell.any() and not (own.scores[1:] >= GOOD).any()
-    passed = not (own.fell.any() or deaf)
+    passed = bool(not own.fell.any() and (own.scores[1:] >= GOOD).any())
     rule = "; what is wrong is another thing, or several things"
     return judge("specification", passed, message, rule, "compare with the training, field by field", own.score)

@@ -71,7 +71,7 @@ class Answer:
     stood: Array
     """Time for which each robot stood, over that of its episode (R, C)."""
     unusual: int = 0
-    """How many of the specification's numbers are unusual, of those that `mistakes.unusual_numbers` names."""
+    """How many of the specification's numbers are unusual, of those that `usual_numbers.unusual_numbers` names."""
 
     @property
     def correction(self) -> Correction | None:

@@ -16,6 +16,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
+from surefoot.adopt.onnx_weights import tensors
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices, quote
 from surefoot.native_output import stdout_to_stderr
@@ -126,9 +127,8 @@ def read_model(data: bytes) -> onnx.ModelProto:
         raise SurefootError("has functions or sparse constants; a policy needs none")
     if len(graph.node) > MAX_NODES:
         raise SurefootError(f"its network has {len(graph.node)} nodes; at most {MAX_NODES} are allowed")
-    constants = [*graph.initializer, *(a.t for node in graph.node for a in node.attribute if a.type == a.TENSOR)]
     total = 0
-    for tensor in constants:
+    for tensor in tensors(graph):
         if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
             raise SurefootError(f"constant {quote(tensor.name)} is in another file, which was not read")
         if any(size < 0 for size in tensor.dims):

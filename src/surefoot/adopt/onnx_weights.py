@@ -28,7 +28,7 @@ def read_network(path: Path) -> bytes:
     total = 0
     files: dict[str, bytes] = {}
     with prefix_errors(path):
-        for tensor in _tensors(model.graph):
+        for tensor in tensors(model.graph):
             if tensor.data_location != TensorProto.EXTERNAL:
                 continue
             entries = {entry.key: entry.value for entry in tensor.external_data}
@@ -48,7 +48,8 @@ def read_network(path: Path) -> bytes:
     return bytes(model.SerializeToString()) if files else data
 
 
-def _tensors(graph: onnx.GraphProto) -> Iterator[TensorProto]:
+def tensors(graph: onnx.GraphProto) -> Iterator[TensorProto]:
+    """Yield the constants of a graph, also those in attributes of nodes."""
     yield from graph.initializer
     for node in graph.node:
         yield from (attribute.t for attribute in node.attribute if attribute.type == attribute.TENSOR)

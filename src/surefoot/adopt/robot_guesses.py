@@ -63,10 +63,9 @@ class RobotGuess:
 
 def robot_guesses(latency: float) -> Sequence[RobotGuess]:
     """Return the robots to try for a policy whose readings are simulated with an age `latency` [s]."""
-    ages = [None, *(age for age in _AGES if abs(age - latency) > 1e-3)]
-    youngest = ages[1] if ages[1] == 0.0 else None
-    guesses = [RobotGuess(age) for age in ages[1:]]
-    for age, rotor, friction in product(dict.fromkeys((None, youngest)), _FACTORS, _FACTORS):
-        guesses.append(RobotGuess(age, rotor, friction))
-    guesses += [RobotGuess(age, ground=ground) for age in dict.fromkeys((None, youngest)) for ground in _GROUND]
+    ages = [age for age in _AGES if abs(age - latency) > 1e-3]
+    bases = (None, ages[0] if ages[0] == 0.0 else None)
+    guesses = [RobotGuess(age) for age in ages]
+    guesses += [RobotGuess(*one) for one in product(bases, _FACTORS, _FACTORS)]
+    guesses += [RobotGuess(age, ground=ground) for age, ground in product(bases, _GROUND)]
     return [guess for guess in dict.fromkeys(guesses) if guess != RobotGuess()]

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError, check_name, choices
+from surefoot.robot.commands import COMMANDS
 
 TermName = Literal[
     "command",
@@ -145,7 +146,7 @@ class PolicySpecification:
 
     def check_commands(self) -> None:
         """Refuse ranges of commands without 0, at which surefoot lets robots stand."""
-        for name, unit in (("forward", "m/s"), ("sideways", "m/s"), ("yaw_rate", "rad/s")):
+        for name, unit in COMMANDS.items():
             low, high = getattr(self, name)
             if low > high:
                 raise SurefootError(f"{name} is [{low:g}, {high:g}]; the lower bound must come first")

@@ -95,6 +95,7 @@ def _adopted(contract: Contract) -> dict[str, str]:
     adopted = contract.figures.get("adopted")
     if not isinstance(adopted, Mapping):
         return {}
-    notes = adopted.get("notes")
-    texts = {f"note {name}": str(text) for name, text in notes.items()} if isinstance(notes, Mapping) else {}
+    from surefoot.adopt.builder import adopted_notes
+
+    texts = {f"note {name}": text for name, text in adopted_notes(contract).items()}
     return {"adopted from": str(adopted.get("format", "another framework")), **texts}

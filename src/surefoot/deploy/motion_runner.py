@@ -5,7 +5,6 @@ Deployments, the doctor and identification use it. The link may lose frames, so 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -123,15 +122,7 @@ class MotionRunner:
 
     def ping_until(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Wait until a condition holds, at most `timeout` [s], and ping meanwhile; return whether it does."""
-        clock, last = self.link.clock, -math.inf
-
-        def ping() -> None:
-            nonlocal last
-            if clock.now() - last >= _PING:
-                last = clock.now()
-                self.link.ping()
-
-        return self.link.wait_for(condition, timeout, ping)
+        return self.link.ping_until(condition, timeout, _PING)
 
     def _repeat_until(self, request: Callable[[], None], condition: Callable[[], bool]) -> bool:
         for _ in range(_ATTEMPTS):

@@ -231,7 +231,7 @@ class RobotLink(ABC):
             return ""
         left = self.connected + LISTEN - self.clock.now()
         if left > 0:
-            self.wait_for(lambda: bool(self.foreign_commands), left, self._ping_now_and_then())
+            self.ping_until(lambda: bool(self.foreign_commands), left)
         now = self.clock.now()
         heard = [now - at for at in self.foreign_commands if now - at < LISTEN]
         if not heard:
@@ -239,17 +239,17 @@ class RobotLink(ABC):
         count = f"{len(heard)} message{'s' if len(heard) > 1 else ''}"
         return f"another program commands the motors: {count}, the last {heard[-1]:.1f} s ago"
 
-    def _ping_now_and_then(self) -> Callable[[], None]:
-        """Return a function that pings where it is called, at most 20 times a second: it keeps the session alive."""
+    def ping_until(self, condition: Callable[[], bool], timeout: float, period: float = _PING) -> bool:
+        """Wait until a condition holds, at most `timeout` [s], and ping every `period` [s]; return whether it does."""
         last = -math.inf
 
         def ping() -> None:
             nonlocal last
-            if self.clock.now() - last >= _PING:
+            if self.clock.now() - last >= period:
                 last = self.clock.now()
                 self.ping()
 
-        return ping
+        return self.wait_for(condition, timeout, ping)
 
     def state_age(self) -> float:
         """Return how long ago the newest state was sent [s], the transmission time of the quickest packet left out."""

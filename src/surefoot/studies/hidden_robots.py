@@ -112,6 +112,11 @@ def robot_name(seed: int) -> str:
     return f"robot_{seed}"
 
 
+def other_motors_folder(work: Path) -> Path:
+    """Return the folder with the description of robots with other motors in that of a study's identifications."""
+    return work / "other_motors"
+
+
 def robot_file(folder: Path, seed: int) -> Path:
     """Return the file of a robot's identified parameters."""
     return folder / f"{robot_name(seed)}.toml"

@@ -63,7 +63,7 @@ class RobotComparison:
                     )
         return pd.DataFrame(rows)
 
-    @property
+    @cached_property
     def groups(self) -> list[str]:
         """Names of the groups that have runs, in the study's order."""
         return [group for group in self.study.groups if group in set(self.episodes.group)]
@@ -104,9 +104,9 @@ class RobotComparison:
     @cached_property
     def answers(self) -> dict[str, Answer]:
         """The answers to the study's questions by name, claims that the study is about first."""
-        names = [*self.study.primary_questions, *self.study.questions]
+        names, not_learned = [*self.study.primary_questions, *self.study.questions], self.not_learned
         questions = {name: self.study.questions[name] for name in names}
-        return {name: answer(one, self.values(one.figure), self.not_learned) for name, one in questions.items()}
+        return {name: answer(one, self.values(one.figure), not_learned) for name, one in questions.items()}
 
 
 def _figures(home: pd.DataFrame, on_robot: pd.DataFrame) -> dict[str, float]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from surefoot.configuration import to_mapping, write_yaml
 from surefoot.errors import SurefootError
 from surefoot.files import atomic_write
-from surefoot.studies.hidden_robots import HiddenRobots, robot_file, robot_name
+from surefoot.studies.hidden_robots import HiddenRobots, other_motors_folder, robot_file, robot_name
 
 SUREFOOT = (sys.executable, "-m", "surefoot")
 EXPERIMENTS = {"motor": True, "latency": True, "mass": False, "contact": False}
@@ -128,7 +128,7 @@ def identify_robots(
     failed: dict[int, str] = {}
 
     def identify(seed: int) -> bool:
-        true = robots.description(seed, work / "other_motors")
+        true = robots.description(seed, other_motors_folder(work))
         options = ("--world", robots.world, "--robot", true, "--hidden-seed", seed, "--hidden-ranges", ranges)
         path, place = robot_file(folder, seed), work / robot_name(seed)
         return not stopped() and identify_robot((*options, "--seed", seed), path, place, robots.robot, stopped)

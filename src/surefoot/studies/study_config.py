@@ -285,9 +285,9 @@ def study_runs(
 def training_names(study: StudyConfig) -> list[str]:
     """Return the names of all trainings of a study, also of robots that are not identified yet."""
     return [
-        Training(group, base, Path(), "" if robot is None else robot_name(robot)).name
+        Training(group, replace(base, seed=seed), Path(), "" if robot is None else robot_name(robot)).name
         for group in study.groups
+        for base in [group_config(study, group)]
         for robot in study.trained_on(group)
         for seed in study.seeds_of(group)
-        for base in [replace(group_config(study, group), seed=seed)]
     ]

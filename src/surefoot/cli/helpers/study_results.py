@@ -10,7 +10,7 @@ from rich.console import Console
 
 from surefoot.cli.helpers.options import make_figures_folder
 from surefoot.errors import SurefootError, suggest
-from surefoot.studies.hidden_robots import read_identified, robot_name
+from surefoot.studies.hidden_robots import other_motors_folder, read_identified, robot_name
 from surefoot.studies.study_config import StudyConfig, study_runs, training_names
 from surefoot.studies.training import Training
 from surefoot.world.registry import check_takes_params, find_world
@@ -52,7 +52,7 @@ def evaluation_kinds(study: StudyConfig, run: Training, root: Path) -> dict[str,
     if study.robots is None:
         return {name: EVALUATIONS[name] for name in evaluation_names(study.evaluate)}
     seeds = [seed for seed in study.robots.seeds if run.robot in ("", robot_name(seed))]
-    return {NAME: robot_kind(study.robots, seeds, other_motors_folder(root))}
+    return {NAME: robot_kind(study.robots, seeds, other_motors_folder(root / "robots"))}
 
 
 def evaluate_runs(study: StudyConfig, runs: list[Training], root: Path, threads: int, console: Console) -> None:
@@ -87,11 +87,6 @@ def robots_folder(out: Path) -> Path:
     return out / "robots"
 
 
-def other_motors_folder(root: Path) -> Path:
-    """Return the folder with the description of robots with other motors in the folder of a study's runs."""
-    return root / "robots" / "other_motors"
-
-
 def report_robots(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:
     """Write tables, figures and README of a study on hidden robots: of all runs that are finished and evaluated."""
     import pandas as pd
@@ -114,7 +109,7 @@ def report_robots(study: StudyConfig, root: Path, out: Path, command: str, conso
     files = {seed: read_identified(robots_folder(out), seed, robots.robot) for seed in robots.seeds}
     found = {seed: file for seed, file in files.items() if file is not None}
     comparison = RobotComparison(study, pd.concat(rows.values(), ignore_index=True), missing)
-    parameters = parameter_rows(study, found, other_motors_folder(root))
+    parameters = parameter_rows(study, found, other_motors_folder(root / "robots"))
     readme = write_robot_report(comparison, parameters, out, command)
     if missing:
         console.print(f"Not in the report: {', '.join(missing)}")
