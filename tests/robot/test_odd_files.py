@@ -43,6 +43,7 @@ def with_inertia(text: str, name: str, xx: float, yy: float, zz: float) -> str:
 
 
 FIXED = joint("{0}_joint", "fixed", "trunk", "{0}", "0.1 0 0")
+IMU = re.sub(r"<visual>.*</collision>", "", link("imu", 0.001, (0.1, 0.1, 0.1), SPHERE)) + FIXED.format("imu")
 
 
 def test_frames_with_next_to_no_mass_are_left_out_with_one_note(tmp_path: Path) -> None:
@@ -118,17 +119,15 @@ def test_an_inertia_of_another_body_is_named_with_the_one_of_a_box(
 
 
 def test_names_with_line_ends_stay_in_comments_of_the_sheet(tmp_path: Path) -> None:
-    imu = re.sub(r"<visual>.*</collision>", "", link("imu", 0.001, (0.1, 0.1, 0.1), SPHERE)) + FIXED.format("imu")
-    robot = make(urdf(more=imu.replace("imu", "i&#10;[actuator]&#x7f;")), tmp_path)
+    robot = make(urdf(more=IMU.replace("imu", "i&#10;[actuator]&#x7f;")), tmp_path)
     (result,) = check_file(robot)
     assert "link 'i [actuator] '" in result.message
 
 
 def test_an_inertia_larger_than_the_robot_is_named_where_no_shape_is_known(tmp_path: Path) -> None:
-    imu = re.sub(r"<visual>.*</collision>", "", link("imu", 0.001, (0.1, 0.1, 0.1), SPHERE)) + FIXED.format("imu")
-    (warning,) = read(urdf(more=imu), tmp_path).warnings
+    (warning,) = read(urdf(more=IMU), tmp_path).warnings
     assert warning.startswith("link 'imu': 0.001 kg with a radius of gyration of 10 m, and the whole robot is 0.7")
-    imu = imu.replace('"0.1"', '"1e-5"')
+    imu = IMU.replace('"0.1"', '"1e-5"')
     assert read(urdf(more=imu), tmp_path).warnings == ()
 
 

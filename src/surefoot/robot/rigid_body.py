@@ -67,6 +67,11 @@ def describe_gyration(
     return large, f"{text}, and its shapes and joints span {span} m; a box of this size has ({inertia}) kg m2{hint}"
 
 
+def first_of(words: list[str]) -> str:
+    """Return the first of links' descriptions, and how many more there are."""
+    return words[0] + (f"; {len(words) - 1} more links are like this" if words[1:] else "")
+
+
 @dataclass(frozen=True)
 class RigidBody:
     """One fused link: mass [kg], and centre of mass [m] (3,) and inertia about it [kg m2] (3, 3) in its frame."""

@@ -45,6 +45,14 @@ class Shape:
         """Rotation (3, 3) from the shape's axes to the link's."""
         return self.frame[:3, :3]
 
+    @property
+    def corners(self) -> Array:
+        """Corners (8, 3) of a box around it, in the link's frame [m]."""
+        half = self.size if self.kind == "box" else (self.size[0], self.size[0], self.size[-1])
+        signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)
+        corners: Array = signs * half @ self.rotation.T + self.position
+        return corners
+
 
 @dataclass(frozen=True, eq=False)
 class Link:

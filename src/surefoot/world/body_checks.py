@@ -12,8 +12,8 @@ from surefoot.errors import choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.rules import read_warnings
 from surefoot.robot.mirror import MIRRORED, side_difference
-from surefoot.robot.rigid_body import are_moments, describe_gyration
-from surefoot.robot.urdf import Link, Shape
+from surefoot.robot.rigid_body import are_moments, describe_gyration, first_of
+from surefoot.robot.urdf import Link
 
 MIRROR_TOLERANCE = 0.02
 """Share by which mirrored masses and lengths may differ."""
@@ -45,15 +45,15 @@ def check_masses(robot: RobotDescription) -> CheckResult:
     large, small = ([text for too_large, text in words if too_large is kind] for kind in (True, False))
     remedy = "take the inertia of a box of each link's size and mass in its <inertial>, or the CAD program's"
     if large:
-        return fail_if("masses", f"{message}; {_first(large)}", message, remedy, total)
-    return warn_if("masses", f"{message}; {_first(small)}" if small else None, message, remedy, total)
+        return fail_if("masses", f"{message}; {first_of(large)}", message, remedy, total)
+    return warn_if("masses", f"{message}; {first_of(small)}" if small else None, message, remedy, total)
 
 
 def _gyration(name: str, link: Link, ends: list[Array], robot_size: float) -> tuple[bool, str] | None:
     """Return whether a link's inertia is too large or too small for its shapes and joints; see `describe_gyration`."""
     body = link.body
     moments, _ = body.principal()
-    corners = [_corners(shape) for shape in link.collisions]
+    corners = [shape.corners for shape in link.collisions]
     points = np.concatenate([np.zeros((1, 3)), *corners, *(end[None] for end in ends)])
     described = describe_gyration(name, body.mass, moments, points - body.centre, robot_size)
     # What is written of a leg are thin cylinders: only the base's shape shows what is too small.
@@ -62,19 +62,6 @@ def _gyration(name: str, link: Link, ends: list[Array], robot_size: float) -> tu
         if described is None or described[0] or any(shape.kind == "box" for shape in link.collisions)
         else None
     )
-
-
-def _corners(shape: Shape) -> Array:
-    """Return the corners (8, 3) of a box around a shape, in its link's frame."""
-    size = shape.size
-    half = size if shape.kind == "box" else (size[0], size[0], size[-1])
-    signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)
-    corners: Array = signs * half @ shape.frame[:3, :3].T + shape.frame[:3, 3]
-    return corners
-
-
-def _first(words: list[str]) -> str:
-    return words[0] + (f"; {len(words) - 1} more links are like this" if words[1:] else "")
 
 
 def check_sides(robot: RobotDescription) -> CheckResult:

@@ -57,14 +57,15 @@ def sole_sphere(points: Array, knee: Array, end: Array) -> tuple[Array, float]:
     along = down[straight]
     across = np.array([-along[1], along[0]])
     # The middle of the sole, across the shank.
-    sole = points[:, [0, 2]][depths[:, straight] > depth[straight] - _SOLE * length]
-    middle = float((sole @ across).min() + (sole @ across).max()) / 2
+    lowest = depths[:, straight] > depth[straight] - _SOLE * length
+    sole = points[:, [0, 2]][lowest] @ across
+    middle = float(sole.min() + sole.max()) / 2
     rest = depth - middle * (down @ across) - depth[straight] * (down @ along)
     slope = 1.0 - down @ along
-    widest = min(_RADII[1] * length, max(_WIDEST * float(np.ptp(sole @ across)) / 2, _RADII[0] * length))
+    widest = min(_RADII[1] * length, max(_WIDEST * float(np.ptp(sole)) / 2, _RADII[0] * length))
     radius = float(np.clip(slope @ rest / (slope @ slope), _RADII[0] * length, widest))
     x, z = middle * across + (depth[straight] - radius) * along
-    sides = points[depths[:, straight] > depth[straight] - _SOLE * length, 1]
+    sides = points[lowest, 1]
     return np.array([x, (sides.min() + sides.max()) / 2, z]), radius
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -11,10 +11,10 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
-from surefoot.robot.rigid_body import are_moments, box_moments, describe_gyration
+from surefoot.robot.rigid_body import are_moments, box_moments, describe_gyration, first_of
 from surefoot.robot.urdf_file import attribute, read_frame, read_inertia, read_number, read_shape
 
-NO_MASS = 1e-6
+_NO_MASS = 1e-6
 """Mass [kg] below which a fixed link is a frame: CAD exporters give frames such masses."""
 _DENSITY = 1000.0
 """Density [kg/m3] of a link of which nothing but the mass is known."""
@@ -28,6 +28,10 @@ _HEAVY = 0.2
 """Share of the robot's mass from which a link without inertia is no point mass but a body, as its trunk."""
 _MIN_SHARE = 0.01
 """Share of the robot's mass from which a link is compared with its own shapes; lighter ones with the robot."""
+_NO_PRODUCTS = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+"""Attributes of an inertia without products."""
+_NO_INERTIA = dict.fromkeys(("ixx", "iyy", "izz"), "0") | _NO_PRODUCTS
+"""Attributes of an inertia of 0."""
 
 
 def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> None:
@@ -45,11 +49,10 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
         where, tensor = f"{path}: link '{name}'", inertial.find("inertia")
         mass = read_number(inertial.find("mass"), "value", f"{where}: mass")
         if mass > 0.0 and tensor is None and name in moved:
-            keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-            tensor = ElementTree.SubElement(inertial, "inertia", dict.fromkeys(keys, "0"))
+            tensor = ElementTree.SubElement(inertial, "inertia", _NO_INERTIA)
         if mass == 0.0 or tensor is None:
             link.remove(inertial)
-        elif 0.0 < mass < NO_MASS and name not in moved:
+        elif 0.0 < mass < _NO_MASS and name not in moved:
             link.remove(inertial)
             frames.append(name)
         else:
@@ -57,7 +60,7 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
     if not inertials:
         raise SurefootError(f"{path}: no link has an <inertial> with a mass; masses and inertias are needed")
     if frames:
-        notes.append(f"frames of less than {NO_MASS:g} kg count as massless: {choices(frames)}")
+        notes.append(f"frames of less than {_NO_MASS:g} kg count as massless: {choices(frames)}")
     zero = [name for name, (_, mass, inertia) in inertials.items() if mass > 0 and not inertia.any()]
     heavy = _HEAVY * sum(mass for _, mass, _ in inertials.values())
     made = [name for name in zero if len(zero) == len(inertials) or name in moved or inertials[name][1] > heavy]
@@ -66,7 +69,7 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
         if mass <= 0 or least >= _NO_MOMENT or not inertia.any():
             continue
         if name not in moved and least >= 0 and float(np.trace(inertia)) < _POINT:
-            tensor.attrib |= dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0")
+            tensor.attrib |= _NO_INERTIA
             inertials[name] = tensor, mass, np.zeros((3, 3))
         else:  # MuJoCo refuses it
             made.append(name)
@@ -75,7 +78,7 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
         tensor, mass, _ = inertials[name]
         moments = _moments_of_shapes(links[name], root, mass, path)
         tensor.attrib |= {f"i{axis}": f"{value:.6g}" for axis, value in zip(("xx", "yy", "zz"), moments, strict=True)}
-        tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+        tensor.attrib |= _NO_PRODUCTS
         inertials[name] = tensor, mass, np.diag(moments)
     if made:
         few = choices(made[:4]) + (f" and {len(made) - 4} more" if len(made) > 4 else "")
@@ -86,7 +89,7 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
         if not point_mass and not (mass > 0 and are_moments(principal)):
             odd.append(name)
         if not principal.min() > 0:
-            tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+            tensor.attrib |= _NO_PRODUCTS
     if odd:
         notes.append(f"inertias that no rigid body has, balanced: {choices(odd)}")
 
@@ -96,12 +99,12 @@ def drop_frame_masses(spec: mujoco.MjSpec, notes: list[str]) -> None:
     frames = [
         body
         for body in spec.bodies
-        if body.explicitinertial and 0 < body.mass < NO_MASS and not body.joints and not body.geoms
+        if body.explicitinertial and 0 < body.mass < _NO_MASS and not body.joints and not body.geoms
     ]
     for body in frames:
         body.explicitinertial = False
     if frames:
-        notes.append(f"frames of less than {NO_MASS:g} kg count as massless: {choices(body.name for body in frames)}")
+        notes.append(f"frames of less than {_NO_MASS:g} kg count as massless: {choices(body.name for body in frames)}")
 
 
 def _moved_links(root: ElementTree.Element) -> set[str]:
@@ -112,7 +115,7 @@ def _moved_links(root: ElementTree.Element) -> set[str]:
 
 def _moments_of_shapes(link: ElementTree.Element, root: ElementTree.Element, mass: float, path: Path) -> Array:
     """Return the moments (3,) [kg m2] of a box around a link's shapes, else around its joints, else of a ball."""
-    points = list(_shape_corners(link, path))
+    points = _shape_corners(link, path)
     if not points:
         name = link.get("name")
         hangs = [joint for joint in root.findall("joint") if attribute(joint.find("parent"), "link") == name]
@@ -124,20 +127,14 @@ def _moments_of_shapes(link: ElementTree.Element, root: ElementTree.Element, mas
     return box_moments(mass, np.maximum(sides, _THINNEST * sides.max()))
 
 
-def _shape_corners(link: ElementTree.Element, path: Path) -> Iterator[Array]:
-    """Yield the corners (8, 3) of boxes around a link's collision shapes, else around its visuals."""
-    corners = np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)
+def _shape_corners(link: ElementTree.Element, path: Path) -> list[Array]:
+    """Return the corners (8, 3) of boxes around a link's collision shapes, else around its visuals."""
+    name = link.get("name")
     for use in ("collision", "visual"):
-        found = False
-        for element in link.findall(use):
-            shape = read_shape(element, link.get("name", ""), {}, f"{path}: link '{link.get('name')}': {use}")
-            if shape is None:
-                continue
-            found, size = True, shape.size
-            half = size if shape.kind == "box" else [size[0], size[0], size[-1]]
-            yield corners * half @ shape.frame[:3, :3].T + shape.frame[:3, 3]
-        if found:
-            return
+        shapes = [read_shape(shape, name or "", {}, f"{path}: link '{name}': {use}") for shape in link.findall(use)]
+        if corners := [shape.corners for shape in shapes if shape is not None]:
+            return corners
+    return []
 
 
 def implausible_inertias(model: mujoco.MjModel, data: mujoco.MjData, points: Sequence[Array]) -> list[str]:
@@ -165,9 +162,4 @@ def implausible_inertias(model: mujoco.MjModel, data: mujoco.MjData, points: Seq
         words = describe_gyration(model.body(body).name, mass, moments, in_frame if known else None, robot_size)
         if words is not None:
             (large if words[0] else small).append(words[1])
-
-    return [
-        words[0] + (f"; {len(words) - 1} more links are like this" if words[1:] else "")
-        for words in (large, small)
-        if words
-    ]
+    return [first_of(words) for words in (large, small) if words]

@@ -165,8 +165,8 @@ class _Reader:
         speeds: dict[str, float],
         poses: Sequence[tuple[str, Pose]],
         notes: list[str],
-        file_name: str = "",
-        is_urdf: bool = True,
+        file_name: str,
+        is_urdf: bool,
     ) -> None:
         self.path, self.model, self.speeds, self.poses, self.notes = path, model, speeds, poses, notes
         self.file_name, self.is_urdf = file_name, is_urdf
@@ -246,20 +246,23 @@ class _Reader:
         reason = explain_meshes(float(legs[0]), float(legs[1]), box) or explain_size(robot.mass, robot.length)
         if reason is not None:
             raise self._error(reason)
-        parts = self._parts(visuals, robot, chains, base)
-        names = dict(zip([base, *itertools.chain(*chains)], ["base", *itertools.chain(*robot.link_names)], strict=True))
-        movers = [int(self.group[model.body(link).id]) for link in incomplete]
-        undrawn = dict.fromkeys(names[mover] for mover in movers if mover in names)
-        return replace(robot, parts=parts, undrawn=tuple(undrawn), notes=tuple(self.notes))
-
-    def _parts(
-        self, visuals: Sequence[Visual], robot: ImportedRobot, chains: list[list[int]], base: int
-    ) -> tuple[Part, ...]:
-        """Return what is drawn of the base and the legs, decimated, one part a link and colour."""
         names, origins = {base: "base"}, {base: np.zeros(3)}
         for chain, links, places in zip(chains, robot.link_names, robot.places, strict=True):
             names |= dict(zip(chain, links, strict=True))
             origins |= dict(zip(chain, places, strict=True))
+        parts = self._parts(visuals, names, origins)
+        movers = [int(self.group[model.body(link).id]) for link in incomplete]
+        undrawn = dict.fromkeys(names[mover] for mover in movers if mover in names)
+        return replace(robot, parts=parts, undrawn=tuple(undrawn), notes=tuple(self.notes))
+
+    def _parts(self, visuals: Sequence[Visual], names: dict[int, str], origins: dict[int, Array]) -> tuple[Part, ...]:
+        """Return what is drawn of the base and the legs, decimated, one part a link and colour.
+
+        Args:
+            visuals: of the file.
+            names: the links' names by the body that moves them.
+            origins: the links' origins (3,) [m] by that body.
+        """
         movers = {visual.body: int(self.group[self.model.body(visual.body).id]) for visual in visuals}
         parts: dict[tuple[str, Color], list[Surface]] = {}
         for visual in decimate_visuals([visual for visual in visuals if movers[visual.body] in names]):

@@ -6,7 +6,6 @@ import json
 import math
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -38,15 +37,13 @@ class Rule(NamedTuple):
 
 
 def actuator_rules(mass: float, length: float) -> dict[str, Rule]:
-    """Return the rules for joint actuators by key of the sheet.
+    """Return the rules for joint actuators by key of the sheet; `damping_rule` has that for kd.
 
     The stiffness lets the untrained reference walk: at m g l two legs sink in so far that feet that swing drag.
     """
     stiffness = mass * GRAVITY * length
-    kp = 1.5 * stiffness
     return {
-        "kp": Rule(kp, "1.5 m g l, the stiffness with which two legs carry the robot", "N m/rad"),
-        "kd": damping_rule(kp, length),
+        "kp": Rule(1.5 * stiffness, "1.5 m g l, the stiffness with which two legs carry the robot", "N m/rad"),
         "torque_limit": Rule(0.4 * stiffness, ".4 m g l", "N m"),
         "speed_limit": Rule(6 * math.sqrt(GRAVITY / length), "6 sqrt(g / l)", "rad/s"),
         "rotor_inertia": Rule(0.005 * mass * length**2, ".005 m l^2: gear ratio squared times the rotor's", "kg m2"),
@@ -77,7 +74,7 @@ def describe_origins(robot: RobotDescription) -> Iterator[tuple[bool, str]]:
     says so.
     """
     path = robot.folder / SHEET
-    data, text = read_toml(path)[0], Path(path).read_text(encoding="utf-8")
+    data, text = read_toml(path)[0], path.read_text(encoding="utf-8")
     length, rules = robot.leg_geometry.length, {}
     if robot.actuator.kind == "joint":
         rules = actuator_rules(robot.urdf.total_mass, length)
@@ -99,7 +96,7 @@ def describe_origins(robot: RobotDescription) -> Iterator[tuple[bool, str]]:
 
 def read_warnings(robot: RobotDescription) -> list[str]:
     """Return what a robot's sheet holds about its file's likely errors."""
-    lines = Path(robot.folder / SHEET).read_text(encoding="utf-8").splitlines()
+    lines = (robot.folder / SHEET).read_text(encoding="utf-8").splitlines()
     return [line.removeprefix(WARNING) for line in lines if line.startswith(WARNING)]
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -99,5 +99,4 @@ def _is_motor(model: mujoco.MjModel, actuator: int) -> bool:
 
 def _motor_gain(model: mujoco.MjModel, actuator: int) -> float:
     """Return the force of a motor per unit of its control."""
-    gain: Any = model.actuator_gainprm[actuator, 0]
-    return abs(float(gain))
+    return abs(float(model.actuator_gainprm[actuator, 0]))
