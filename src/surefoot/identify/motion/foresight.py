@@ -9,7 +9,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.identify.fitting import Fit, forward_jacobian
-from surefoot.identify.motion.priors import RATIOS, default_names
+from surefoot.identify.motion.priors import default_names, without_known
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_estimates import robot_estimates
 from surefoot.identify.motion.robot_model import robot_model
@@ -48,7 +48,7 @@ def foresee(
         prior: parameters before.
         known: parameters that are known exactly, such as gains that are stated.
     """
-    names = [name for name in default_names(robot, True) if RATIOS.get(name, name) not in known]
+    names = without_known(default_names(robot, True), known)
     unknowns = robot_unknowns(robot, prior, names, True)
     logs = [_simulated(robot, motion, prior) for motion in motions]
     considered = considered_unknowns(robot, prior, logs)
