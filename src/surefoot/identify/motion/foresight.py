@@ -57,7 +57,7 @@ def foresee(
     values = np.array([unknown.start for unknown in everything])
     residuals = model.residuals(values[None])[0]
     jacobian = forward_jacobian(model, values, residuals)
-    deviation = Fit(everything, values, np.eye(len(values)), residuals, jacobian).prior_deviation
+    deviation = np.array([unknown.prior_deviation for unknown in everything])
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + np.diag(deviation**-2.0)), np.float64)
     held = np.zeros(len(values), np.bool_)
     held[len(unknowns) :] = True

@@ -199,10 +199,9 @@ def _checks(
 
 
 def _notes(fit: Fit) -> tuple[str, ...]:
-    held = np.zeros(len(fit.values), np.bool_) if fit.held is None else fit.held
     at_bound = [
         unknown.label
-        for unknown, value in zip(np.array(fit.unknowns)[~held], fit.values[~held], strict=True)
+        for unknown, value in zip(np.array(fit.unknowns)[fit.free], fit.values[fit.free], strict=True)
         if min(value - unknown.low, unknown.high - value) < 1e-6 * (unknown.high - unknown.low)
     ]
     return (f"at a bound: {', '.join(at_bound)}",) if at_bound else ()
