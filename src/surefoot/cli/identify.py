@@ -94,13 +94,13 @@ def _identify_from_traces(argv: list[str]) -> int:
     check_folder(command.out)
     if command.robot is not None and (robot := RobotDescription.load(command.robot)).actuator.kind == "joint":
         return identify_from_logs(command, robot)
-    for name, option in {
-        "rack": "rack",
-        "hold_out": "hold-out",
-        "generations": "generations",
-        "settings": "set",
-    }.items():
-        if getattr(command, name):
+    for option, value in (
+        ("rack", command.rack),
+        ("hold-out", command.hold_out),
+        ("generations", command.generations),
+        ("set", command.settings),
+    ):
+        if value:
             raise SurefootError(f"--{option} is of logs of a robot with joint actuators; name it: --robot")
     from surefoot.evaluation.recorded import find_traces, load_robot
 

@@ -6,7 +6,7 @@ A fit has intervals that allow for residuals that correlate in time, correlation
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from mujoco import minimize
@@ -50,6 +50,11 @@ class Fit:
     """Whether the last unknowns were never fitted, see `hold_unidentifiable`."""
 
     @property
+    def free(self) -> NDArray[np.bool_]:
+        """Which unknowns were fitted (n,)."""
+        return np.ones(len(self.unknowns), np.bool_) if self.held is None else ~self.held
+
+    @property
     def deviation(self) -> Array:
         """Standard deviations (n,)."""
         return np.sqrt(np.diag(self.covariance))
@@ -68,7 +73,7 @@ class Fit:
     @property
     def prior_deviation(self) -> Array:
         """Standard deviations before the fit (n,)."""
-        return np.array([u.prior if u.prior is not None else (u.high - u.low) / 4 for u in self.unknowns])
+        return np.array([unknown.prior_deviation for unknown in self.unknowns])
 
     def strongest_correlations(self, count: int = 5) -> list[tuple[str, str, float]]:
         """Return pairs of unknowns that are hardly distinguishable, strongest first."""
@@ -210,7 +215,7 @@ def hold_unidentifiable(
         return fit
     values = np.array([unknown.start for unknown in unknowns])
     values[: len(fit.values)] = np.where(known, fit.values, start)
-    deviation = replace(fit, unknowns=unknowns).prior_deviation
+    deviation = np.array([unknown.prior_deviation for unknown in unknowns])
     residuals = model.residuals(values[None])[0]
     jacobian = np.empty((len(residuals), len(unknowns)))
     if not free.any():

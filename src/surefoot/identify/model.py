@@ -59,6 +59,11 @@ class Unknown:
         """Name with the motors or axis, or the index."""
         return f"{self.name} of {self.whose}" if self.whose else indexed_name(self.name, self.index)
 
+    @property
+    def prior_deviation(self) -> float:
+        """Standard deviation before a fit: that of the prior, or a quarter of the bounds."""
+        return self.prior if self.prior is not None else (self.high - self.low) / 4
+
 
 def candidate_params(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array) -> PhysicalParams:
     """Return one row of `base` for each of K candidates (K, n), with their physical parameters."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surefoot.cli.helpers import identify_run
+from surefoot.cli.helpers import link_options
 from surefoot.cli.helpers.identify_run import ExperimentCommand
 from surefoot.cli.identify import _check_options
 from surefoot.errors import SurefootError
@@ -21,7 +21,7 @@ def test_a_go2_over_dds_gets_the_stated_gains(monkeypatch: pytest.MonkeyPatch):
         opened.append(words)
         return "link"
 
-    monkeypatch.setattr(identify_run, "open_dds_link", open_dds_link)
+    monkeypatch.setattr(link_options, "open_dds_link", open_dds_link)
     command = ExperimentCommand(link="dds", interface="eth0", settings=(("servo_kp=20", "servo_kd=1.5"),))
     _check_options(command)
     assert command.open_robot(go2) == "link"

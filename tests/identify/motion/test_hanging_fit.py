@@ -194,6 +194,18 @@ def test_foresight_tells_what_a_log_would_tell(go2: RobotDescription, truth: Phy
     assert not any("servo_kd" in text for text in known.sentences)
 
 
+def test_foresight_keeps_a_known_gain_that_a_sheet_has_by_its_ratio(pupper: RobotDescription):
+    time = 0.01 * np.arange(51)
+    command = np.tile([0.0, 0.6, -1.2] * 4, (len(time), 1))
+    command[:, 1] += 0.3 * np.sin(9 * time)
+    motion = RecordedMotion("plan", time, command, time, rack=True)
+    unknown, known = (foresee(pupper, [motion], PhysicalParams.nominal(pupper), names) for names in ((), ("servo_kd",)))
+    assert {"servo_kp", "servo_kd"} <= {item.name for item in unknown.estimates}
+    names = {item.name for item in known.estimates}
+    assert "servo_kp" in names
+    assert "servo_kd" not in names
+
+
 def test_exchanged_numbers_are_named_with_their_sum(go2: RobotDescription, nominal: PhysicalParams):
     unknowns = tuple(robot_unknowns(go2, nominal, ["servo_kd", "motor_viscous_friction"], rack=True))
     values = np.array([1.5, 0.2, 0.2, 0.2])

@@ -74,9 +74,11 @@ def identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     ordered = [logs[name] for name in [*fitted, *command.hold_out]]
     check_new_logs(command.params, prior, {log.name: motion_digest(log) for log in ordered}, all_digest(ordered))
     # What the user says is known comes before what the logs say, and that before an earlier fit.
-    stated = {**common_gains(logs.values()), **parse_settings([word for group in command.settings for word in group])}
+    logged = common_gains(logs.values())
+    settings = parse_settings([word for group in command.settings for word in group])
+    stated = {**logged, **settings}
     gains = {**read_gains(prior), **{name: value for name, value in stated.items() if name not in prior.names}}
-    gains |= parse_settings([word for group in command.settings for word in group])
+    gains |= settings
     prior = replace(prior, params=prior.params.with_values(robot, **gains))
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, print_failure, save_and_print
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,11 +15,10 @@ from rich.text import Text
 from surefoot.arrays import Array
 from surefoot.check_result import first_failure
 from surefoot.cli.helpers.link_options import LinkOptions
-from surefoot.cli.helpers.options import Json, Settings, Yes, ask_to_move, ask_to_release, check_terminal
+from surefoot.cli.helpers.options import Json, Settings, Yes, ask_to_move, check_terminal
 from surefoot.cli.helpers.output import make_console
 from surefoot.deploy.checks import check_handshake
 from surefoot.deploy.display import PlainLines, open_display
-from surefoot.deploy.links import open_dds_link
 from surefoot.deploy.loop import RunMonitor, Snapshot
 from surefoot.deploy.messages import Handshake
 from surefoot.deploy.pacer import undisturbed
@@ -64,15 +62,8 @@ class ExperimentCommand(LinkOptions):
 
     def open_robot(self, robot: RobotDescription) -> RobotLink:
         """Open the link to a robot; one over DDS gets the gains of --set."""
-        if self.link == "serial":
-            return self.open_port(str(self.port), robot.num_motors)
-
-        def release(name: str) -> bool:
-            return self.release or (not self.yes and sys.stdin.isatty() and ask_to_release(name))
-
         gains = {"servo_kp": robot.actuator.kp, "servo_kd": robot.actuator.kd, **self.gains()}
-        pair = gains["servo_kp"], gains["servo_kd"]
-        return open_dds_link(robot, str(self.interface), self.domain, pair, 0.0, release, self.hand_back)
+        return self.open_with_gains(robot, (gains["servo_kp"], gains["servo_kd"]), 0.0, not self.yes)
 
     def gains(self) -> dict[str, float]:
         """Return the gains of --set.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import tyro
+from numpy.typing import ArrayLike
 
 from surefoot.cli.helpers.options import Port, ask_to_release
 from surefoot.configuration import Within
@@ -73,11 +74,20 @@ class LinkOptions(SerialOptions):
 
         `may_ask`: ask at a terminal whether a Go2's own controller is to be released.
         """
+        gains, silence = (contract.servo_kp, contract.servo_kd), WATCHDOG_STEPS * contract.control_step
+        return self.open_with_gains(robot, gains, silence, may_ask)
+
+    def open_with_gains(
+        self, robot: RobotDescription, gains: tuple[ArrayLike, ArrayLike], silence: float, may_ask: bool
+    ) -> RobotLink:
+        """Open the link to a robot; one without a board of its own gets these gains and this watchdog.
+
+        For `gains` and `silence` see `open_dds_link`, for `may_ask` see `open_link`.
+        """
         if self.link == "serial":
             return self.open_port(str(self.port), robot.num_motors)
 
         def release(name: str) -> bool:
             return self.release or (may_ask and sys.stdin.isatty() and ask_to_release(name))
 
-        gains, silence = (contract.servo_kp, contract.servo_kd), WATCHDOG_STEPS * contract.control_step
         return open_dds_link(robot, str(self.interface), self.domain, gains, silence, release, self.hand_back)

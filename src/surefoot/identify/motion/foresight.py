@@ -9,7 +9,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.identify.fitting import Fit, forward_jacobian
-from surefoot.identify.motion.priors import RATIOS, default_names
+from surefoot.identify.motion.priors import default_names, without_known
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_estimates import robot_estimates
 from surefoot.identify.motion.robot_model import robot_model
@@ -48,7 +48,7 @@ def foresee(
         prior: parameters before.
         known: parameters that are known exactly, such as gains that are stated.
     """
-    names = [name for name in default_names(robot, True) if RATIOS.get(name, name) not in known]
+    names = without_known(default_names(robot, True), known)
     unknowns = robot_unknowns(robot, prior, names, True)
     logs = [_simulated(robot, motion, prior) for motion in motions]
     considered = considered_unknowns(robot, prior, logs)
@@ -57,7 +57,7 @@ def foresee(
     values = np.array([unknown.start for unknown in everything])
     residuals = model.residuals(values[None])[0]
     jacobian = forward_jacobian(model, values, residuals)
-    deviation = Fit(everything, values, np.eye(len(values)), residuals, jacobian).prior_deviation
+    deviation = np.array([unknown.prior_deviation for unknown in everything])
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + np.diag(deviation**-2.0)), np.float64)
     held = np.zeros(len(values), np.bool_)
     held[len(unknowns) :] = True

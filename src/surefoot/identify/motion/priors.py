@@ -10,6 +10,7 @@ so. A robot whose gains are fixed on its own board, or that is known better, say
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from surefoot.errors import SurefootError, suggest
@@ -119,6 +120,12 @@ def gains_are_commanded(robot: RobotDescription) -> bool:
 def default_names(robot: RobotDescription, rack: bool) -> tuple[str, ...]:
     """Return what logs of a robot identify by default; `rack`: none of them is of a robot on the ground."""
     return tuple(name for name, prior in priors_of(robot).items() if prior.usual and not (rack and prior.contact))
+
+
+def without_known(names: Sequence[str], known: Sequence[str]) -> list[str]:
+    """Return the names that known parameters do not fix."""
+    fixed = {*known, DAMPING_RATIO} if "servo_kd" in known else set(known)
+    return [name for name in names if RATIOS.get(name, name) not in fixed]
 
 
 def prior_scale(robot: RobotDescription, name: str, value: float) -> float:

@@ -114,7 +114,7 @@ class RecordedMotion:
 
     @property
     def computed_clock(self) -> bool:
-        """Whether its times look computed: all steps are the same to a millionth, which no clock measures."""
+        """Whether its times look computed: all steps are the same to a thousandth, which no clock measures."""
         steps = np.diff(self.time)
         return len(steps) > MIN_STEPS and float(np.ptp(steps)) < COMPUTED * max(float(np.median(steps)), 1e-9)
 

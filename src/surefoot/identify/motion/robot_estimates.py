@@ -49,8 +49,7 @@ def robot_estimates(
     for name in _changed(fit):
         value = getattr(params, name)[0]
         slopes = parameter_slopes(prior, fit, name)
-        free = np.ones(len(slopes), np.bool_) if fit.held is None else ~fit.held
-        determined = np.any(np.abs(slopes[free]) > 0, axis=0)
+        determined = np.any(np.abs(slopes[fit.free]) > 0, axis=0)
         variances = np.einsum("in,ij,jn->n", slopes, fit.covariance, slopes)
         values = np.atleast_1d(value)
         same = np.ptp(values) == 0 and np.ptp(slopes, axis=1).max() == 0

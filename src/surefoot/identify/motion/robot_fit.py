@@ -18,7 +18,7 @@ from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Fit, fit_least_squares, hold_unidentifiable
 from surefoot.identify.model import ReplayModel
 from surefoot.identify.motion.motion_digest import all_digest, motion_digest
-from surefoot.identify.motion.priors import GAINS, RATIOS, default_names, gains_are_commanded
+from surefoot.identify.motion.priors import GAINS, default_names, gains_are_commanded, without_known
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import imu_channels, replay_motion
 from surefoot.identify.motion.robot_estimates import robot_estimates
@@ -82,8 +82,7 @@ def fit_robot(
     yaw = find_imu_yaw(robot, motions, prior)
     if yaw is not None:
         prior.imu_mount[0, 2] = yaw
-    wanted = default_names(robot, rack) if names is None else names
-    wanted = [name for name in wanted if RATIOS.get(name, name) not in known and not _fixes_ratio(name, known)]
+    wanted = without_known(default_names(robot, rack) if names is None else names, known)
     fit = _fit(robot, motions, wanted, prior, rack, seconds, (search, seed), report)
     params = robot_params(prior, fit.unknowns, fit.values[None])
     estimates = robot_estimates(robot, prior, params, fit)
@@ -105,10 +104,6 @@ def fit_robot(
         stated_gains=tuple(stated),
         failure=judge_fit(robot, [fitted_part(one, seconds) for one in motions], params),
     )
-
-
-def _fixes_ratio(name: str, known: Sequence[str]) -> bool:
-    return name == "damping_ratio" and "servo_kd" in known
 
 
 def _gains(params: PhysicalParams, names: Sequence[str]) -> dict[str, list[float]]:
@@ -204,10 +199,9 @@ def _checks(
 
 
 def _notes(fit: Fit) -> tuple[str, ...]:
-    held = np.zeros(len(fit.values), np.bool_) if fit.held is None else fit.held
     at_bound = [
         unknown.label
-        for unknown, value in zip(np.array(fit.unknowns)[~held], fit.values[~held], strict=True)
+        for unknown, value in zip(np.array(fit.unknowns)[fit.free], fit.values[fit.free], strict=True)
         if min(value - unknown.low, unknown.high - value) < 1e-6 * (unknown.high - unknown.low)
     ]
     return (f"at a bound: {', '.join(at_bound)}",) if at_bound else ()

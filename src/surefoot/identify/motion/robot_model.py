@@ -95,7 +95,7 @@ def fitted_part(motion: RecordedMotion, seconds: float | None) -> RecordedMotion
 
 def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Replayer, noise: float) -> Observations:
     """Return a log's angles of motors, roll and pitch (n, M + 2) as observations."""
-    rows, segment = spaced_rows(motion), segment_from_motion(motion, robot)
+    rows, segment = _spaced_rows(motion), segment_from_motion(motion, robot)
     recorded = np.concatenate([motion.motor_angle, motion.imu[:, :2]], axis=1)[rows]
 
     def errors(params: PhysicalParams, nuisance: Nuisance) -> Array:
@@ -132,7 +132,7 @@ def _retimed(segment: Segment, scale: float, late: float, dt: float) -> Segment:
     return replace(segment, order_tick=np.concatenate([[0], ticks[1:]]))
 
 
-def spaced_rows(motion: RecordedMotion) -> NDArray[np.int64]:
+def _spaced_rows(motion: RecordedMotion) -> NDArray[np.int64]:
     """Return rows of new readings that are `SPACING` or more apart."""
     kept, last = [], -np.inf
     for row in np.flatnonzero(motion.fresh).tolist():

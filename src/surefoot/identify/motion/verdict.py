@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.identify.motion.log_checks import unit_notes
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import replay_motion
 from surefoot.identify.replay import Replayer
@@ -36,9 +37,10 @@ def judge_fit(robot: RobotDescription, motions: Sequence[RecordedMotion], params
         motions: the fitted parts of logs.
         params: the estimates, one row.
     """
+    replayers = {rack: Replayer(robot, 1, rack, torques=False) for rack in {one.rack for one in motions}}
     ours, stiff, worst = [], [], None
     for motion in motions:
-        error = replay_motion(motion, robot, params, Replayer(robot, 1, motion.rack, torques=False)).rms
+        error = replay_motion(motion, robot, params, replayers[motion.rack]).rms
         plain = following_error(motion)
         ours.append(error)
         stiff.append(plain)
@@ -71,7 +73,7 @@ def _suggestions(
     robot: RobotDescription, motion: RecordedMotion, error: float, params: PhysicalParams
 ) -> tuple[str, ...]:
     """Return what may be wrong with a log: its base, signs, order of joints, units."""
-    return (*_other_place(robot, motion, error, params), *_wrong_columns(robot, motion), *_wrong_unit(robot, motion))
+    return (*_other_place(robot, motion, error, params), *_wrong_columns(robot, motion), *unit_notes(motion, robot))
 
 
 def _other_place(robot: RobotDescription, motion: RecordedMotion, error: float, params: PhysicalParams) -> list[str]:
@@ -113,9 +115,3 @@ def command_correlation(motion: RecordedMotion) -> Array:
         return np.full((motors, motors), np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.corrcoef(both.T)[:motors, motors:])
-
-
-def _wrong_unit(robot: RobotDescription, motion: RecordedMotion) -> list[str]:
-    from surefoot.identify.motion.log_checks import unit_notes
-
-    return unit_notes(motion, robot)

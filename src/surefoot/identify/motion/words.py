@@ -67,11 +67,7 @@ def describe_unknown(robot: RobotDescription, fit: Fit, params: PhysicalParams) 
         fit: result of `fitting.hold_unidentifiable`.
         params: parameters with the fit's values, one row.
     """
-    sentences = []
-    for exchange in EXCHANGES:
-        sentence = _describe_exchange(exchange, fit, params)
-        if sentence:
-            sentences.append(sentence)
+    sentences = [text for exchange in EXCHANGES if (text := _describe_exchange(exchange, fit, params))]
     if held := _held_labels(fit):
         sentences.append(f"these logs do not show {', '.join(held)}: the values before are kept and not written")
     if any(unknown.name == CLOCK for unknown in fit.unknowns):
@@ -89,9 +85,9 @@ def describe_unknown(robot: RobotDescription, fit: Fit, params: PhysicalParams) 
 
 def _describe_exchange(exchange: _Exchange, fit: Fit, params: PhysicalParams) -> str:
     """Return a sentence on two parameters whose errors are exchanged; nothing, if they are not, or were not fitted."""
-    held = np.zeros(len(fit.unknowns), np.bool_) if fit.held is None else fit.held
     free = [
-        any(u.name == name and not off for u, off in zip(fit.unknowns, held, strict=True)) for name in exchange.names
+        any(u.name == name and fitted for u, fitted in zip(fit.unknowns, fit.free, strict=True))
+        for name in exchange.names
     ]
     if not any(free) or not set(exchange.names) <= {unknown.name for unknown in fit.unknowns}:
         return ""
@@ -123,10 +119,8 @@ def _mean_slope(params: PhysicalParams, fit: Fit, name: str) -> Array:
 
 def _held_labels(fit: Fit) -> list[str]:
     """Return the labels of held unknowns; a name with many of its motors once, with their number."""
-    if fit.held is None:
-        return []
     by_name: dict[str, list[str]] = {}
-    for unknown, held in zip(fit.unknowns, fit.held.tolist(), strict=True):
-        if held and unknown.name not in (CLOCK, COMMAND_SHIFT, *(CONSIDERED if fit.considers else ())):
+    for unknown, free in zip(fit.unknowns, fit.free.tolist(), strict=True):
+        if not free and unknown.name not in (CLOCK, COMMAND_SHIFT, *(CONSIDERED if fit.considers else ())):
             by_name.setdefault(unknown.name, []).append(unknown.label)
     return [labels[0] if len(labels) == 1 else f"{name} (of {len(labels)})" for name, labels in by_name.items()]
