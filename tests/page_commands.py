@@ -88,7 +88,7 @@ class PageRun:
         command, *words = [one for word in words for one in self._filled(word)]
         words = shortened(command, words)
         print("surefoot", command, shlex.join(words))
-        if command == "drive":
+        if serves_a_page(command, words):
             with served(command, *words, cwd=self.folder) as address:
                 assert urllib.request.urlopen(address).status == 200
         else:
@@ -100,6 +100,11 @@ class PageRun:
         """Return a word with the newest file that a pattern matches, or what stands for a name."""
         word = {"RUN": "runs/*/*", **self.names}.get(word, word)
         return sorted(glob.glob(word), key=lambda path: Path(path).stat().st_mtime)[-1:] if "*" in word else [word]
+
+
+def serves_a_page(command: str, words: list[str]) -> bool:
+    """Return whether a command runs until somebody stops it."""
+    return command == "drive" or (command == "show" and words[0].endswith(".npz") and "--out" not in words)
 
 
 def shortened(command: str, words: list[str]) -> list[str]:

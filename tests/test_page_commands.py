@@ -58,7 +58,7 @@ PAGES: dict[str, dict[str, Any]] = {
     "robot": {},
     "terrain": {"elsewhere": {"--height-map 5556": "tests/cli/test_deploy_cli.py"}},
     "evaluate": {
-        "before": (*ADOPTED, ("evaluate", "trot", "--episodes", "1", "--duration", "0.5", "--out", "traces")),
+        "before": (*ADOPTED, ("evaluate", "trot", "--episodes", "1", "--out", "traces")),
         "names": {"FOLDER": "traces"},
     },
     "steer": {"elsewhere": {"deploy go2-steer": "tests/cli/test_deploy_cli.py, tests/cli/test_deploy_page_cli.py"}},
