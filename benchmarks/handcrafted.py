@@ -26,7 +26,7 @@ import tyro
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.cli.helpers.simulator import RunOptions
 from surefoot.evaluation.footfalls import analyze_footfalls
-from surefoot.evaluation.rollout import Policy, run_episodes
+from surefoot.evaluation.rollout import Controller, run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.evaluation.statistics import Interval, t_interval
 from surefoot.report.figures.runs import footfall_diagram
@@ -88,7 +88,7 @@ class Entry:
         """Of its file, short."""
         return hashlib.sha256(self.path.read_bytes()).hexdigest()[:12]
 
-    def load(self) -> tuple[Policy, TaskConfig]:
+    def load(self) -> tuple[Controller, TaskConfig]:
         policy, _, task, _ = load_gait(self.path, None)
         return policy, task
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.commands import CommandLimits
-from surefoot.world.interface import Readings, Truth, WorldConfig
+from surefoot.world.interface import SensorReadings, SimState, WorldConfig
 
 COMMAND_LIMITS = CommandLimits(
     forward=(-1.0, 2.0),
@@ -47,12 +47,12 @@ class ScriptedWorld:
         self.forces: list[np.ndarray] = []
         self.pushes = 0
 
-    def reset(self, index: Any = None) -> Readings:
+    def reset(self, index: Any = None) -> SensorReadings:
         rows = np.arange(self.num_envs) if index is None else index
         self.position[rows], self.time[rows], self.angles[rows] = 0.0, 0.0, 0.0
         return self.readings()
 
-    def step(self, target: Any, active: Any = None) -> Readings:
+    def step(self, target: Any, active: Any = None) -> SensorReadings:
         self.forces.append(self.force.copy())
         went = self.params.control_step * (True if active is None else active)
         self.time += went
@@ -61,14 +61,14 @@ class ScriptedWorld:
         self.angles = np.array(target, float)
         return self.readings()
 
-    def readings(self) -> Readings:
+    def readings(self) -> SensorReadings:
         tilt = np.concatenate([self.tilt, np.zeros((self.num_envs, 1))], axis=1)
-        return Readings(self.time.copy(), tilt, 10 * tilt, self.angles.copy(), 2 * self.angles)
+        return SensorReadings(self.time.copy(), tilt, 10 * tilt, self.angles.copy(), 2 * self.angles)
 
-    def truth(self) -> Truth:
+    def truth(self) -> SimState:
         zeros, motors = np.zeros((self.num_envs, 3)), np.zeros((self.num_envs, self.robot.num_motors))
         tilt = np.concatenate([self.tilt, np.zeros((self.num_envs, 1))], axis=1)
-        return Truth(
+        return SimState(
             base_position_world=np.stack([self.position, 0 * self.position, 0 * self.position + 0.2], -1),
             base_quat_world=np.tile([1.0, 0, 0, 0], (self.num_envs, 1)),
             base_velocity_world=zeros,

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import LOOKS, Appearance, Part
+from surefoot.robot.appearance import LOOKS, Appearance, VisualPart
 
 SIDES = 20
 """Corners of a circle."""
@@ -334,7 +334,7 @@ def appearance(draw: Callable[[Drawing], None]) -> Appearance:
         points, faces = zip(*solids, strict=True)
         starts = np.cumsum([0, *map(len, points[:-1])])
         shifted = np.concatenate([part + start for part, start in zip(faces, starts, strict=True)])
-        parts.append(Part(link, np.concatenate(points).astype(np.float32), shifted.astype(np.int32), color))
+        parts.append(VisualPart(link, np.concatenate(points).astype(np.float32), shifted.astype(np.int32), color))
     return Appearance(tuple(parts))
 
 

@@ -13,7 +13,7 @@ from surefoot.adopt.examination import Answer
 from surefoot.adopt.formats import manual
 from surefoot.adopt.mistakes import Correction
 from surefoot.adopt.robot_guesses import RobotGuess, robot_guesses
-from surefoot.adopt.specification import PolicySpecification, Term
+from surefoot.adopt.specification import ObservationTerm, PolicySpecification
 
 SPECIFICATION = PolicySpecification(
     joints=("hip", "knee"),
@@ -21,7 +21,7 @@ SPECIFICATION = PolicySpecification(
     kp=25.0,
     kd=0.5,
     control_step=0.02,
-    observations=(Term("command", scale=(2.0, 2.0, 0.25)), Term("gravity")),
+    observations=(ObservationTerm("command", scale=(2.0, 2.0, 0.25)), ObservationTerm("gravity")),
     notes={"forward": "assumed"},
 )
 YOUNG = RobotGuess(latency=0.0)

@@ -14,7 +14,7 @@ from foreign import DATA, DEPLOY, LAB_ORDER, LEGGED_GYM, MJLAB, perceptron
 
 from surefoot.adopt.adoption import FORMATS, adopt
 from surefoot.adopt.builder import check_specification
-from surefoot.adopt.specification import PolicySpecification, Term
+from surefoot.adopt.specification import ObservationTerm, PolicySpecification
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 
@@ -155,7 +155,7 @@ def test_the_page_of_adopted_policies_explains_every_field_and_its_example_is_re
     # Histories of one part alone go with an order by term.
     specification = FORMATS["manual"].read(path, go2, {})
     assert check_specification(specification, go2) == 3 + 15 + 3 + 12 + 12 + 12 + 2 + 4 + 2
-    for kind in (PolicySpecification, Term):
+    for kind in (PolicySpecification, ObservationTerm):
         for item in fields(kind):
             assert f"{item.name}:" in example
 

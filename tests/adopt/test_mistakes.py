@@ -12,7 +12,7 @@ from surefoot.adopt.builder import build_policy
 from surefoot.adopt.examination import Corrected, stated_specification
 from surefoot.adopt.mistakes import corrections, fits, joint_orders
 from surefoot.adopt.onnx_network import OnnxNetwork
-from surefoot.adopt.specification import PolicySpecification, Term
+from surefoot.adopt.specification import ObservationTerm, PolicySpecification
 from surefoot.adopt.usual_numbers import unusual_numbers
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
@@ -25,12 +25,12 @@ SPECIFICATION = PolicySpecification(
     kd=1.0,
     control_step=0.02,
     observations=(
-        Term("command", scale=(2.0, 2.0, 0.25), steps=STEPS),
-        Term("angular_velocity", scale=0.25, steps=STEPS),
-        Term("gravity", steps=STEPS),
-        Term("joint_positions", steps=STEPS),
-        Term("joint_speeds", scale=0.05, steps=STEPS),
-        Term("last_action", steps=STEPS),
+        ObservationTerm("command", scale=(2.0, 2.0, 0.25), steps=STEPS),
+        ObservationTerm("angular_velocity", scale=0.25, steps=STEPS),
+        ObservationTerm("gravity", steps=STEPS),
+        ObservationTerm("joint_positions", steps=STEPS),
+        ObservationTerm("joint_speeds", scale=0.05, steps=STEPS),
+        ObservationTerm("last_action", steps=STEPS),
     ),
     action_scale=(0.125, 0.25, 0.25) * 4,
     action_clip=(-100.0, 100.0),
@@ -74,7 +74,7 @@ def test_unusual_numbers_are_named(go2, tried):
     assert by_text["order of gravity: it should be y, x, z"] == ("order of axes",)
     assert by_text["scale of gravity: it should be 9.81"] == ("scale of gravity",)
     # legged_gym's scales of commands, whatever their order.
-    turned = Term("command", scale=(0.25, 2.0, 2.0), columns=(2, 0, 1))
+    turned = ObservationTerm("command", scale=(0.25, 2.0, 2.0), columns=(2, 0, 1))
     assert unusual_numbers(replace(SPECIFICATION, observations=(turned,)), go2) == ("order of axes",)
 
 

@@ -16,7 +16,7 @@ from torch import nn
 from surefoot.adopt import torchscript_network
 from surefoot.adopt.builder import build_policy
 from surefoot.adopt.onnx_network import OnnxNetwork, run_model
-from surefoot.adopt.specification import PolicySpecification, Term
+from surefoot.adopt.specification import ObservationTerm, PolicySpecification
 from surefoot.errors import SurefootError
 from surefoot.policy.graph import Graph, Value
 
@@ -91,14 +91,14 @@ OBSERVED = PolicySpecification(
     kp=20.0,
     kd=0.5,
     control_step=0.02,
-    observations=(Term("angular_velocity"), Term("gravity"), Term("command")),
+    observations=(ObservationTerm("angular_velocity"), ObservationTerm("gravity"), ObservationTerm("command")),
 )
 
 
 def actions(network, go2, run_controller, readings) -> tuple[np.ndarray, np.ndarray]:
     """Return what a network gives a robot that is given readings, and its observations."""
     # The last action is observed, so that memory has it as the network gave it; its weight is 0.
-    last = Term("last_action", scale=0.0, columns=(0,))
+    last = ObservationTerm("last_action", scale=0.0, columns=(0,))
     specification = OBSERVED.__class__(**{**vars(OBSERVED), "observations": (*OBSERVED.observations, last)})
 
     class Ignoring:

@@ -14,7 +14,7 @@ from surefoot.api.drive_recordings import DriveRecordings
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.columns import columns_of
 from surefoot.errors import SurefootError
-from surefoot.evaluation.driven import DrivenRobot
+from surefoot.evaluation.command_runs import DrivenRobot
 from surefoot.evaluation.recorded import find_traces
 from surefoot.task.trace import EpisodeTrace
 

@@ -31,7 +31,7 @@ from surefoot.api.drive_page import DrivePage, serve
 from surefoot.cli import drive as drive_command
 from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
-from surefoot.evaluation.driven import DrivenStep
+from surefoot.evaluation.command_runs import DrivenStep
 from surefoot.report.pages.server import PageServer, machine_addresses
 from surefoot.report.pages.view import RobotView
 from surefoot.task.trace import EpisodeTrace

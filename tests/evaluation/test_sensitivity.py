@@ -26,7 +26,7 @@ from surefoot.evaluation.sensitivity import Sensitivity, find_breaks, make_test_
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges, RelativeRange, load_ranges
 from surefoot.task.config import TaskConfig, load_task
-from surefoot.world.interface import Readings
+from surefoot.world.interface import SensorReadings
 from surefoot.world.sim_world import SimWorld
 
 MASS, LATENCY = "base_mass_ratio", "control_latency"
@@ -60,7 +60,7 @@ class Walker(ScriptedWorld):
         super().__init__(*arguments)
         self.speed, self.power = self.params.contact_friction, np.full(self.num_envs, 10.0)
 
-    def step(self, target: Any, active: Any = None) -> Readings:
+    def step(self, target: Any, active: Any = None) -> SensorReadings:
         readings = super().step(target, active)
         self.diverged = self.time > self.diverge_time - 1e-9
         self.position[self.diverged] = 0.0

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from surefoot.learn.config import load_train_config
-from surefoot.learn.evaluation import Evaluation, evaluate_policy
+from surefoot.learn.evaluation import TrainingEvaluation, evaluate_policy
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.world.sim_world import SimWorld
 
 
 def test_rank_prefers_no_falls_over_return():
-    steady = Evaluation(steps=1, speed_mean=0.5, return_mean=1.0, falls=0, pushed_falls=0, power_mean=3.0)
+    steady = TrainingEvaluation(steps=1, speed_mean=0.5, return_mean=1.0, falls=0, pushed_falls=0, power_mean=3.0)
     assert steady.rank > replace(steady, falls=1, return_mean=5.0).rank
     assert steady.rank > replace(steady, pushed_falls=2, return_mean=1.2).rank
     assert steady.rank < replace(steady, pushed_falls=2, return_mean=1.6).rank

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from surefoot.report.drawing.mesh import Mesh, link_meshes, smooth
-from surefoot.robot.appearance import Appearance, Part, shape_part
+from surefoot.robot.appearance import Appearance, VisualPart, shape_part
 from surefoot.robot.urdf import Shape
 
 
-def part(kind: str, size: tuple[float, ...], link: str = "a", color: tuple[int, int, int] = (255, 0, 0)) -> Part:
+def part(kind: str, size: tuple[float, ...], link: str = "a", color: tuple[int, int, int] = (255, 0, 0)) -> VisualPart:
     return shape_part(Shape(link, kind, size, np.eye(4), color))
 
 

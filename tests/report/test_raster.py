@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from surefoot.report.drawing.raster import Light, Surface, light_share, paint_faces, paint_ground, rasterize
+from surefoot.report.drawing.raster import Light, SurfaceArrays, light_share, paint_faces, paint_ground, rasterize
 
 
 def fill(points: list[tuple[float, float, float]], faces: list[tuple[int, int, int]]) -> tuple[np.ndarray, np.ndarray]:
@@ -91,7 +91,7 @@ def painted(normal: tuple[float, float, float], occluder: float, behind: int = 2
     """Return two pixels, a whole one and one half covered, of a grey surface seen from above, 1 m away."""
     picture = np.full((1, 2, 3), behind, np.uint8)
     corners = np.array([(0, 0, 1), (30, 0, 1), (0, 30, 1)], np.float32)
-    surface = Surface(
+    surface = SurfaceArrays(
         corners, np.array([normal] * 3, np.float32), np.array([(0, 1, 2)], np.int32), np.full((1, 3), 0.25, np.float32)
     )
     face_at = np.array([[0, 0, 0, -1], [0, 0, 0, -1]], np.int32)

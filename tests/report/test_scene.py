@@ -15,7 +15,7 @@ from surefoot.report.drawing.mesh import Mesh, link_meshes
 from surefoot.report.drawing.renderer import Camera, View
 from surefoot.report.drawing.scene import extent, poses, trace_poses
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import Appearance, Part
+from surefoot.robot.appearance import Appearance, VisualPart
 from surefoot.task.trace import EpisodeTrace
 
 ROBOT = RobotDescription.load("minitaur")
@@ -166,5 +166,8 @@ def test_the_viewer_leaves_out_what_mujoco_refuses():
 
     square = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)], np.float32)
     faces = np.array([(0, 1, 2), (1, 3, 2)], np.int32)
-    triangle, line = Part("b", square[:3], faces[:1], (1, 0, 0)), Part("c", square * [1, 0, 0], faces, (1, 0, 0))
-    assert build_stage(Appearance((Part("a", square, faces, (1, 0, 0)), triangle, line))).ngeom == 2
+    triangle, line = (
+        VisualPart("b", square[:3], faces[:1], (1, 0, 0)),
+        VisualPart("c", square * [1, 0, 0], faces, (1, 0, 0)),
+    )
+    assert build_stage(Appearance((VisualPart("a", square, faces, (1, 0, 0)), triangle, line))).ngeom == 2

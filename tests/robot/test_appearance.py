@@ -15,19 +15,19 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.npz import read_npz, write_npz
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import LOOKS, Appearance, Part, visual_shapes
+from surefoot.robot.appearance import LOOKS, Appearance, VisualPart, visual_shapes
 from surefoot.robot.urdf import Link, Shape, Urdf
 
 SOLO = RobotDescription.load("solo8")
 
 
-def volume(part: Part) -> float:
+def volume(part: VisualPart) -> float:
     """Return the volume that a part's triangles enclose, negative if they are seen from inside."""
     a, b, c = np.moveaxis(part.vertices[part.faces].astype(float), 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
-def shape_part(kind: str, size: tuple[float, ...], place: tuple[float, float, float]) -> Part:
+def shape_part(kind: str, size: tuple[float, ...], place: tuple[float, float, float]) -> VisualPart:
     frame = np.eye(4)
     frame[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     frame[:3, 3] = place
@@ -103,8 +103,8 @@ def write_looks(folder: Path, change: Callable[[dict[str, Any], dict[str, Any]],
     corners = np.array([(0, 0, 0), (0.3, 0, 0), (0, 0.2, 0), (0, 0, 0.1)], np.float32)
     faces = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], np.int32)
     parts = (
-        Part("base", corners, faces, (1.0, 0.5, 0.0)),
-        Part("front_left_upper", corners[:3] - np.float32(0.123456), faces[:1], (0.2, 0.2, 0.2)),
+        VisualPart("base", corners, faces, (1.0, 0.5, 0.0)),
+        VisualPart("front_left_upper", corners[:3] - np.float32(0.123456), faces[:1], (0.2, 0.2, 0.2)),
     )
     Appearance(parts).save(folder / LOOKS)
     if change is not None:

@@ -15,7 +15,7 @@ from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.foothold_error import FootholdError
 from surefoot.task.footholds import Footholds
-from surefoot.world.interface import Truth
+from surefoot.world.interface import SimState
 from surefoot.world.sim_world import SimWorld
 
 GO2 = RobotDescription.load("go2")
@@ -52,7 +52,7 @@ class Walk:
         phase = float(self.reference.feet.phase[FRONT_LEFT]) + duty + part * (1.0 - duty)
         return CommandState(np.zeros((1, 3)), np.ones(1), np.array([phase % 1.0]))
 
-    def standing(self, beside: tuple[float, float]) -> Truth:
+    def standing(self, beside: tuple[float, float]) -> SimState:
         """Return the truth with all feet on the ground, in the heading frame beside their places [m]."""
         foot = self.reference.places + np.array([*beside, 0.0])
         angle = GO2.to_motors(GO2.leg_geometry.foot_pose(foot)[None])
@@ -63,7 +63,7 @@ class Walk:
         for part in parts:
             self.landings.plan(self.truth, self.state(part))
 
-    def judge(self, truth: Truth, part: float) -> float:
+    def judge(self, truth: SimState, part: float) -> float:
         """Return what landings count at a part of the front left foot's swing."""
         self.go(part)
         return float(self.landings.compute(truth)[0])

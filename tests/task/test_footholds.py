@@ -19,7 +19,7 @@ from surefoot.task.foot_kinematics import FootKinematics
 from surefoot.task.footholds import Footholds
 from surefoot.task.height_scan import MAP
 from surefoot.task.reference import FollowingReference
-from surefoot.world.interface import Readings
+from surefoot.world.interface import SensorReadings
 from surefoot.world.sim_world import SimWorld
 
 GO2 = RobotDescription.load("go2")
@@ -49,12 +49,12 @@ def on_the_spot(phase: float) -> CommandState:
     return CommandState(np.zeros((1, 3)), np.ones(1), np.array([phase]))
 
 
-def standing(reference: FollowingReference, ahead: float = 0.0) -> Readings:
+def standing(reference: FollowingReference, ahead: float = 0.0) -> SensorReadings:
     """Return what a level robot measures, whose feet are some way [m] ahead of the reference's places."""
     legs = GO2.leg_geometry
     motors = GO2.to_motors(legs.foot_pose(reference.places + np.array([ahead, 0.0, 0.0]))[None])
     zero = np.zeros((1, 3))
-    return Readings(np.zeros(1), zero, zero, motors, np.zeros_like(motors))
+    return SensorReadings(np.zeros(1), zero, zero, motors, np.zeros_like(motors))
 
 
 def level_map() -> np.ndarray:
@@ -349,7 +349,7 @@ def test_legs_without_abduction_land_ahead_or_behind():
     heights = heights.reshape(1, -1)
     feet, motors = Footholds(reference, 1), robot.resting_angles[None]
     zero = np.zeros((1, 3))
-    feet.choose(heights, on_the_spot(0.7), Readings(np.zeros(1), zero, zero, motors, np.zeros_like(motors)), STEP)
+    feet.choose(heights, on_the_spot(0.7), SensorReadings(np.zeros(1), zero, zero, motors, np.zeros_like(motors)), STEP)
     assert feet.landing[..., 0].any()
     assert not feet.landing[..., 1].any()
 

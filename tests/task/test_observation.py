@@ -21,7 +21,7 @@ from surefoot.task.env import LocomotionEnv
 from surefoot.task.leg_config import WaveConfig
 from surefoot.task.observation import IMU_AND_MOTORS_12D, PARTS, Observer, gravity, phase
 from surefoot.task.reference_config import SineReferenceConfig
-from surefoot.world.interface import Readings
+from surefoot.world.interface import SensorReadings
 
 WIDTHS = {
     **dict.fromkeys(("roll", "pitch", "roll_rate", "pitch_rate"), 1),
@@ -37,9 +37,9 @@ def make_env():
     """Return a function that makes an environment of these parts; each reading is a number of its own."""
 
     class NumberedWorld(ScriptedWorld):
-        def readings(self) -> Readings:
+        def readings(self) -> SensorReadings:
             robots = 1000.0 * np.arange(self.num_envs)[:, None]
-            return Readings(
+            return SensorReadings(
                 time=self.time.copy(),
                 roll_pitch_yaw=robots + np.arange(1.0, 4.0),
                 angular_velocity_base=robots + np.arange(4.0, 7.0),

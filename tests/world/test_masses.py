@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surefoot.world.actuation import SHARED_ARRAYS
-from surefoot.world.interface import Readings, Truth
+from surefoot.world.interface import SensorReadings, SimState
 from surefoot.world.mujoco_engine import MASS_FIELDS
 from surefoot.world.mujoco_model import build_model
 from surefoot.world.sim_world import SimWorld
@@ -29,7 +29,7 @@ def masses(num_envs: int = NUM) -> dict[str, np.ndarray]:
     return values
 
 
-Motion = list[Readings | Truth]
+Motion = list[SensorReadings | SimState]
 
 
 @pytest.fixture

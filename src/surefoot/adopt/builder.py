@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from surefoot.adopt.specification import PerJoint, PolicySpecification, Range, Term
+from surefoot.adopt.specification import ObservationTerm, PerJoint, PolicySpecification, Range
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.deploy.checks import check_policy
@@ -204,7 +204,7 @@ def _likely_rest(more: int, steps: int, joints: int) -> str:
     return f"; {more} more could be {what}" if what else ""
 
 
-def _width(term: Term, joints: int) -> int:
+def _width(term: ObservationTerm, joints: int) -> int:
     """Return the numbers of a term of one age."""
     if term.columns is not None:
         return len(term.columns)
@@ -343,7 +343,7 @@ class PolicyMaker:
         scales = np.broadcast_to(scale, len(rows))
         return [_Row(*row, term.clip, float(factor), term.clip_after) for row, factor in zip(rows, scales, strict=True)]
 
-    def _columns(self, term: Term) -> list[tuple[dict[str, float], float]]:
+    def _columns(self, term: ObservationTerm) -> list[tuple[dict[str, float], float]]:
         """Return what each number of a term is made of: weights of columns, and an offset."""
         spec, names = self.specification, self.robot.motor_names
         if term.term in VECTOR_COLUMNS:
@@ -366,7 +366,7 @@ class PolicyMaker:
             rows += [({sine: cos, cosine: sin}, sin), ({sine: -sin, cosine: cos}, cos)]
         return rows
 
-    def _clock_place(self, term: Term) -> int:
+    def _clock_place(self, term: ObservationTerm) -> int:
         number = next(k for k, clock in enumerate(self._clocks) if clock is term)
         return len(self.specification.joints) * self._has_last + 2 * number
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surefoot.adopt.builder import check_specification
-from surefoot.adopt.specification import PolicySpecification, Term
+from surefoot.adopt.specification import ObservationTerm, PolicySpecification
 from surefoot.adopt.usual_numbers import VECTORS
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
@@ -131,13 +131,13 @@ def _joint_groups(spec: PolicySpecification, robot: RobotDescription, sides: boo
     return groups
 
 
-def _with_term(spec: PolicySpecification, place: int, term: Term) -> PolicySpecification:
+def _with_term(spec: PolicySpecification, place: int, term: ObservationTerm) -> PolicySpecification:
     terms = list(spec.observations)
     terms[place] = term
     return replace(spec, observations=tuple(terms))
 
 
-def _scaled(term: Term, factor: float, columns: Sequence[int] = (0, 1, 2)) -> Term:
+def _scaled(term: ObservationTerm, factor: float, columns: Sequence[int] = (0, 1, 2)) -> ObservationTerm:
     """Return a term with some of its numbers scaled by a factor."""
     width = len(term.scale) if isinstance(term.scale, tuple) else 3 if term.term in VECTORS else 0
     if not width:
@@ -175,7 +175,7 @@ def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
                 yield Correction("observations", text, _with_term(spec, place, replace(term, scale=scale)))
 
 
-def _gravity_scales(spec: PolicySpecification, place: int, term: Term) -> Iterator[Correction]:
+def _gravity_scales(spec: PolicySpecification, place: int, term: ObservationTerm) -> Iterator[Correction]:
     """Yield scales of gravity of another length, with the same sign and with the other one."""
     length = float(np.abs(term.scale).max())
     unit = math.isclose(length, 1.0)

@@ -32,7 +32,7 @@ Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Term:
+class ObservationTerm:
     """A part of the network's observation: its numbers are clipped, scaled and clipped, for each of its ages."""
 
     term: TermName
@@ -89,7 +89,7 @@ class PolicySpecification:
     """Derivative gain [N m s/rad] of all joints, or of each."""
     control_step: Annotated[float, Within(1e-4, 1)]
     """Time between two actions [s]: the simulation's step times its decimation."""
-    observations: tuple[Term, ...]
+    observations: tuple[ObservationTerm, ...]
     """Parts of the network's observation, in order."""
     action_scale: Annotated[PerJoint, Within(-100, 100)] = 1.0
     """Joint angle [rad] for each unit of the action."""

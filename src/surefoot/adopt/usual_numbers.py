@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from surefoot.adopt.specification import PolicySpecification, Term
+from surefoot.adopt.specification import ObservationTerm, PolicySpecification
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 
@@ -61,7 +61,7 @@ def _column(value: float | Sequence[float]) -> Array:
     return np.atleast_1d(np.asarray(value, float))[:, None]
 
 
-def _sizes(term: Term) -> Array:
+def _sizes(term: ObservationTerm) -> Array:
     """Return the sizes of a term's scales: of a vector's numbers in their own order."""
     scales = np.abs(np.atleast_1d(term.scale))
     if term.term not in VECTORS:

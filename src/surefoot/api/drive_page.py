@@ -24,7 +24,7 @@ from surefoot.world.terrain import KINDS, check_size, is_map
 
 if TYPE_CHECKING:
     from surefoot.deploy.command_sources import CommandSource
-    from surefoot.evaluation.driven import DrivenRobot
+    from surefoot.evaluation.command_runs import DrivenRobot
     from surefoot.report.pages.messages import DriveMessage
     from surefoot.report.pages.server import PageServer
     from surefoot.report.pages.view import RobotView
@@ -133,7 +133,7 @@ class DrivePage:
 
     def _load(self, policy: str, world: str, terrain: str) -> tuple[DrivenRobot, str]:
         """Return a robot with a policy in a world on a terrain, and the policy's own name."""
-        from surefoot.evaluation.driven import DrivenRobot
+        from surefoot.evaluation.command_runs import DrivenRobot
 
         runtime, _, task, origin = load_gait(find_policy(policy), self._robot_name)
         task = self._adjust(task) if policy == self._first else task

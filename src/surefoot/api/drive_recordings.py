@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 from surefoot.deploy.trace_file import TraceFile
 from surefoot.errors import SurefootError, choices
-from surefoot.evaluation.driven import MAX_RECORDING
+from surefoot.evaluation.command_runs import MAX_RECORDING
 
 if TYPE_CHECKING:
-    from surefoot.evaluation.driven import DrivenRecording, DrivenRobot
+    from surefoot.evaluation.command_runs import DrivenRecording, DrivenRobot
 
 KINDS = ("html", "mp4")
 """What can be made of a recorded trace."""

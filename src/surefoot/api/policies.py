@@ -25,7 +25,7 @@ from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.evaluation.rollout import Policy
+    from surefoot.evaluation.rollout import Controller
 
 PACKAGE = Path(__file__).resolve().parents[1]
 SEARCH_PATHS = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
@@ -89,7 +89,7 @@ def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDesc
     return policy, description, task_from_contract(policy.contract, description)
 
 
-def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, TaskConfig, dict[str, str]]:
+def load_gait(path: Path, robot: str | None) -> tuple[Controller, RobotDescription, TaskConfig, dict[str, str]]:
     """Return policy, robot, task, and name and hash of the configuration, of a policy file or handcrafted gait (.yaml).
 
     Raises:
@@ -145,7 +145,7 @@ def distinct_names(names: Sequence[str], stems: Sequence[str]) -> list[str]:
 
 
 def run_policy(
-    policy: Policy,
+    policy: Controller,
     task: TaskConfig,
     episodes: int,
     world: str,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from surefoot.api.drive_page import DrivePage
     from surefoot.arrays import Array
-    from surefoot.evaluation.rollout import Policy as Controller
+    from surefoot.evaluation.rollout import Controller
     from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
     from surefoot.task.trace import EpisodeTrace

@@ -24,8 +24,8 @@ from surefoot.stop_signals import StopSignals
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.learn.evaluation import Evaluation
-    from surefoot.learn.rollout_statistics import UpdateFigures
+    from surefoot.learn.evaluation import TrainingEvaluation
+    from surefoot.learn.rollout_statistics import UpdateMetrics
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
 
@@ -115,7 +115,7 @@ class TrainingProgress(ProgressBar):
         self._start = time.monotonic()
         self._means = ""
 
-    def report(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:
+    def report(self, figures: UpdateMetrics, evaluation: TrainingEvaluation | None) -> None:
         """Show the figures of an update."""
         if not math.isnan(figures.return_mean):
             self._means = f"  return {figures.return_mean:.2f}"
@@ -193,7 +193,7 @@ def run_training(
             stops = stack.enter_context(StopSignals(signals, stop))
             show = stack.enter_context(watch(loop)) if watch else None
 
-            def report(update: UpdateFigures, evaluation: Evaluation | None) -> None:
+            def report(update: UpdateMetrics, evaluation: TrainingEvaluation | None) -> None:
                 progress.report(update, evaluation)
                 if show is not None:
                     show()

@@ -246,7 +246,7 @@ def make_dds_loop(
     from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.dds.board import Go2Board
     from surefoot.emulator.dds.link import LowLevelLink
-    from surefoot.emulator.dds.motion_service import MotionService
+    from surefoot.emulator.dds.motion_service import EmulatedMotionService
     from surefoot.emulator.dds.own_controller import OwnController
     from surefoot.emulator.real_time import RealTime
 
@@ -255,7 +255,7 @@ def make_dds_loop(
         controller.activate()
     if command.motion_service == "standing":
         controller.stand_up()
-    service = None if "no-service" in faults else MotionService(bus, controller, plant)
+    service = None if "no-service" in faults else EmulatedMotionService(bus, controller, plant)
     # A deployment uses, so long before its step, the newest state there is: half a period old on average.
     lead = LEAD + STATE_PERIOD / 2
     board = Go2Board(plant, LowLevelLink(bus), lead, controller, service, faults, command.seed)

@@ -16,9 +16,9 @@ from surefoot.cli.helpers.options import check_folder, check_suffix
 from surefoot.cli.helpers.output import Actions, make_console, next_command, print_json, run_action, table_lines
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError, suggest
-from surefoot.identify.overlay import missing_experiments, read_prior
 from surefoot.identify.recording import COMPLETE, Recording, load_recording, recorded_robot
 from surefoot.identify.registry import EXPERIMENTS, Experiment
+from surefoot.identify.robot_params_file import missing_experiments, read_prior
 from surefoot.robot import DEFAULT_ROBOT, FiveBar, RobotDescription
 from surefoot.robot.params import parse_settings
 from surefoot.robot.params_file import ParamsFile

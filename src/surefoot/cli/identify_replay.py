@@ -14,7 +14,7 @@ from surefoot.cli.helpers.output import print_json
 from surefoot.cli.helpers.parsing import parse
 from surefoot.evaluation.recorded import load_robot
 from surefoot.identify.motion.recorded import RecordedMotion
-from surefoot.identify.overlay import read_gains
+from surefoot.identify.robot_params_file import read_gains
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import ParamValue, find_params, load_params, read_params
 from surefoot.tables import plain_value

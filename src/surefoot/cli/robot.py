@@ -30,7 +30,7 @@ PICTURE = "robot.png"
 
 
 @dataclass(frozen=True)
-class NewCommand:
+class NewRobotCommand:
     """Read a quadruped from a URDF or MJCF, and write its folder: robot.urdf, robot.toml and a picture.
 
     Base, legs, motors, knees and feet are derived from the tree of joints. What the file lacks is guessed; every
@@ -70,7 +70,7 @@ def main(argv: list[str]) -> int:
 
 
 def _new(argv: list[str]) -> int:
-    command = parse(NewCommand, argv, "surefoot robot new")
+    command = parse(NewRobotCommand, argv, "surefoot robot new")
     from surefoot.report.drawing.robot_picture import save_robot_picture
     from surefoot.robot.importing.confined import read_robot
     from surefoot.world.description_checks import longest_servo_step

@@ -23,7 +23,7 @@ from surefoot.stop_signals import StopSignals
 
 
 @dataclass(frozen=True)
-class NewCommand:
+class NewFirmwareCommand:
     """Write the firmware of a robot's microcontroller: portable C11, with motors, gains and limits of its data sheet.
 
     What touches a board is behind one header, core/hal.h. `make` in the folder compiles the firmware for this computer.
@@ -60,7 +60,7 @@ def main(argv: list[str]) -> int:
 
 
 def _new(argv: list[str]) -> int:
-    command = parse(NewCommand, argv, "surefoot robot firmware new")
+    command = parse(NewFirmwareCommand, argv, "surefoot robot firmware new")
     from surefoot.firmware.project import write_sources
 
     robot = RobotDescription.load(command.robot)

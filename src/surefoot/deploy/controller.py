@@ -20,7 +20,7 @@ from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.gait_components import gait_components
 from surefoot.task.observation import Observer
 from surefoot.task.state import RobotState
-from surefoot.world.interface import Readings
+from surefoot.world.interface import SensorReadings
 
 
 class _OperatorCommand(CommandGenerator):
@@ -89,7 +89,7 @@ class Controller:
         Raises:
             NotFiniteError: a reading that is not finite.
         """
-        readings = Readings(
+        readings = SensorReadings(
             time=np.array([moment]),
             roll_pitch_yaw=state.roll_pitch_yaw[None],
             angular_velocity_base=state.angular_velocity_base[None],

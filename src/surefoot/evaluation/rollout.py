@@ -24,7 +24,7 @@ Progress = Callable[[float], None]
 """Called after every control step with the share of all control steps that is done, 0 to 1."""
 
 
-class Policy(Protocol):
+class Controller(Protocol):
     """A policy, such as a `PolicyRuntime`."""
 
     def feedback(self, observation: ArrayLike) -> Array:
@@ -168,7 +168,7 @@ class EpisodeRecorder:
 
 
 def run_episodes(
-    policy: Policy,
+    policy: Controller,
     task: TaskConfig,
     episodes: int,
     make_world: SimulationFactory,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import episode_duration
-from surefoot.evaluation.rollout import Policy, Progress, run_to_end
+from surefoot.evaluation.rollout import Controller, Progress, run_to_end
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.randomization import ParamRange, Ranges, mean_interval, resolve_range
@@ -147,7 +147,7 @@ def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
 
 
 def run_sensitivity(
-    policy: Policy,
+    policy: Controller,
     task: TaskConfig,
     make_world: SimulationFactory,
     *,

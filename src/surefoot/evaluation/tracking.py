@@ -12,7 +12,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.rotations import in_heading_frame, quat_yaw
 from surefoot.tables import plain_value
-from surefoot.task.commanded_way import has_kept_up, step_ways
+from surefoot.task.command_tracking import has_kept_up, step_ways
 from surefoot.task.trace import EpisodeTrace
 
 STRIDE = 0.5

@@ -16,7 +16,7 @@ EVALUATION_SEED = 1_000_003
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class TrainingEvaluation:
     """The deterministic policy over some episodes, without pushes."""
 
     steps: int
@@ -52,7 +52,7 @@ def _evaluation_task(config: TrainConfig) -> TaskConfig:
     )
 
 
-def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> Evaluation:
+def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> TrainingEvaluation:
     """Run the deterministic policy for whole episodes, always from the same seed."""
     config, results, rmse = learner.config, [], None
     base = _evaluation_task(config)
@@ -68,4 +68,4 @@ def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes
             rmse = Tracking.from_traces(traces).to_mapping()["rmse"]
     runs, falls = results[0], [int((~result.balanced).sum()) for result in results]
     speed, mean_return, power = (float(column.mean()) for column in (runs.speed, runs["return"], runs.power))
-    return Evaluation(learner.steps, speed, mean_return, falls[0], sum(falls[1:]), power, rmse)
+    return TrainingEvaluation(learner.steps, speed, mean_return, falls[0], sum(falls[1:]), power, rmse)

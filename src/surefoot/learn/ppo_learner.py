@@ -21,7 +21,7 @@ from surefoot.errors import SurefootError
 from surefoot.learn.checkpoint_state import check_finite, check_like, check_optimizer
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.networks import load_parameters, make_algorithm
-from surefoot.learn.rollout_statistics import RolloutStatistics, UpdateFigures
+from surefoot.learn.rollout_statistics import RolloutStatistics, UpdateMetrics
 from surefoot.policy.export import export_policy
 from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv, SimulationFactory
@@ -63,7 +63,7 @@ class PpoLearner:
             groups["privileged"] = torch.from_numpy(self.env.privileged())
         return TensorDict(groups, batch_size=[self.config.num_envs])
 
-    def update(self) -> UpdateFigures:
+    def update(self) -> UpdateMetrics:
         """Run one rollout and one update of the policy."""
         start = time.perf_counter()
         statistics = self._roll_out()
@@ -71,7 +71,7 @@ class PpoLearner:
         losses = self._learn()
         self.update_count += 1
         self._limit_std()
-        return UpdateFigures(
+        return UpdateMetrics(
             **statistics.summarize(),
             steps=self.steps,
             std_mean=float(self.policy.output_std.detach().mean()),

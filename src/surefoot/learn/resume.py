@@ -11,7 +11,7 @@ import torch
 
 from surefoot.errors import SurefootError, quote
 from surefoot.learn.checkpoint_state import check_count, check_finite, check_like, check_real
-from surefoot.learn.evaluation import Evaluation
+from surefoot.learn.evaluation import TrainingEvaluation
 from surefoot.learn.ppo_learner import PpoLearner
 
 _STRANGE = (SurefootError, LookupError, TypeError, ValueError, AttributeError, RuntimeError, ArithmeticError)
@@ -46,7 +46,7 @@ def _one_line(error: BaseException) -> str:
 
 def read_progress(
     state: dict[str, Any], learner: PpoLearner
-) -> tuple[Evaluation | None, dict[str, torch.Tensor], float]:
+) -> tuple[TrainingEvaluation | None, dict[str, torch.Tensor], float]:
     """Return a checkpoint's best evaluation, the policy's parameters then, and the duration so far [s].
 
     Raises:
@@ -57,7 +57,7 @@ def read_progress(
     best = None
     if state["best"] is not None:
         json.dumps(state["best"])  # it goes into the policy's contract
-        best = Evaluation(**state["best"])
+        best = TrainingEvaluation(**state["best"])
         for name, value in state["best"].items():
             if name != "rmse" and (isinstance(value, bool) or not isinstance(value, int | float)):
                 raise SurefootError(f"best.{name} is {quote(value)}; it must be a number")

@@ -17,7 +17,7 @@ _EPISODE_COLUMNS = ("return", "steps", "distance", "duration")
 
 
 @dataclass(frozen=True)
-class UpdateFigures:
+class UpdateMetrics:
     """Figures of one update."""
 
     steps: int
@@ -81,7 +81,7 @@ class RolloutStatistics:
             self._episodes.append(np.array([figures[key][rows] for key in _EPISODE_COLUMNS]))
 
     def summarize(self) -> dict[str, Any]:
-        """Return the fields of `UpdateFigures` that describe the rollout."""
+        """Return the fields of `UpdateMetrics` that describe the rollout."""
         env = self._env
         returns, lengths, distances, durations = np.concatenate(self._episodes, axis=1)
         rmse = map(float, np.sqrt(self._squared_errors / self._count))

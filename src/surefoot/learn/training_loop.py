@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 from surefoot.errors import describe_os_errors
 from surefoot.learn.config import LoggerName, TrainConfig
-from surefoot.learn.evaluation import Evaluation, evaluate_policy
+from surefoot.learn.evaluation import TrainingEvaluation, evaluate_policy
 from surefoot.learn.log_writer import close_writer, open_writer, write_scalars
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.learn.resume import read_progress, refuse_strange_states
-from surefoot.learn.rollout_statistics import UpdateFigures
+from surefoot.learn.rollout_statistics import UpdateMetrics
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
 from surefoot.learn.transfer import warm_start
 from surefoot.tables import plain_value
@@ -33,7 +33,7 @@ class TrainingLoop:
     ) -> None:
         self.config, self.learner, self.folder, self._make_world = learner.config, learner, folder, make_world
         self._writer = writer
-        self.best: Evaluation | None = None
+        self.best: TrainingEvaluation | None = None
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0
         self._saved_steps = -1
@@ -103,7 +103,7 @@ class TrainingLoop:
 
     def run(
         self,
-        on_update: Callable[[UpdateFigures, Evaluation | None], None],
+        on_update: Callable[[UpdateMetrics, TrainingEvaluation | None], None],
         should_stop: Callable[[], bool] = lambda: False,
     ) -> None:
         """Train until all steps are done, or until a stop is requested; then save.
@@ -126,7 +126,7 @@ class TrainingLoop:
         finally:
             self.close()
 
-    def step(self) -> tuple[UpdateFigures, Evaluation | None]:
+    def step(self) -> tuple[UpdateMetrics, TrainingEvaluation | None]:
         """Do one update, the evaluation and the checkpoint that are due then, and log; returns the first two."""
         start = time.perf_counter()
         # The first update after a checkpoint shows whether its numbers make sense.
@@ -182,7 +182,7 @@ class TrainingLoop:
         before = self.learner.steps - self.config.samples_per_update
         return self.learner.steps // every > before // every or self.finished
 
-    def _evaluate_if_due(self) -> Evaluation | None:
+    def _evaluate_if_due(self) -> TrainingEvaluation | None:
         if not self._due(self.config.evaluate_every):
             return None
         evaluation = evaluate_policy(self.learner, self._make_world, self.config.evaluation_episodes)
@@ -191,7 +191,7 @@ class TrainingLoop:
             self.best_actor = {key: value.clone() for key, value in self.learner.policy.state_dict().items()}
         return evaluation
 
-    def _log(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:
+    def _log(self, figures: UpdateMetrics, evaluation: TrainingEvaluation | None) -> None:
         row: dict[str, Any] = {key: plain_value(value) for key, value in asdict(figures).items()}
         row["seconds"] = self.seconds
         if evaluation is not None:

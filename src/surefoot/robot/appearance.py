@@ -41,7 +41,7 @@ _POINT_ARRAYS = {"vertices": ("u2", 3), "faces": ("u4", 3)}
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class VisualPart:
     """Triangles of one colour on a link."""
 
     link: str
@@ -57,7 +57,7 @@ class Part:
 class Appearance:
     """All parts that are drawn of a robot."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[VisualPart, ...]
 
     @classmethod
     def from_urdf(cls, urdf: Urdf, legs: Sequence[Leg]) -> Appearance:
@@ -141,11 +141,13 @@ def triangulate(kind: str, size: tuple[float, ...]) -> tuple[Array, NDArray[np.i
     return points, np.array(triangles, np.int32)
 
 
-def shape_part(shape: Shape) -> Part:
+def shape_part(shape: Shape) -> VisualPart:
     """Return the triangles of a shape."""
     points, faces = triangulate(shape.kind, shape.size)
     red, green, blue = (value / 255 for value in shape.color)
-    return Part(shape.link, (points @ shape.rotation.T + shape.position).astype(np.float32), faces, (red, green, blue))
+    return VisualPart(
+        shape.link, (points @ shape.rotation.T + shape.position).astype(np.float32), faces, (red, green, blue)
+    )
 
 
 def _hips(urdf: Urdf, legs: Sequence[Leg], drawn: set[str]) -> list[Shape]:
@@ -164,7 +166,7 @@ def _hips(urdf: Urdf, legs: Sequence[Leg], drawn: set[str]) -> list[Shape]:
     return shapes
 
 
-def _read_parts(links: list[str], arrays: dict[str, NDArray[Any]]) -> tuple[Part, ...]:
+def _read_parts(links: list[str], arrays: dict[str, NDArray[Any]]) -> tuple[VisualPart, ...]:
     for name, (kind, width) in {**_ARRAYS, **_POINT_ARRAYS}.items():
         array = arrays.get(name)
         if array is None or array.dtype != np.dtype(kind) or array.ndim != 2 or array.shape[1] != width:
@@ -186,5 +188,5 @@ def _read_parts(links: list[str], arrays: dict[str, NDArray[Any]]) -> tuple[Part
             raise SurefootError(f"part {k} has a triangle of vertices that it does not have")
         red, green, blue = (float(value) / 255 for value in arrays["color"][k])
         places = (low[k] + span[k] * (vertices[k] / _STEPS)).astype(np.float32)
-        parts.append(Part(link, places, faces[k].astype(np.int32), (red, green, blue)))
+        parts.append(VisualPart(link, places, faces[k].astype(np.int32), (red, green, blue)))
     return tuple(parts)

@@ -11,7 +11,7 @@ from surefoot.task.commands import CommandState
 from surefoot.task.component import Component
 from surefoot.task.footholds import CHOSEN, Footholds
 from surefoot.task.state import EnvState
-from surefoot.world.interface import Truth
+from surefoot.world.interface import SimState
 
 MIN_AIRBORNE_STEPS = 4
 """Control steps without contact after which a contact is a landing."""
@@ -59,7 +59,7 @@ class FootholdError(Component):
         assert state.gait_state is not None
         self.plan(state.truth, state.gait_state)
 
-    def compute(self, truth: Truth) -> Array:
+    def compute(self, truth: SimState) -> Array:
         """Return the foothold error of feet that touched down in this control step (N,), by the truth at its end."""
         part = self._swing_part(self.share)
         touches, awaited = truth.foot_contact > 0, np.isfinite(self.places[..., 0])
@@ -74,7 +74,7 @@ class FootholdError(Component):
         self.airborne = np.where(touches, 0.0, self.airborne + 1.0)
         return np.where(lands, np.fmin(distance**2, MAX_LANDING_COST), MAX_LANDING_COST * late).sum(axis=1)
 
-    def plan(self, truth: Truth, state: CommandState) -> None:
+    def plan(self, truth: SimState, state: CommandState) -> None:
         """Take the footholds that feet have chosen now, with what the gait follows next."""
         share, goes = self.footholds.reference.feet.shares(state.phase), state.activity > MIN_STRIDE_FRACTION
         chosen = (self._swing_part(share) >= CHOSEN) & (self._swing_part(self.share) < CHOSEN)

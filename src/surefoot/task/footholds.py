@@ -22,7 +22,7 @@ from surefoot.task.component import RobotComponent
 from surefoot.task.height_scan import MAP
 from surefoot.task.reference import FollowingReference
 from surefoot.task.state import RobotState
-from surefoot.world.interface import Readings
+from surefoot.world.interface import SensorReadings
 
 HOLE = 0.35
 """Depth of a hole, from what is around it, in lengths of the straight leg."""
@@ -115,7 +115,7 @@ class Footholds(RobotComponent):
             state.gait_state, lift_off=self.lift_off, landing=self.landing, over_holes=self.over_holes
         )
 
-    def choose(self, heights: Array, state: CommandState, readings: Readings, step: Array) -> None:
+    def choose(self, heights: Array, state: CommandState, readings: SensorReadings, step: Array) -> None:
         """Choose footholds for what the gait follows now.
 
         Args:
@@ -182,7 +182,7 @@ class Footholds(RobotComponent):
         rest = (1.0 - part) * (1.0 - feet.duty_factor) / self.reference.frequency(command)[:, None]
         return np.asarray(self.missed + np.where(part > 0.0, rest, 0.0)[..., None] * command[:, None, :2])
 
-    def _learn(self, lands: NDArray[np.bool_], ends: Array, readings: Readings) -> None:
+    def _learn(self, lands: NDArray[np.bool_], ends: Array, readings: SensorReadings) -> None:
         """Take from feet that land (N, L) how far they are from the ends of their strides (N, L, 2) and `landing`."""
         roll, pitch, _ = readings.roll_pitch_yaw.T[..., None]
         x, y, z = np.moveaxis(self.reference.robot.foot_positions(readings.motor_angle), -1, 0)

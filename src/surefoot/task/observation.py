@@ -17,7 +17,7 @@ from surefoot.task.state import RobotState
 
 
 @dataclass(frozen=True)
-class Part:
+class ObservationPart:
     """One named part of an observation."""
 
     unit: str
@@ -91,38 +91,38 @@ def _angular_velocity(axis: int) -> Callable[[RobotState], Array]:
 OVER_HOLES = "over_holes"
 """Name of an observation, and of its number."""
 
-PARTS: dict[str, Part] = {
-    "roll": Part("rad", "base in world", lambda _: ["roll"], lambda m: m.readings.roll_pitch_yaw[:, 0:1]),
-    "pitch": Part("rad", "base in world", lambda _: ["pitch"], lambda m: m.readings.roll_pitch_yaw[:, 1:2]),
-    "gravity": Part(
+PARTS: dict[str, ObservationPart] = {
+    "roll": ObservationPart("rad", "base in world", lambda _: ["roll"], lambda m: m.readings.roll_pitch_yaw[:, 0:1]),
+    "pitch": ObservationPart("rad", "base in world", lambda _: ["pitch"], lambda m: m.readings.roll_pitch_yaw[:, 1:2]),
+    "gravity": ObservationPart(
         "1", "base", lambda _: ["gravity_x", "gravity_y", "gravity_z"], lambda m: gravity(m.readings.roll_pitch_yaw)
     ),
-    "roll_rate": Part("rad/s", "base, about x", lambda _: ["roll_rate"], _angular_velocity(0)),
-    "pitch_rate": Part("rad/s", "base, about y", lambda _: ["pitch_rate"], _angular_velocity(1)),
-    "motor_angles": Part("rad", "motor", _motor_columns("angle"), lambda m: m.readings.motor_angle),
-    "motor_speeds": Part("rad/s", "motor", _motor_columns("speed"), lambda m: m.readings.motor_velocity),
-    "yaw_rate": Part("rad/s", "base, about z", lambda _: ["yaw_rate"], _angular_velocity(2)),
-    "reference_phase": Part("1", "reference gait", lambda _: ["phase_sin", "phase_cos"], gait_phase),
-    "command": Part(
+    "roll_rate": ObservationPart("rad/s", "base, about x", lambda _: ["roll_rate"], _angular_velocity(0)),
+    "pitch_rate": ObservationPart("rad/s", "base, about y", lambda _: ["pitch_rate"], _angular_velocity(1)),
+    "motor_angles": ObservationPart("rad", "motor", _motor_columns("angle"), lambda m: m.readings.motor_angle),
+    "motor_speeds": ObservationPart("rad/s", "motor", _motor_columns("speed"), lambda m: m.readings.motor_velocity),
+    "yaw_rate": ObservationPart("rad/s", "base, about z", lambda _: ["yaw_rate"], _angular_velocity(2)),
+    "reference_phase": ObservationPart("1", "reference gait", lambda _: ["phase_sin", "phase_cos"], gait_phase),
+    "command": ObservationPart(
         "m/s, m/s, rad/s", "heading: x forward, y left", lambda _: [f"command_{name}" for name in COMMANDS], _command
     ),
-    "height_scan": Part(
+    "height_scan": ObservationPart(
         "m", "heading, from the base's origin: x forward, y left, z up", lambda _: MAP.columns(), _heights
     ),
-    "footholds": Part(
+    "footholds": ObservationPart(
         "foothold_radius",
         "heading: x forward, y left",
         lambda robot: [f"foothold_{axis}.{leg}" for axis in "xy" for leg in robot.leg_names],
         _footholds,
     ),
-    OVER_HOLES: Part("1", "share of the gait over holes", lambda _: [OVER_HOLES], _over_holes),
-    "last_action": Part(
+    OVER_HOLES: ObservationPart("1", "share of the gait over holes", lambda _: [OVER_HOLES], _over_holes),
+    "last_action": ObservationPart(
         "rad",
         "leg space",
         lambda robot: [f"last_{part}.{leg}" for part in robot.coordinates for leg in robot.leg_names],
         lambda m: m.feedback[:, : m.feedback.shape[1] - m.gait.memory],
     ),
-    "memory": Part(
+    "memory": ObservationPart(
         "as the policy gave it",
         "policy",
         lambda _: [],

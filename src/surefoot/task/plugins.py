@@ -25,8 +25,8 @@ from surefoot.errors import SurefootError, check_name, describe_os_errors, quote
 from surefoot.files import read_configuration
 from surefoot.policy.contract import PluginRecord
 from surefoot.robot import RobotDescription
-from surefoot.task.observation import PARTS, Part
-from surefoot.task.reward import TERMS, Term
+from surefoot.task.observation import PARTS, ObservationPart
+from surefoot.task.reward import TERMS, RewardTerm
 from surefoot.task.state import EnvState, RobotState
 
 GROUP = "surefoot.plugins"
@@ -82,7 +82,7 @@ def reward_term(
             values = _call(plugin, what, function, state)
             return _check_values(plugin, what, values, state.duration.shape, ~state.truth.diverged)
 
-        TERMS[name] = Term(unit, value, source or plugin.name, is_sum)
+        TERMS[name] = RewardTerm(unit, value, source or plugin.name, is_sum)
         plugin.rewards.append(name)
         return function
 
@@ -128,7 +128,7 @@ def observation(
             rows = np.asarray(np.isfinite(angles).all(axis=1))
             return _check_values(plugin, what, values, (len(rows), width), rows)
 
-        PARTS[name] = Part(unit, frame, names, read, tuple(flipped))
+        PARTS[name] = ObservationPart(unit, frame, names, read, tuple(flipped))
         plugin.observations.append(name)
         return function
 

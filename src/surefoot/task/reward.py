@@ -23,7 +23,7 @@ PAPER_REWARD = {"progress": 1.0, "energy": -ENERGY_WEIGHT}
 
 
 @dataclass(frozen=True)
-class Term:
+class RewardTerm:
     """A reward term."""
 
     unit: str
@@ -39,44 +39,46 @@ class Term:
 _TAN = "Tan et al. 2018, eq. 2"
 _RUDIN = "Rudin et al. 2022, Learning to Walk in Minutes, table of rewards"
 
-TERMS: dict[str, Term] = {
-    "progress": Term(
+TERMS: dict[str, RewardTerm] = {
+    "progress": RewardTerm(
         "displacement along the world's x axis, m",
         lambda m: m.truth.base_position_world[:, 0] - m.before.base_position_world[:, 0],
         _TAN,
         is_sum=True,
     ),
-    "energy": Term("|tau . qdot| dt, J", lambda m: m.truth.energy, _TAN, is_sum=True),
-    "transport_cost": Term("energy over m g, m", lambda m: m.truth.energy / m.scales.weight, _TAN, is_sum=True),
-    "forward_speed": Term("speed, sqrt(g l)", lambda m: m.velocity[:, 0], _TAN),
-    "power": Term(
+    "energy": RewardTerm("|tau . qdot| dt, J", lambda m: m.truth.energy, _TAN, is_sum=True),
+    "transport_cost": RewardTerm("energy over m g, m", lambda m: m.truth.energy / m.scales.weight, _TAN, is_sum=True),
+    "forward_speed": RewardTerm("speed, sqrt(g l)", lambda m: m.velocity[:, 0], _TAN),
+    "power": RewardTerm(
         "power, m g sqrt(g l)", lambda m: m.truth.energy / m.duration / (m.scales.weight * m.scales.speed), _TAN
     ),
-    "track_velocity": Term("1", lambda m: np.exp(-(m.velocity_error**2).sum(axis=1) / 0.12**2), f"{_RUDIN}; narrower"),
-    "track_yaw_rate": Term("1", lambda m: np.exp(-(m.yaw_rate_error**2) / 0.08**2), f"{_RUDIN}; narrower"),
-    "velocity_error": Term("|e|, sqrt(g l)", lambda m: np.hypot(*m.velocity_error.T), "as the measure"),
-    "yaw_rate_error": Term("|e|, sqrt(g / l)", lambda m: np.abs(m.yaw_rate_error), "as above"),
-    "stride_velocity_error": Term(
+    "track_velocity": RewardTerm(
+        "1", lambda m: np.exp(-(m.velocity_error**2).sum(axis=1) / 0.12**2), f"{_RUDIN}; narrower"
+    ),
+    "track_yaw_rate": RewardTerm("1", lambda m: np.exp(-(m.yaw_rate_error**2) / 0.08**2), f"{_RUDIN}; narrower"),
+    "velocity_error": RewardTerm("|e|, sqrt(g l)", lambda m: np.hypot(*m.velocity_error.T), "as the measure"),
+    "yaw_rate_error": RewardTerm("|e|, sqrt(g / l)", lambda m: np.abs(m.yaw_rate_error), "as above"),
+    "stride_velocity_error": RewardTerm(
         "|e| of the average over a stride, sqrt(g l)",
         lambda m: np.hypot(*m.stride_error[:, :2].T) / m.scales.speed,
         "as the measure over strides: a speed that goes up and down in a stride hides a mean that is off",
     ),
-    "stride_yaw_rate_error": Term(
+    "stride_yaw_rate_error": RewardTerm(
         "|e| of the average over a stride, sqrt(g / l)",
         lambda m: np.abs(m.stride_error[:, 2]) / m.scales.rate,
         "as above",
     ),
-    "heading_error": Term("|e|, rad", lambda m: np.abs(m.heading_error), "heading that is held"),
-    "vertical_speed": Term("v_z^2, g l", lambda m: m.velocity[:, 2] ** 2, _RUDIN),
-    "roll_pitch_rate": Term("w^2, g / l", lambda m: (m.turn[:, :2] ** 2).sum(axis=1), _RUDIN),
-    "tilt": Term("angle^2, rad^2", lambda m: (base_tilt(m.truth, m.ground) ** 2).sum(axis=1), _RUDIN),
-    "height": Term("height^2, l^2", lambda m: (m.height / m.scales.length) ** 2, _RUDIN),
-    "torque": Term(
+    "heading_error": RewardTerm("|e|, rad", lambda m: np.abs(m.heading_error), "heading that is held"),
+    "vertical_speed": RewardTerm("v_z^2, g l", lambda m: m.velocity[:, 2] ** 2, _RUDIN),
+    "roll_pitch_rate": RewardTerm("w^2, g / l", lambda m: (m.turn[:, :2] ** 2).sum(axis=1), _RUDIN),
+    "tilt": RewardTerm("angle^2, rad^2", lambda m: (base_tilt(m.truth, m.ground) ** 2).sum(axis=1), _RUDIN),
+    "height": RewardTerm("height^2, l^2", lambda m: (m.height / m.scales.length) ** 2, _RUDIN),
+    "torque": RewardTerm(
         "tau^2, (m g l)^2",
         lambda m: ((m.truth.motor_torque / (m.scales.weight * m.scales.length)) ** 2).sum(axis=1),
         _RUDIN,
     ),
-    "heat": Term(
+    "heat": RewardTerm(
         "M times the root mean square over motors of their heat, m g sqrt(g l)",
         lambda m: (
             np.sqrt(m.truth.heat.shape[1] * (m.truth.heat**2).sum(axis=1))
@@ -84,14 +86,14 @@ TERMS: dict[str, Term] = {
         ),
         "R I^2 at servo rate; squares, since the hottest motor ends a run",
     ),
-    "foothold_error": Term(
+    "foothold_error": RewardTerm(
         "square of the distance of each landing from its foothold, (l / 12)^2, at most 4",
         lambda m: m.foothold_error,
         "as in Jenelten et al. 2024, DTC: Deep Tracking Control",
         is_sum=True,
     ),
-    "feedback": Term("mean of squares", lambda m: (m.action**2).mean(axis=1), "keeps the network's part small"),
-    "feedback_change": Term(
+    "feedback": RewardTerm("mean of squares", lambda m: (m.action**2).mean(axis=1), "keeps the network's part small"),
+    "feedback_change": RewardTerm(
         "mean of squares", lambda m: ((m.action - m.gait.action(m.last_feedback)) ** 2).mean(axis=1), _RUDIN
     ),
 }

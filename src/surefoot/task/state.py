@@ -19,7 +19,7 @@ from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandState
 from surefoot.task.gait import HybridGait
 from surefoot.world.ground import Ground
-from surefoot.world.interface import Readings, Simulation, Truth
+from surefoot.world.interface import SensorReadings, SimState, Simulation
 
 _CACHED = ("_rates", "action")
 """Quantities of a control step that `EnvState` computes when they are first asked for."""
@@ -50,7 +50,7 @@ def base_height(position: Array, ground: Ground) -> Array:
     return np.asarray(position[:, 2] - ground.level(position[:, :2]))
 
 
-def base_tilt(truth: Truth, ground: Ground) -> Array:
+def base_tilt(truth: SimState, ground: Ground) -> Array:
     """Return roll and pitch (N, 2) [rad] of the base relative to a base that lies along the slope of the ground."""
     angles = truth.roll_pitch_yaw
     if not ground.course.size:
@@ -59,7 +59,7 @@ def base_tilt(truth: Truth, ground: Ground) -> Array:
     return tilt
 
 
-def base_rates(before: Truth, after: Truth, duration: Array | float) -> tuple[Array, Array]:
+def base_rates(before: SimState, after: SimState, duration: Array | float) -> tuple[Array, Array]:
     """Return mean rates of the base over a control step, for N robots.
 
     Args:
@@ -80,7 +80,7 @@ class RobotState:
     """What the computer of a robot knows at the end of a control step, of N robots with M motors."""
 
     gait: HybridGait
-    readings: Readings
+    readings: SensorReadings
     duration: Array
     """Duration of the control step (N,) [s]."""
     feedback: Array
@@ -99,7 +99,7 @@ class RobotState:
     """Heights of the ground around the robots (N, K) [m], see `height_scan`; None without a map."""
 
     @classmethod
-    def initial(cls, gait: HybridGait, readings: Readings, duration: Array, **more: Any) -> Any:
+    def initial(cls, gait: HybridGait, readings: SensorReadings, duration: Array, **more: Any) -> Any:
         """Return the state of robots before their first control step.
 
         Args:
@@ -133,9 +133,9 @@ class EnvState(RobotState):
     world: Simulation
     ground: Ground
     scales: RobotScales
-    truth: Truth
+    truth: SimState
     """Truth at the end of the control step."""
-    before: Truth
+    before: SimState
     """Truth at its beginning."""
     last_feedback: Array
     """Feedback of the control step before (N, A)."""
@@ -201,20 +201,20 @@ class EnvState(RobotState):
         names = ("steps", "returns", "start_position", "feedback", "stride_error", "over")
         return {name: getattr(self, name) for name in names}
 
-    def begin_episodes(self, rows: NDArray[np.int64], readings: Readings) -> None:
+    def begin_episodes(self, rows: NDArray[np.int64], readings: SensorReadings) -> None:
         """Take the state of robots that were reset, with the readings of all."""
         self.observe_world(readings)
         self.over[rows], self.feedback[rows] = False, 0.0
         self.start_position[rows] = self.truth.base_position_world[rows]
 
-    def finish_step(self, target: Array, feedback: Array, readings: Readings) -> None:
+    def finish_step(self, target: Array, feedback: Array, readings: SensorReadings) -> None:
         """Take the state at the end of a control step, with the commanded motor angles and the feedback in them."""
         before = self.truth
         self.target, self.last_feedback, self.feedback = target, self.feedback, feedback
         self.observe_world(readings)
         self.before = before
 
-    def observe_world(self, readings: Readings) -> None:
+    def observe_world(self, readings: SensorReadings) -> None:
         """Take readings and truth of the world as they are now."""
         self.readings, self.truth, self.duration = readings, self.world.truth(), self.world.params.control_step
         for name in _CACHED:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.rotations import in_heading_frame
 from surefoot.seeding import generators
-from surefoot.task.commanded_way import has_kept_up, step_ways
+from surefoot.task.command_tracking import has_kept_up, step_ways
 from surefoot.task.component import Component
 from surefoot.task.state import EnvState
 from surefoot.task.terrain import TerrainConfig

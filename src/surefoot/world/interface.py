@@ -22,7 +22,7 @@ ACTUATORS = ("dc", "constraint")
 
 
 @dataclass(frozen=True)
-class Readings:
+class SensorReadings:
     """What the control computer receives of N robots with M motors: delayed, biased and noisy."""
 
     time: Array
@@ -38,7 +38,7 @@ class Readings:
 
 
 @dataclass(frozen=True)
-class Truth:
+class SimState:
     """The present true state, which only a simulation knows."""
 
     base_position_world: Array
@@ -107,10 +107,10 @@ class World(Protocol):
     robot: RobotDescription
     num_envs: int
 
-    def reset(self, index: ArrayLike | None = None) -> Readings:
+    def reset(self, index: ArrayLike | None = None) -> SensorReadings:
         """Bring the robots at `index` (all, if none is given) to the resting pose; return readings of all robots."""
 
-    def step(self, target: ArrayLike) -> Readings:
+    def step(self, target: ArrayLike) -> SensorReadings:
         """Send motor angles (N, M) [rad] and hold them for one control step; return readings at its end."""
 
 
@@ -121,13 +121,13 @@ class Simulation(World, Protocol):
     divergences: int
     """How often a robot's state stopped being finite, since the world was made."""
 
-    def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
+    def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> SensorReadings:
         """Step as a world does; robots that are not `active` (N,) are not stepped."""
 
-    def readings(self) -> Readings:
+    def readings(self) -> SensorReadings:
         """Return the present readings again."""
 
-    def truth(self) -> Truth:
+    def truth(self) -> SimState:
         """Return the true state; the arrays belong to the caller."""
 
     def foot_positions(self) -> Array:

@@ -13,7 +13,7 @@ from surefoot.actuator.motor import joint_limit_kernel
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 from surefoot.robot.actuator import DcMotorData, JointActuatorData
-from surefoot.world.interface import Truth, WorldConfig
+from surefoot.world.interface import SimState, WorldConfig
 from surefoot.world.sim_world import SimWorld
 
 _UNLIMITED = 1e6
@@ -30,7 +30,7 @@ class MotorLoad:
     """At the end of each control step (T, M) [rad/s]."""
     saturation: Array
     """Share of each control step at the limit (T, M)."""
-    end: Truth
+    end: SimState
     """The state at the end."""
     finished: bool
     """Whether the motion ran to its end: the robot neither tilted too far nor diverged."""

@@ -25,11 +25,11 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.actuation import SHARED_ARRAYS
-from surefoot.world.interface import Readings, Simulation, Truth, WorldConfig
+from surefoot.world.interface import SensorReadings, SimState, Simulation, WorldConfig
 from surefoot.world.registry import WORLDS
 from surefoot.world.sim_world import SimWorld, check_batch
 
-Rows = TypeVar("Rows", Readings, Truth)
+Rows = TypeVar("Rows", SensorReadings, SimState)
 
 _WAIT = 2.0
 """Time [s] that a process has to end by itself."""
@@ -138,7 +138,7 @@ class ProcessWorld:
         count = processes_for(num_envs, config)
         bounds = [num_envs * k // count for k in range(count + 1)]
         self._shares = [slice(first, last) for first, last in itertools.pairwise(bounds)]
-        self._truths: list[Truth] | None = None
+        self._truths: list[SimState] | None = None
         self.divergences = 0
         self._processes: list[subprocess.Popen[bytes]] = []
         self._finalizer = weakref.finalize(self, _release, self._processes)
@@ -203,7 +203,7 @@ class ProcessWorld:
         """Return the arguments of every process: arrays with a row for each robot are cut to its share."""
         return [tuple(None if item is None else item[share] for item in arguments) for share in self._shares]
 
-    def _store_truths(self, replies: list[tuple[Readings, Truth, int]]) -> Readings:
+    def _store_truths(self, replies: list[tuple[SensorReadings, SimState, int]]) -> SensorReadings:
         readings, truths, divergences = zip(*replies, strict=True)
         self._truths, self.divergences = list(truths), sum(divergences)
         return _join(readings)
@@ -220,20 +220,20 @@ class ProcessWorld:
             split.append((places, rows[places] - share.start))
         return split
 
-    def reset(self, index: ArrayLike | None = None) -> Readings:
+    def reset(self, index: ArrayLike | None = None) -> SensorReadings:
         """Bring the robots at `index` (all, if none is given) to the resting pose; return readings of all robots."""
         return self._store_truths(self._call("reset", [(rows,) for _, rows in self._split_index(index)]))
 
-    def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
+    def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> SensorReadings:
         """Hold motor angles (N, M) [rad] for one control step of each (active) robot; return readings at its end."""
         angles = np.broadcast_to(np.asarray(target, float), (self.num_envs, self.robot.num_motors))
         return self._store_truths(self._call("step", self._split_arguments(angles, active)))
 
-    def readings(self) -> Readings:
+    def readings(self) -> SensorReadings:
         """Return the present readings again."""
         return _join(self._call("readings", self._split_arguments()))
 
-    def truth(self) -> Truth:
+    def truth(self) -> SimState:
         """Return the true state; the arrays belong to the caller."""
         if self._truths is None:
             self._truths = self._call("truth", self._split_arguments())

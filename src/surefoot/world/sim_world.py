@@ -14,7 +14,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
 from surefoot.world.actuation import new_actuation, read_delayed, read_imu, record_sample, set_actuation_params
 from surefoot.world.engine import EngineFactory, Index
-from surefoot.world.interface import Readings, Truth, WorldConfig
+from surefoot.world.interface import SensorReadings, SimState, WorldConfig
 from surefoot.world.registry import DEFAULT_WORLD, check_modelled, find_engine
 
 SETTLE_TIME = 0.5
@@ -103,7 +103,7 @@ class SimWorld:
         settled: Array = single.get_state(only)[0]
         return settled
 
-    def reset(self, index: ArrayLike | None = None) -> Readings:
+    def reset(self, index: ArrayLike | None = None) -> SensorReadings:
         """Bring robots back to the settled resting pose with a new history; return readings of all robots."""
         rows = np.arange(self.num_envs) if index is None else np.atleast_1d(np.asarray(index, np.int64))
         self._reset(rows)
@@ -144,7 +144,7 @@ class SimWorld:
         for i in range(self.num_envs):
             record_sample(self.actuation, i)
 
-    def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
+    def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> SensorReadings:
         """Hold motor angles (N, M) [rad] for one control step of each robot; return readings at its end.
 
         With `active` (N,), time stands still for all other robots, which cost nothing.
@@ -174,7 +174,7 @@ class SimWorld:
             self._reset(rows)
         return self.readings()
 
-    def readings(self) -> Readings:
+    def readings(self) -> SensorReadings:
         """Return what the control computer receives: `control_latency` old, roll and pitch with bias and noise."""
         motors = self.robot.num_motors
         out = np.empty_like(self.actuation.sample)
@@ -185,7 +185,7 @@ class SimWorld:
         if self.params.imu_noise.any():
             noise = self._noise[np.arange(self.num_envs), self._control_steps % _NOISE_BLOCK]
             angles[:, :2] += noise * self.params.imu_noise[:, None]
-        return Readings(
+        return SensorReadings(
             time=time,
             roll_pitch_yaw=angles,
             angular_velocity_base=rates,
@@ -198,12 +198,12 @@ class SimWorld:
         for i in rows[self.params.imu_noise[rows] > 0]:
             self._noise[i] = self._imu_streams[i].standard_normal((_NOISE_BLOCK, 2))
 
-    def truth(self) -> Truth:
+    def truth(self) -> SimState:
         """Return the true state, with energy, heat and contacts over the last control step."""
         base, motors = self.engine.base(), self.robot.num_motors
         now = self.actuation.sample
         ticks = np.maximum(np.round(self.params.control_step / self.robot.timing.servo_step), 1)
-        return Truth(
+        return SimState(
             base_position_world=base[:, :3],
             base_quat_world=base[:, 3:7],
             base_velocity_world=base[:, 7:],

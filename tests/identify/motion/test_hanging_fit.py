@@ -18,9 +18,9 @@ from surefoot.identify.motion.replay_errors import replay_motion
 from surefoot.identify.motion.robot_fit import fit_robot
 from surefoot.identify.motion.robot_unknowns import CLOCK, considered_unknowns, robot_params, robot_unknowns
 from surefoot.identify.motion.words import describe_unknown
-from surefoot.identify.overlay import check_new_logs, overlay, read_gains
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import Identification
+from surefoot.identify.robot_params_file import check_new_logs, overlay, read_gains
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamsFile
 

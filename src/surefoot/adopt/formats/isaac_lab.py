@@ -7,7 +7,7 @@ full from the start: the first value fills it.
 from __future__ import annotations
 
 from surefoot.adopt.formats.reading import unknown_term
-from surefoot.adopt.specification import PerJoint, Range, Term, TermName
+from surefoot.adopt.specification import ObservationTerm, PerJoint, Range, TermName
 
 TERMS: dict[str, TermName] = {
     **dict.fromkeys(("base_ang_vel", "imu_ang_vel", "angular_velocity"), "angular_velocity"),
@@ -21,7 +21,9 @@ TERMS: dict[str, TermName] = {
 """Terms by the names that they usually have, mjlab's own first."""
 
 
-def make_term(name: str, scale: PerJoint, clip: Range | None, length: int, period: float | None = None) -> Term:
+def make_term(
+    name: str, scale: PerJoint, clip: Range | None, length: int, period: float | None = None
+) -> ObservationTerm:
     """Return a term of Isaac Lab.
 
     Args:
@@ -37,4 +39,4 @@ def make_term(name: str, scale: PerJoint, clip: Range | None, length: int, perio
     if name not in TERMS:
         raise unknown_term(name, TERMS)
     steps = tuple(reversed(range(max(length, 1))))
-    return Term(TERMS[name], scale=scale, clip=clip, steps=steps, period=period or 1.0)
+    return ObservationTerm(TERMS[name], scale=scale, clip=clip, steps=steps, period=period or 1.0)

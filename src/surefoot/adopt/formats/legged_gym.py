@@ -12,7 +12,7 @@ from typing import Any
 
 from surefoot.adopt.formats.python_values import Computed, read_classes
 from surefoot.adopt.formats.reading import plain_joint_name, unread, unread_note
-from surefoot.adopt.specification import PolicySpecification, Range, Term
+from surefoot.adopt.specification import ObservationTerm, PolicySpecification, Range
 from surefoot.errors import SurefootError, choices, describe_os_errors, nearest, prefix_errors, quote
 from surefoot.files import read_configuration
 from surefoot.robot import RobotDescription
@@ -102,12 +102,12 @@ def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> Pol
             kd=tuple(_joint_value(values, "control.damping", joint) for joint in joints),
             control_step=_number(values, "sim.dt") * _number(values, "control.decimation"),
             observations=(
-                Term("angular_velocity", scale=scales["ang_vel"]),
-                Term("gravity"),
-                Term("command", scale=(scales["lin_vel"], scales["lin_vel"], scales["ang_vel"])),
-                Term("joint_positions", scale=scales["dof_pos"]),
-                Term("joint_speeds", scale=_number(values, "normalization.obs_scales.dof_vel")),
-                Term("last_action"),
+                ObservationTerm("angular_velocity", scale=scales["ang_vel"]),
+                ObservationTerm("gravity"),
+                ObservationTerm("command", scale=(scales["lin_vel"], scales["lin_vel"], scales["ang_vel"])),
+                ObservationTerm("joint_positions", scale=scales["dof_pos"]),
+                ObservationTerm("joint_speeds", scale=_number(values, "normalization.obs_scales.dof_vel")),
+                ObservationTerm("last_action"),
             ),
             action_scale=action_scale,
             action_clip=(-limit, limit),

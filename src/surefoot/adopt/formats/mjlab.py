@@ -17,7 +17,7 @@ from surefoot.adopt.formats.isaac_lab import make_term
 from surefoot.adopt.formats.reading import unread, unread_note
 from surefoot.adopt.onnx_network import read_model
 from surefoot.adopt.onnx_weights import read_network
-from surefoot.adopt.specification import PolicySpecification, Range, Term
+from surefoot.adopt.specification import ObservationTerm, PolicySpecification, Range
 from surefoot.errors import SurefootError, prefix_errors, quote
 from surefoot.robot import RobotDescription
 
@@ -102,7 +102,7 @@ def _items(text: str) -> list[list[float]]:
         raise SurefootError(f"a property is {quote(text[:80])}; it must hold numbers") from None
 
 
-def _terms(properties: dict[str, str]) -> tuple[Term, ...]:
+def _terms(properties: dict[str, str]) -> tuple[ObservationTerm, ...]:
     names = [name.strip() for name in properties["observation_names"].split(",")]
     values: dict[str, list[list[float]]] = {}
     for name, what in _OPTIONAL.items():

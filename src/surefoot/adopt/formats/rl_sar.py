@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from surefoot.adopt.formats.reading import field_names, matched_joints, pick, unknown_term, unread, unread_note
-from surefoot.adopt.specification import PerJoint, PolicySpecification, Term, TermName
+from surefoot.adopt.specification import ObservationTerm, PerJoint, PolicySpecification, TermName
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.robot import RobotDescription
@@ -235,7 +235,7 @@ def _hardware_names(base: dict[str, Any], robot: RobotDescription) -> list[str]:
     return [str(joints[mapping.index(motor)]) for motor in range(len(joints))]
 
 
-def _terms(name: str, table: _Config, steps: tuple[int, ...]) -> list[Term]:
+def _terms(name: str, table: _Config, steps: tuple[int, ...]) -> list[ObservationTerm]:
     """Return the terms of an observation of rl_sar."""
     if name in TERMS:
         scales: dict[str, PerJoint] = {
@@ -246,8 +246,8 @@ def _terms(name: str, table: _Config, steps: tuple[int, ...]) -> list[Term]:
             "angular_velocity": table.ang_vel_scale,
         }
         term = TERMS[name]
-        return [Term(term, scale=scales.get(term, 1.0), steps=steps)]
+        return [ObservationTerm(term, scale=scales.get(term, 1.0), steps=steps)]
     if name in _CLOCKS:
         step = table.dt * table.decimation
-        return [Term("clock", period=period, start=step / period, steps=steps) for period in _CLOCKS[name]]
+        return [ObservationTerm("clock", period=period, start=step / period, steps=steps) for period in _CLOCKS[name]]
     raise unknown_term(name, {**TERMS, **_CLOCKS})

@@ -15,7 +15,7 @@ import numpy as np
 
 from surefoot.adopt.formats.isaac_lab import make_term
 from surefoot.adopt.formats.reading import field_names, pick, unread, unread_note
-from surefoot.adopt.specification import PolicySpecification, Range, Term
+from surefoot.adopt.specification import ObservationTerm, PolicySpecification, Range
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors, quote
 from surefoot.robot import RobotDescription
@@ -106,7 +106,7 @@ def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> Pol
         return replace(specification, **ranges)
 
 
-def _terms(table: _Config) -> tuple[tuple[Term, ...], bool, list[str]]:
+def _terms(table: _Config) -> tuple[tuple[ObservationTerm, ...], bool, list[str]]:
     """Return the terms, whether their histories are in order of steps, and keys that are not read."""
     group = table.observations
     names = [name for name in group if name not in _SWITCHES]

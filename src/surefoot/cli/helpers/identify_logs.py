@@ -11,7 +11,7 @@ from surefoot.cli.helpers.options import Json, Seed, Settings
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, suggest
 from surefoot.identify.motion.recorded import RecordedMotion
-from surefoot.identify.overlay import check_new_logs, read_gains, read_prior
+from surefoot.identify.robot_params_file import check_new_logs, read_gains, read_prior
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import parse_settings
 

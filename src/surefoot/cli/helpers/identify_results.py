@@ -18,8 +18,8 @@ from rich.text import Text
 from surefoot.api.extras import install_command
 from surefoot.cli.helpers.output import print_json
 from surefoot.errors import SurefootError, choices
-from surefoot.identify.overlay import overlay, write_overlay
 from surefoot.identify.result import Identification, ParameterEstimate
+from surefoot.identify.robot_params_file import overlay, write_overlay
 from surefoot.progress import ProgressDisplay
 from surefoot.report.figures.identification import cells, full_name, prior_value
 from surefoot.report.pages.identification import write_report

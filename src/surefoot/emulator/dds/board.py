@@ -12,7 +12,7 @@ from surefoot.emulator.board import BOOT_TIME
 from surefoot.emulator.dds.faults import MessageFaults
 from surefoot.emulator.dds.link import LowLevelLink
 from surefoot.emulator.dds.low_state import StateMessage
-from surefoot.emulator.dds.motion_service import MotionService
+from surefoot.emulator.dds.motion_service import EmulatedMotionService
 from surefoot.emulator.dds.own_controller import OwnController
 from surefoot.emulator.fault_table import InjectedFault
 from surefoot.emulator.faults import FaultInjector
@@ -60,7 +60,7 @@ class Go2Board:
         link: LowLevelLink,
         lead: float,
         controller: OwnController | None = None,
-        service: MotionService | None = None,
+        service: EmulatedMotionService | None = None,
         faults: Mapping[str, InjectedFault] | None = None,
         seed: int = 0,
     ) -> None:

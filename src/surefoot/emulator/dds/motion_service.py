@@ -12,7 +12,7 @@ _SERVE_EVERY, _STATE_EVERY = 10_000, 20_000
 """Times [us] between two looks for requests, and between two states of the controller; a real robot's is not known."""
 
 
-class MotionService:
+class EmulatedMotionService:
     """Answers requests about a controller, and publishes its state while it is active."""
 
     def __init__(self, bus: Bus, controller: OwnController, plant: Plant) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot.appearance import Appearance, Part
+from surefoot.robot.appearance import Appearance, VisualPart
 from surefoot.robot.urdf import Color
 
 _CREASE = np.cos(np.radians(40.0))
@@ -54,7 +54,7 @@ def link_meshes(appearance: Appearance) -> list[tuple[str, Color, Array, NDArray
     Where an edge is sharp its points are there twice, so that normals that are computed from the mesh are those of
     `smooth`.
     """
-    groups: dict[tuple[str, Color], list[Part]] = {}
+    groups: dict[tuple[str, Color], list[VisualPart]] = {}
     for part in appearance.parts:
         groups.setdefault((part.link, cast(Color, tuple(round(255 * value) for value in part.color))), []).append(part)
     meshes = []

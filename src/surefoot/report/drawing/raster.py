@@ -160,7 +160,7 @@ def paint_ground(picture: Any, ground: Any, eye: Any, tile: float, light: Light,
                 picture[first + i, j, k] = np.uint8(ground[i, j, 4 + k] * share)
 
 
-class Surface(NamedTuple):
+class SurfaceArrays(NamedTuple):
     """Triangles to be painted."""
 
     pixels: Any
@@ -175,7 +175,7 @@ class Surface(NamedTuple):
 
 @compiled
 def _color(
-    x: float, y: float, f: int, surface: Surface, eye: Any, rays: Any, light: Light
+    x: float, y: float, f: int, surface: SurfaceArrays, eye: Any, rays: Any, light: Light
 ) -> tuple[float, float, float]:
     """Return the linear color of face f where the ray through (x, y) meets it."""
     a, b, c = surface.faces[f, 0], surface.faces[f, 1], surface.faces[f, 2]
@@ -220,7 +220,7 @@ def _color(
 
 @compiled
 def paint_faces(
-    picture: Any, corner: Any, face_at: Any, parts: int, surface: Surface, eye: Any, rays: Any, light: Light
+    picture: Any, corner: Any, face_at: Any, parts: int, surface: SurfaceArrays, eye: Any, rays: Any, light: Light
 ) -> None:
     """Paint the faces in front over a region of a picture; at edges they are mixed with what is behind.
 

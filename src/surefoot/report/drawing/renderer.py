@@ -17,7 +17,7 @@ from PIL import Image, ImageFilter
 from surefoot.arrays import Array
 from surefoot.report.drawing.ground_part import faces, ground_around, step_edges
 from surefoot.report.drawing.mesh import Mesh
-from surefoot.report.drawing.raster import Light, Surface, paint_faces, paint_ground, rasterize
+from surefoot.report.drawing.raster import Light, SurfaceArrays, paint_faces, paint_ground, rasterize
 from surefoot.report.drawing.uneven_ground import GroundLook, VisibleGround, clip, paint_uneven
 from surefoot.world.ground import FLAT, Ground
 
@@ -138,7 +138,7 @@ def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
             (left, top), (right, bottom) = _PARTS * low, _PARTS * high
             nearest = in_front[top:bottom, left:right].copy()
         flat = np.column_stack([_PARTS * (pixels - low), np.where(seen, 1.0 / np.maximum(depth, _NEAR), 0.0)])
-        surface = Surface(flat.astype(np.float32), normals, mesh.faces, mesh.color**2)
+        surface = SurfaceArrays(flat.astype(np.float32), normals, mesh.faces, mesh.color**2)
         rasterize(surface.pixels, mesh.faces, nearest, face_at)
         rays = view.rays(low, _PARTS).astype(np.float32)
         paint_faces(picture, low[::-1].copy(), face_at, _PARTS, surface, eye, rays, light)

@@ -16,7 +16,7 @@ import numpy as np
 
 from surefoot import sandbox
 from surefoot.errors import SurefootError
-from surefoot.robot.appearance import Part
+from surefoot.robot.appearance import VisualPart
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.named_files import check_named_files, find_mesh
 from surefoot.robot.importing.refusals import check_kind, check_suffix
@@ -144,7 +144,7 @@ def decode(data: bytes, path: Path) -> ImportedRobot:
         bodies=tuple(tuple(bodies[1 + k * count :][:count]) for k in range(len(joints))),
         **{name: arrays[name] for name in _ARRAYS},
         parts=tuple(
-            Part(link, arrays[f"vertices_{k}"], arrays[f"faces_{k}"], tuple(color))
+            VisualPart(link, arrays[f"vertices_{k}"], arrays[f"faces_{k}"], tuple(color))
             for k, (link, color) in enumerate(meta["parts"])
         ),
         poses=tuple(zip(meta["poses"], arrays["poses"], strict=True)),

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.robot.appearance import Part
+from surefoot.robot.appearance import VisualPart
 from surefoot.robot.rigid_body import RigidBody
 
 LEGS = ("front_left", "front_right", "back_left", "back_right")
@@ -73,7 +73,7 @@ class ImportedRobot:
     """Centres of the feet (4, 3) [m]."""
     foot_radius: Array
     """Radii of the feet (4,) [m]."""
-    parts: tuple[Part, ...] = ()
+    parts: tuple[VisualPart, ...] = ()
     """What is drawn, in the frames of the links `base` and `link_names`: along the base's, at their hinges."""
     undrawn: tuple[str, ...] = ()
     """Links of which a mesh is missing in `parts`: primitive shapes are drawn of these."""

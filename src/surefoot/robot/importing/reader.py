@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
-from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, Part
+from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, VisualPart
 from surefoot.robot.importing.extra_hinges import describe_play, describe_springs, describe_wheels, find_play, is_wheel
 from surefoot.robot.importing.feet import Foot, find_foot, pair_feet
 from surefoot.robot.importing.imported import ImportedRobot
@@ -255,7 +255,9 @@ class _Reader:
         undrawn = dict.fromkeys(names[mover] for mover in movers if mover in names)
         return replace(robot, parts=parts, undrawn=tuple(undrawn), notes=tuple(self.notes))
 
-    def _parts(self, visuals: Sequence[Visual], names: dict[int, str], origins: dict[int, Array]) -> tuple[Part, ...]:
+    def _parts(
+        self, visuals: Sequence[Visual], names: dict[int, str], origins: dict[int, Array]
+    ) -> tuple[VisualPart, ...]:
         """Return what is drawn of the base and the legs, decimated, one part a link and colour.
 
         Args:
@@ -286,7 +288,7 @@ class _Reader:
             absent = choices(dict.fromkeys(link for link, color in merged if (link, color) not in drawn))
             self.notes.append(f"not drawn: shapes of {absent} have no area, or are farther away than {MAX_EXTENT:g} m")
         return tuple(
-            Part(link, surface.vertices.astype(np.float32), surface.faces.astype(np.int32), color)
+            VisualPart(link, surface.vertices.astype(np.float32), surface.faces.astype(np.int32), color)
             for (link, color), surface in drawn.items()
         )
 

@@ -14,7 +14,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, check_name, describe_os_errors
 from surefoot.files import atomic_write
-from surefoot.robot.appearance import LOOKS, Appearance, Part, shape_part, visual_shapes
+from surefoot.robot.appearance import LOOKS, Appearance, VisualPart, shape_part, visual_shapes
 from surefoot.robot.importing.imported import KNEE_SIGNS, LEGS, ImportedRobot, Knees
 from surefoot.robot.importing.rules import GUESSED, WARNING, one_line
 from surefoot.robot.importing.sheet_numbers import actuator, leg_space, motor_order
@@ -120,7 +120,7 @@ friction = 0.8{_GUESSED}rubber on a floor
 """
 
 
-def _substitutes(robot: ImportedRobot, urdf: Urdf) -> Iterator[Part]:
+def _substitutes(robot: ImportedRobot, urdf: Urdf) -> Iterator[VisualPart]:
     """Yield primitive shapes for links of which meshes are missing, as a robot without meshes is drawn."""
     feet = {lower: f"{leg}_foot" for leg, (*_, lower) in zip(LEGS, robot.link_names, strict=True)}
     links = {*robot.undrawn, *(feet[link] for link in robot.undrawn if link in feet)}

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.evaluation.rollout import EpisodeRecorder, Policy
+from surefoot.evaluation.rollout import Controller, EpisodeRecorder
 from surefoot.robot.params import PARAMETERS, Parameter
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandGenerator
@@ -136,7 +136,7 @@ class DrivenRobot:
         terrain: what the robot stands on, as `TerrainConfig.ground`.
     """
 
-    def __init__(self, policy: Policy, task: TaskConfig, world: str, terrain: str = "flat") -> None:
+    def __init__(self, policy: Controller, task: TaskConfig, world: str, terrain: str = "flat") -> None:
         pushes = replace(task.pushes, enabled=False)
         # Every start is the same, so that robots that start together can be compared.
         task = replace(task, start_linear_speed=0.0, start_angular_speed=0.0)

@@ -10,8 +10,8 @@ import pytest
 
 from surefoot import __version__
 from surefoot.errors import SurefootError
-from surefoot.identify.overlay import missing_experiments, overlay, read_prior, write_overlay
 from surefoot.identify.result import NORMAL_95, Identification, ParameterEstimate
+from surefoot.identify.robot_params_file import missing_experiments, overlay, read_prior, write_overlay
 from surefoot.robot import RobotDescription
 
 TEXT = """robot = "minitaur"

@@ -11,7 +11,7 @@ pytest.importorskip("mujoco")
 
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.errors import SurefootError
-from surefoot.evaluation.driven import FIXED, DrivenRobot
+from surefoot.evaluation.command_runs import FIXED, DrivenRobot
 from surefoot.evaluation.recorded import ground_of
 from surefoot.robot.params import PARAMETERS
 from surefoot.task.randomized_params import RandomizedParams
@@ -209,7 +209,7 @@ def test_a_recording_ends_with_a_fall_and_at_its_greatest_length(robot: DrivenRo
     assert recording.ended == "fall"
     assert recording.duration < 1.2
     robot.restart()
-    monkeypatch.setattr("surefoot.evaluation.driven.MAX_RECORDING", 10 * robot.step_time)
+    monkeypatch.setattr("surefoot.evaluation.command_runs.MAX_RECORDING", 10 * robot.step_time)
     recording = robot.record("go2-steer")
     run(robot, 0.4)
     assert (recording.ended, recording.duration) == ("time", pytest.approx(10 * robot.step_time))
