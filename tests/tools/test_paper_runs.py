@@ -168,7 +168,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     assert any("--push-force" in words for words in evaluated)
     assert (tmp_path / "docs/pushes.png").exists()
     scripts = [Path(call.args[0][1]).name for call in run.call_args_list]
-    assert scripts == ["open_loop.py", "handcrafted.py"]
+    assert scripts == ["open_loop.py", "open_loop.py", "handcrafted.py"]
     assert run.call_args.args[0][1:3] == [str(repository / "benchmarks/handcrafted.py"), "results/handcrafted"]
     assert run.call_args.args[0][-4:] == ["--episodes", "5", "--conditions", "mujoco"]
     studies = [words for words in calls if words[0] == "study" and words[1].endswith(".yaml")]
