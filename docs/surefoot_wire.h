@@ -84,7 +84,7 @@ enum surefoot_reason {
     SUREFOOT_REASON_OTHER_PROGRAM = 19,  /* Another program commands the motors. */
     SUREFOOT_REASON_OWN_CONTROLLER = 20, /* The robot's own controller is active. */
     SUREFOOT_REASON_REMOTE = 21,         /* Somebody uses the remote control. */
-    SUREFOOT_REASON_WATCHER = 22         /* The process that damps the motors when the keeper fails is gone. */
+    SUREFOOT_REASON_WATCHDOG = 22        /* The process that monitors the supervisor has ended or hangs. */
 };
 
 #pragma pack(push, 1)

@@ -134,14 +134,14 @@ def in_mode(mode: Mode, reason: Reason = Reason.NONE, owner: int | None = None) 
     return step
 
 
-def order(mode: Mode, values: np.ndarray | None = None) -> Step:
-    """Compare the order to the motors."""
+def motor_command(mode: Mode, values: np.ndarray | None = None) -> Step:
+    """Compare the command to the motors."""
 
     def step(bench: Bench) -> None:
-        assert bench.order is not None
-        assert bench.order.mode == mode
+        assert bench.motor_command is not None
+        assert bench.motor_command.mode == mode
         if values is not None:
-            np.testing.assert_allclose(bench.order.values, values, rtol=1e-7)
+            np.testing.assert_allclose(bench.motor_command.values, values, rtol=1e-7)
 
     return step
 
@@ -242,15 +242,22 @@ RULES = {
     ),
     "armed motors hold their angles until a command": Rule(
         (
-            *(*CONNECTED, order(Mode.DISARMED), arm(), feel(motor_angle=1 + HELD), run(1), order(Mode.POSITION)),
-            *(feel(motor_angle=0 * HELD), run(3), order(Mode.POSITION, (1 + HELD).astype(np.float32))),
-            *(GOOD, run(1), order(Mode.POSITION, TARGET)),
+            *(
+                *CONNECTED,
+                motor_command(Mode.DISARMED),
+                arm(),
+                feel(motor_angle=1 + HELD),
+                run(1),
+                motor_command(Mode.POSITION),
+            ),
+            *(feel(motor_angle=0 * HELD), run(3), motor_command(Mode.POSITION, (1 + HELD).astype(np.float32))),
+            *(GOOD, run(1), motor_command(Mode.POSITION, TARGET)),
         )
     ),
     "armed motors have no duty until a command": Rule(
         (
-            *(*CONNECTED, arm(mode=Mode.PWM), run(1), order(Mode.PWM, 0 * TARGET)),
-            *(send(Pwm(ME, TARGET - 2)), run(1), order(Mode.PWM, TARGET - 2)),
+            *(*CONNECTED, arm(mode=Mode.PWM), run(1), motor_command(Mode.PWM, 0 * TARGET)),
+            *(send(Pwm(ME, TARGET - 2)), run(1), motor_command(Mode.PWM, TARGET - 2)),
         )
     ),
     "states follow each command and keep its period in silence": Rule(
@@ -258,7 +265,7 @@ RULES = {
     ),
     "arming again changes the times only": Rule(
         (
-            *(*ARMED, GOOD, run(2), arm(period=0.010, after=0.010), run(1), order(Mode.POSITION, TARGET)),
+            *(*ARMED, GOOD, run(2), arm(period=0.010, after=0.010), run(1), motor_command(Mode.POSITION, TARGET)),
             *(run(12, (9,)), arm(Reason.MODE, mode=Mode.PWM), in_mode(Mode.POSITION)),
         )
     ),
@@ -275,14 +282,14 @@ RULES = {
     ),
     "disarm and bye damp in good order": Rule(
         (
-            *(*ARMED, send(Disarm(ME)), run(1), in_mode(Mode.DISARMED), order(Mode.DISARMED)),
+            *(*ARMED, send(Disarm(ME)), run(1), in_mode(Mode.DISARMED), motor_command(Mode.DISARMED)),
             *(arm(), send(Bye(ME)), in_mode(Mode.DISARMED, owner=0)),
         )
     ),
     "silence damps after 50 ms": Rule(
         (
             *(*ARMED, GOOD, run(50, faults={}), in_mode(Mode.POSITION)),
-            *(run(1, (1,), {0: Reason.TIMEOUT}), in_mode(Mode.FAULT, Reason.TIMEOUT), order(Mode.DISARMED)),
+            *(run(1, (1,), {0: Reason.TIMEOUT}), in_mode(Mode.FAULT, Reason.TIMEOUT), motor_command(Mode.DISARMED)),
             state(mode=Mode.FAULT, reason=Reason.TIMEOUT, session=ME),
         )
     ),
@@ -309,14 +316,14 @@ RULES = {
         )
     ),
     "the operator can damp at once": Rule(
-        (*ARMED, send(Damp(ME), Reason.HOST), run(1), order(Mode.DISARMED), in_mode(Mode.FAULT, Reason.HOST))
+        (*ARMED, send(Damp(ME), Reason.HOST), run(1), motor_command(Mode.DISARMED), in_mode(Mode.FAULT, Reason.HOST))
     ),
     "the first fault is kept": Rule((*ARMED, *DAMPED, send(Damp(ME)), in_mode(Mode.FAULT, Reason.TIMEOUT))),
     **{
         f"an angle of {angle} damps at once": Rule(
             (
                 *(*ARMED, send(Position(ME, one_angle(angle)), Reason.COMMAND), run(1)),
-                *(order(Mode.DISARMED), in_mode(Mode.FAULT, Reason.COMMAND)),
+                *(motor_command(Mode.DISARMED), in_mode(Mode.FAULT, Reason.COMMAND)),
             )
         )
         for angle in (NAN, INF, -INF, 4.8, -1.5)
@@ -349,13 +356,13 @@ RULES = {
     "two old numbers between good ones are dropped and counted": Rule(
         (
             *(*ARMED, *(*command(1), send(OLD, number=1), send(OLD, number=1)) * 10),
-            *(run(10), in_mode(Mode.POSITION), order(Mode.POSITION, TARGET), state(dropped=20)),
+            *(run(10), in_mode(Mode.POSITION), motor_command(Mode.POSITION, TARGET), state(dropped=20)),
         )
     ),
     "commands older than three periods are dropped": Rule(
         (
             *(*ARMED, *command(1)),
-            *(send(Position(ME, TARGET + 0.125), late=0.018), run(6), order(Mode.POSITION, TARGET + 0.125)),
+            *(send(Position(ME, TARGET + 0.125), late=0.018), run(6), motor_command(Mode.POSITION, TARGET + 0.125)),
             *(send(Position(ME, TARGET), late=0.0181), run(6), in_mode(Mode.POSITION)) * 2,
             *(send(Position(ME, TARGET), Reason.STALE, late=0.0181), in_mode(Mode.FAULT, Reason.STALE)),
             counted(stale=3),
@@ -393,7 +400,7 @@ RULES = {
         (
             *(*ARMED, feel(sit=(Reason.REMOTE, "a stick was moved"))),
             *(run(20, faults={0: Reason.REMOTE}), said("a stick was moved"), state(reason=Reason.REMOTE)),
-            *(in_mode(Mode.POSITION, Reason.REMOTE), *command(2), order(Mode.POSITION, TARGET)),
+            *(in_mode(Mode.POSITION, Reason.REMOTE), *command(2), motor_command(Mode.POSITION, TARGET)),
         )
     ),
     "a second operator is refused and the first keeps the robot": Rule(
@@ -406,7 +413,7 @@ RULES = {
                 *command(1),
             )
             * 5,
-            *(in_mode(Mode.POSITION, owner=ME), order(Mode.POSITION, TARGET)),
+            *(in_mode(Mode.POSITION, owner=ME), motor_command(Mode.POSITION, TARGET)),
         )
     ),
     "another operator may connect after a second of silence": Rule(

@@ -42,7 +42,7 @@ from surefoot.deploy.messages import (
     Reason,
     State,
 )
-from surefoot.deploy.motion_runner import UP
+from surefoot.deploy.motion_runner import STARTUP_TIME
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.errors import SurefootError
@@ -56,7 +56,7 @@ OTHER_SESSION = 8
 PATIENCE = 120.0
 LONG = 60.0
 """Duration [s] of a run that something else ends."""
-QUICK = {"FLAT": 0.1, "FOLD": 0.1, "PAUSE": 0.1, "RISE": 0.6, "HOLD": 0.2}
+QUICK = {"LAY_FLAT_TIME": 0.1, "FOLD_TIME": 0.1, "PAUSE_TIME": 0.1, "RISE_TIME": 0.6, "STAND_TIME": 0.2}
 """Times [s] in which a robot that was just switched on, and still sits, stands up as well as in `motion`'s."""
 QUICK_UP = sum(QUICK.values())
 RUNNING = QUICK_UP + 0.3
@@ -209,7 +209,7 @@ _HOST = f"""
 import sys
 from unittest import mock
 from surefoot.cli.main import main
-times = {QUICK!r} if sys.argv[1] else {{"UP": {UP!r}}}
+times = {QUICK!r} if sys.argv[1] else {{"STARTUP_TIME": {STARTUP_TIME!r}}}
 with mock.patch.multiple("surefoot.deploy.motion_runner", **times):
     sys.exit(main(sys.argv[2:]))
 """
@@ -497,13 +497,14 @@ def in_this_process(words: list[str], folder: Path, scenario: Scenario | None = 
             raise RuntimeError("index out of data bounds")
         return feedback(self, observation)
 
+    times = QUICK if scenario.quick else {"STARTUP_TIME": STARTUP_TIME}
     with (
         (folder / "stdout").open("w") as out,
         (folder / "stderr").open("w") as err,
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
         mock.patch.object(PolicyRuntime, "feedback", breaking),
-        mock.patch.multiple("surefoot.deploy.motion_runner", **(QUICK if scenario.quick else {"UP": UP})),
+        mock.patch.multiple("surefoot.deploy.motion_runner", **times),
     ):
         resource.setrlimit(resource.RLIMIT_FSIZE, (scenario.disk or limits[0], limits[1]))
         try:
@@ -525,7 +526,7 @@ def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> DeployResult:
         os.close(window)
 
     # Nobody reads the terminal, which must not hold up the run.
-    cable.after_arming(UP + 0.3, leave)
+    cable.after_arming(STARTUP_TIME + 0.3, leave)
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end and not (code.exists() and code.read_text()):
         time.sleep(0.05)

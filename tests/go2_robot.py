@@ -17,7 +17,7 @@ import numpy as np
 
 from surefoot.deploy.dds import bus, low_level, services, types
 from surefoot.deploy.dds.state_monitor import MOTORS
-from surefoot.deploy.pacer import BOARD_PRIORITY, undisturbed
+from surefoot.deploy.pacer import BOARD_PRIORITY, real_time_priority
 
 LYING = np.tile([0.0, 1.2, -2.6], 4)
 RATE = 30.0
@@ -180,7 +180,7 @@ class _Body:
 
 
 def _run(domain: int, pipe: Connection) -> None:
-    with undisturbed(BOARD_PRIORITY, threads=True):
+    with real_time_priority(BOARD_PRIORITY, threads=True):
         body = _Body(domain)
         pipe.send("ready")
         due = last = time.monotonic()

@@ -523,7 +523,7 @@ REFUSALS = [
             f"go2-steer {DDS} --port x": "--port and --link dds don't go together",
             f"go2-steer {DDS} --lockstep": "--lockstep and --link dds don't go together",
             f"go2-steer {DDS} --domain 231": "domain is 231; it must be",
-            f"trot {DDS}": "a link over DDS speaks with a Unitree Go2; minitaur must have",
+            f"trot {DDS}": "a DDS link needs a Unitree Go2; minitaur must have",
         },
         "cyclonedds",
     ),

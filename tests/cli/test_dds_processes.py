@@ -32,7 +32,7 @@ from unittest import mock
 from surefoot.cli.main import main
 with (
     mock.patch.multiple("surefoot.deploy.motion_runner", **{QUICK!r}),
-    mock.patch.multiple("surefoot.deploy.deployment", PUNCTUAL=20),
+    mock.patch.multiple("surefoot.deploy.deployment", TIMING_STEPS=20),
 ):
     sys.exit(main(sys.argv[1:]))
 """

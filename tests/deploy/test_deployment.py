@@ -11,7 +11,7 @@ import pytest
 
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.controller import Controller
-from surefoot.deploy.deployment import PUNCTUAL, TRIES, Deployment
+from surefoot.deploy.deployment import TIMING_ATTEMPTS, TIMING_STEPS, Deployment
 from surefoot.deploy.messages import Arm, Ping, Position
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.serial.serial_link import LEAD
@@ -74,7 +74,7 @@ def test_a_punctual_computer_checks_its_timing_once_and_commands_nothing(deploym
     assert Ping in kinds
     assert not kinds & {Arm, Position}
     spent = toy.received[-1][0]
-    assert PUNCTUAL * STEP < spent < (PUNCTUAL + 40) * STEP
+    assert TIMING_STEPS * STEP < spent < (TIMING_STEPS + 40) * STEP
 
 
 def test_a_computer_that_is_slow_at_first_passes(deployment, computer, monitor):
@@ -105,7 +105,7 @@ def test_a_computer_that_keeps_stalling_arms_no_robot(deployment, computer, toy,
     computer.late = late
     with pytest.raises(SurefootError, match=r"not armed: \d+ control steps in a row were missed; at most 2"):
         connect(deployment)
-    assert monitor.phases.count("check timing") == TRIES
+    assert monitor.phases.count("check timing") == TIMING_ATTEMPTS
     assert Arm not in {type(message) for _, message in toy.received}
 
 

@@ -9,7 +9,7 @@ from unittest import mock
 import numpy as np
 import pytest
 from fault_bench import QUICK
-from fault_bench import QUICK_UP as UP
+from fault_bench import QUICK_UP as STARTUP_TIME
 
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
@@ -25,7 +25,7 @@ from surefoot.policy.runtime import PolicyRuntime
 TROT = Path(__file__).resolve().parents[2] / "policies" / "trot.onnx"
 STEP = 0.006
 STEPS = 60
-SEATED = QUICK["FLAT"] + QUICK["FOLD"] + QUICK["PAUSE"]
+SEATED = QUICK["LAY_FLAT_TIME"] + QUICK["FOLD_TIME"] + QUICK["PAUSE_TIME"]
 
 
 @pytest.fixture(autouse=True)
@@ -95,7 +95,7 @@ def end_of(outcome):
     return outcome.ended, outcome.reason, outcome.safe
 
 
-def once(toy, act, seconds=UP + 0.2):
+def once(toy, act, seconds=STARTUP_TIME + 0.2):
     """Do something once, when the robot has been armed for so long."""
     when = []
 
@@ -113,7 +113,8 @@ def once(toy, act, seconds=UP + 0.2):
 
 def at_step(k, change, toy):
     """Change readings from about the policy's control step k on; each phase takes a step more than its time."""
-    once(toy, lambda: setattr(toy, "sensors", lambda time, readings: replace(readings, **change)), UP + k * STEP)
+    when = STARTUP_TIME + k * STEP
+    once(toy, lambda: setattr(toy, "sensors", lambda time, readings: replace(readings, **change)), when)
 
 
 def tilt(roll=0.0, pitch=0.0):
@@ -146,7 +147,7 @@ def test_motors_move_smoothly_from_where_they_are_until_the_robot_sits(deploy, t
     assert targets[0] == pytest.approx(start, abs=1e-3)
     assert targets[-1] == pytest.approx(sitting_pose(robot), abs=1e-6)
     speed = np.abs(np.diff(targets, axis=0)) / STEP
-    up = round(UP / STEP)
+    up = round(STARTUP_TIME / STEP)
     assert targets[up - 10] == pytest.approx(robot.pose_angles(*policy.contract.rest), abs=1e-6)
     assert speed[: up - 1].max() < 4.0
     assert speed[-round(REST / STEP) :].max() < 1e-6
@@ -257,7 +258,7 @@ def test_a_tilt_while_the_robot_drops_is_no_fall(deploy, toy):
 
 
 def test_the_operator_stops_and_the_robot_sits(deploy, toy, stop):
-    stop.at = UP + 20 * STEP + 0.1
+    stop.at = STARTUP_TIME + 20 * STEP + 0.1
     outcome, saved, _ = deploy(steps=300)
     assert end_of(outcome) == ("stopped", "operator", False)
     assert (toy.firmware.mode, toy.firmware.reason) == (Mode.DISARMED, Reason.NONE)
@@ -265,7 +266,7 @@ def test_the_operator_stops_and_the_robot_sits(deploy, toy, stop):
     assert 10 <= saved.trace.num_steps <= 40
 
 
-@pytest.mark.parametrize("when", [SEATED + 0.2, UP + 0.5])
+@pytest.mark.parametrize("when", [SEATED + 0.2, STARTUP_TIME + 0.5])
 def test_the_operator_stops_twice_and_motors_are_damped(when, deploy, toy, stop):
     stop.at, stop.again = when, when + 0.2
     assert end_of(deploy(steps=300)[0]) == ("stopped", "operator", True)
@@ -280,7 +281,7 @@ def test_the_operator_stops_twice_and_motors_are_damped(when, deploy, toy, stop)
         (0.15, ["draw legs in", "disarm"]),
         (0.25, ["sit", "disarm"]),
         (SEATED + 0.2, ["stand up", "sit down", "disarm"]),
-        (UP - 0.1, ["stand", "sit down", "disarm"]),
+        (STARTUP_TIME - 0.1, ["stand", "sit down", "disarm"]),
     ],
 )
 def test_the_operator_stops_before_the_policy_runs(when, phases, deploy, toy, stop, monitor):
@@ -351,7 +352,7 @@ def late_by(link, steps, at):
 
 @pytest.mark.parametrize("steps", [1, 2])
 def test_missed_steps_hold_the_target_and_are_counted(steps, deploy, toy, link):
-    late_by(link, steps, UP + 0.2)
+    late_by(link, steps, STARTUP_TIME + 0.2)
     outcome, saved, timing = deploy()
     assert (outcome.ended, timing.missed) == ("time", steps)
     trace = saved.trace
@@ -368,7 +369,7 @@ def test_missed_steps_hold_the_target_and_are_counted(steps, deploy, toy, link):
 
 
 def test_more_than_two_missed_steps_in_a_row_are_damped(deploy, toy, link):
-    late_by(link, 3, UP + 0.2)
+    late_by(link, 3, STARTUP_TIME + 0.2)
     outcome, saved, timing = deploy()
     assert end_of(outcome) == ("fault", "late", True)
     assert toy.firmware.reason == Reason.HOST

@@ -15,7 +15,7 @@ import pytest
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
 from surefoot.deploy.map_channel import FRESH, MapChannel, send_map
-from surefoot.deploy.motion_runner import UP
+from surefoot.deploy.motion_runner import STARTUP_TIME
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.run_saver import RunSaver
 from surefoot.deploy.safety import SafetyLimits
@@ -115,7 +115,7 @@ def run(toy, link, robot, monitor, tmp_path) -> Callable[..., SimpleNamespace]:
         def sensors(moment, readings):
             if toy.firmware.armed and not armed:
                 armed.append(moment)
-            if sends(moment - armed[0] - UP if armed else -1.0):
+            if sends(moment - armed[0] - STARTUP_TIME if armed else -1.0):
                 send_map(maps.port, [[-UNDER - FALLS * moment] * len(MAP.left)] * len(MAP.ahead))
             return readings
 

@@ -9,13 +9,13 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.board.signals import MotorOrder
+from surefoot.deploy.board.signals import MotorCommand
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.capture_writer import CaptureWriter
 from surefoot.emulator.plant import Plant
 from surefoot.errors import SurefootError
 
-DAMPED = MotorOrder(Mode.DISARMED, np.zeros(8))
+DAMPED = MotorCommand(Mode.DISARMED, np.zeros(8))
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def plant(robot) -> Plant:
 def run(capture: CaptureWriter, plant: Plant, steps: int) -> None:
     for _ in range(steps):
         plant.step(DAMPED)
-        capture.see(plant.ticks * 1000)
+        capture.update(plant.ticks * 1000)
 
 
 @pytest.mark.parametrize("later", [False, True])

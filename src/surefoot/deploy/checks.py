@@ -116,7 +116,7 @@ def check_handshake(handshake: Handshake, robot: RobotDescription) -> list[Check
         ),
         judge(
             "servo period",
-            near(period, nominal),
+            is_within_tolerance(period, nominal),
             f"{1e3 * period:g} ms",
             f"; the data sheet says {1e3 * nominal:g} ms, and it must be within {GAIN_TOLERANCE:.0%}",
             "set the firmware's servo rate, or train with a data sheet that has the robot's",
@@ -142,7 +142,7 @@ def check_contract(contract: Contract, handshake: Handshake, robot: RobotDescrip
     ]
 
 
-def near(value: float, target: float) -> bool:
+def is_within_tolerance(value: float, target: float) -> bool:
     """Return whether a number is within `GAIN_TOLERANCE` of another one."""
     return bool(abs(value - target) <= GAIN_TOLERANCE * abs(target) + 1e-9)
 
@@ -200,7 +200,11 @@ def _gains_error(contract: Contract, kp: Array, kd: Array) -> str | None:
     """Compare the robot's gains with those in training. The message names the first motor, if not all are alike."""
     motors = len(contract.motor_names)
     robot, trained = (kp, kd), [np.broadcast_to(gain, motors) for gain in (contract.servo_kp, contract.servo_kd)]
-    wrong = [m for m in range(motors) if not all(near(x[m], y[m]) for x, y in zip(robot, trained, strict=True))]
+    wrong = [
+        m
+        for m in range(motors)
+        if not all(is_within_tolerance(x[m], y[m]) for x, y in zip(robot, trained, strict=True))
+    ]
     if not wrong:
         return None
     subject, motor = "the robot's servos have", slice(None)

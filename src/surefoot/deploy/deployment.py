@@ -26,7 +26,7 @@ from surefoot.stop_signals import StopSignals
 _WARM_UP = 20
 _MAP_PATIENCE = 1.0
 """Time [s] to wait for the first map of heights."""
-PUNCTUAL, TRIES = 200, 10
+TIMING_STEPS, TIMING_ATTEMPTS = 200, 10
 """Control steps that must pass without a fault before a robot is armed, and how often that is tried."""
 
 
@@ -92,7 +92,7 @@ class Deployment:
             self._warm_up()
             if not self.link.lockstep:
                 self._check_timing()
-            if self.link.hears_others:
+            if self.link.detects_other_programs:
                 self.monitor.phase("listen for other programs", 0.0)
             if heard := self.link.listen():
                 raise SurefootError(f"the robot is not armed: {heard}; end it, also on the robot's own computer")
@@ -156,9 +156,9 @@ class Deployment:
         First runs take longer. A busy computer, or a robot that should not be armed, is refused while nothing moves.
         """
         verdict = GO
-        for _ in range(TRIES):
-            loop = self._runner(LoopTiming(PUNCTUAL + 1), math.inf, dry_run=True).loop
-            verdict = loop.follow("check timing", PUNCTUAL, self._target)
+        for _ in range(TIMING_ATTEMPTS):
+            loop = self._runner(LoopTiming(TIMING_STEPS + 1), math.inf, dry_run=True).loop
+            verdict = loop.run_phase("check timing", TIMING_STEPS, self._target)
             if verdict.act in (Act.GO, Act.SIT):
                 break
         # `run` handles an operator who asks to stop; a battery or a motor at its limit is an error.
@@ -233,7 +233,7 @@ class Deployment:
                     controller.heights,
                 )
 
-        return loop.follow("run", recorder.max_steps, compute, after)
+        return loop.run_phase("run", recorder.max_steps, compute, after)
 
     def _finish(self, runner: MotionRunner, verdict: Verdict, ran: bool) -> RunOutcome:
         """Bring the robot to rest, whatever ended the run, and whether the policy ran or not."""

@@ -55,7 +55,7 @@ class Reason(DescribedEnum):
     OTHER_PROGRAM = 19, "Another program commands the motors."
     OWN_CONTROLLER = 20, "The robot's own controller is active."
     REMOTE = 21, "Somebody uses the remote control."
-    WATCHER = 22, "The process that damps the motors when the keeper fails is gone."
+    WATCHDOG = 22, "The process that monitors the supervisor has ended or hangs."
 
 
 class Message:

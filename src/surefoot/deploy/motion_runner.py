@@ -20,14 +20,14 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
-FLAT, FOLD, PAUSE, RISE, HOLD = 1.0, 1.0, 0.3, 1.5, 0.5
+LAY_FLAT_TIME, FOLD_TIME, PAUSE_TIME, RISE_TIME, STAND_TIME = 1.0, 1.0, 0.3, 1.5, 0.5
 """Time [s] to lay the legs flat, to draw them in, to come to rest, to stand up, and to stand before the policy starts
 (as long as a robot settles in simulation)."""
-UP = FLAT + FOLD + PAUSE + RISE + HOLD
+STARTUP_TIME = LAY_FLAT_TIME + FOLD_TIME + PAUSE_TIME + RISE_TIME + STAND_TIME
 """Time [s] from arming to the policy's start."""
-DROP, REST, SIT = 0.2, 0.7, 1.5
+DROP_TIME, SITTING_TIME, SIT_DOWN_TIME = 0.2, 0.7, 1.5
 """Time [s] to drop from a gait to sitting, to come to rest there, and to sit down from standing or from a fall."""
-DOWN = max(DROP + REST, SIT)
+SHUTDOWN_TIME = max(DROP_TIME + SITTING_TIME, SIT_DOWN_TIME)
 """Longest time [s] from the policy's end to disarming."""
 STILL_SPEED = 0.5
 """Speed [rad/s] of motors and base below which a fallen robot lies still."""
@@ -140,7 +140,7 @@ class MotionRunner:
         upright: bool = True,
         sitting: bool = False,
     ) -> Verdict:
-        """Move smoothly to a pose, and return the verdict of `ControlLoop.follow`.
+        """Move smoothly to a pose, and return the verdict of `ControlLoop.run_phase`.
 
         Targets are clipped to the angles that the robot takes: it may be switched on in a pose beyond them.
 
@@ -149,17 +149,17 @@ class MotionRunner:
             end: motor angles (M,) [rad].
             duration: [s].
             start: motor angles (M,) [rad] to start from; the present target, if not given.
-            upright: see `ControlLoop.follow`.
-            sitting: see `ControlLoop.follow`.
+            upright: see `ControlLoop.run_phase`.
+            sitting: see `ControlLoop.run_phase`.
         """
-        start, steps = self.target if start is None else start, self.loop.steps_of(duration)
+        start, steps = self.target if start is None else start, self.loop.num_steps(duration)
 
         def compute(k: int, state: State, missed: int) -> Array:
             self.check_state(state)
             target = minimum_jerk(start, end, (k + 1) / steps)
             return np.clip(target, self.handshake.angle_low, self.handshake.angle_high)
 
-        return self.loop.follow(phase, steps, compute, upright=upright, sitting=sitting)
+        return self.loop.run_phase(phase, steps, compute, upright=upright, sitting=sitting)
 
     def check_state(self, state: State) -> None:
         """Check the newest state before each command of a motion; an exception damps the motors."""
@@ -173,11 +173,11 @@ class MotionRunner:
         present = self.state.motor_angle
         flat, drawn = lying_pose(self.robot, present), sitting_pose(self.robot)
         for phase, start, end, duration in (
-            ("lay legs flat", present, flat, FLAT),
-            ("draw legs in", flat, drawn, FOLD),
-            ("sit", drawn, drawn, PAUSE),
-            ("stand up", drawn, standing, RISE),
-            ("stand", standing, standing, HOLD),
+            ("lay legs flat", present, flat, LAY_FLAT_TIME),
+            ("draw legs in", flat, drawn, FOLD_TIME),
+            ("sit", drawn, drawn, PAUSE_TIME),
+            ("stand up", drawn, standing, RISE_TIME),
+            ("stand", standing, standing, STAND_TIME),
         ):
             self.risen = self.risen or phase == "stand up"
             verdict = self.move(phase, end, duration, start)
@@ -191,14 +191,14 @@ class MotionRunner:
         A tilt beyond the limit is no fall here, since damped motors would do no better. The robot's own limit holds.
         """
         drawn = sitting_pose(self.robot)
-        verdict = self.move("drop", drawn, DROP, upright=False, sitting=True)
+        verdict = self.move("drop", drawn, DROP_TIME, upright=False, sitting=True)
         if verdict.act is not Act.GO:
             return verdict
-        return self.move("sit", drawn, REST, start=drawn, upright=False, sitting=True)
+        return self.move("sit", drawn, SITTING_TIME, start=drawn, upright=False, sitting=True)
 
     def sit_down(self, upright: bool = True) -> Verdict:
         """Sit down slowly from the last target."""
-        return self.move("sit down", sitting_pose(self.robot), SIT, upright=upright, sitting=True)
+        return self.move("sit down", sitting_pose(self.robot), SIT_DOWN_TIME, upright=upright, sitting=True)
 
     def disarm(self) -> Verdict:
         """End commands in good order."""

@@ -90,18 +90,18 @@ class LoopTiming:
         end = min(self.steps, self._times.shape[1])
         return self._times[0, max(end - count, 0) : end]
 
-    def figures(self) -> dict[str, float | int | None]:
+    def metrics(self) -> dict[str, float | int | None]:
         """Return median, 99.9th percentile and maximum in ms, and counts."""
-        figures: dict[str, float | int | None] = {"steps": self.steps, "missed": self.missed, "stale": self.stale}
+        metrics: dict[str, float | int | None] = {"steps": self.steps, "missed": self.missed, "stale": self.stale}
         for name, times in zip(("lateness", "sent", "inference", "state_age"), self._times, strict=True):
             times = times[~np.isnan(times)]
             for key, share in (("median", 50), ("p99_9", 99.9), ("max", 100)):
-                figures[f"{name}_{key}_ms"] = round(1e3 * float(np.percentile(times, share)), 4) if len(times) else None
-        return figures
+                metrics[f"{name}_{key}_ms"] = round(1e3 * float(np.percentile(times, share)), 4) if len(times) else None
+        return metrics
 
 
 @contextlib.contextmanager
-def undisturbed(priority: int = PRIORITY, threads: bool = False) -> Iterator[None]:
+def real_time_priority(priority: int = PRIORITY, threads: bool = False) -> Iterator[None]:
     """Run without garbage collection and with a high priority; without the right to it, with the highest possible.
 
     Args:

@@ -27,7 +27,7 @@ class LinkLostError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Arrival:
+class ReceivedPacket:
     """A packet, and when it was received [s], on the receiver's clock."""
 
     packet: Packet
@@ -68,7 +68,7 @@ class RobotLink(ABC):
 
     advice = "check that it is switched on"
     """Remedy for a robot that does not answer."""
-    hears_others = False
+    detects_other_programs = False
     """Whether the link would tell of other programs that command the motors."""
 
     def __init__(self, clock: Clock, lead: float, session: int | None = None) -> None:
@@ -84,7 +84,7 @@ class RobotLink(ABC):
         """The newest state, when it was sent on the robot's clock [s], and the number of states received."""
         self.faults: list[Fault] = []
         """Faults that the robot has reported, oldest first."""
-        self.pongs: dict[int, Arrival] = {}
+        self.pongs: dict[int, ReceivedPacket] = {}
         """Answers to pings, by token."""
         self.on_state: Callable[[State, float, float], None] | None = None
         """Called for each state with the robot's time [s] and this computer's [s]."""
@@ -108,7 +108,7 @@ class RobotLink(ABC):
         """Send a message; never waits."""
 
     @abstractmethod
-    def receive(self) -> list[Arrival]:
+    def receive(self) -> list[ReceivedPacket]:
         """Return all packets that have arrived since the last call, in order; never waits.
 
         Raises:
@@ -227,7 +227,7 @@ class RobotLink(ABC):
 
         Return what was heard in that time, empty if nothing.
         """
-        if not self.hears_others:
+        if not self.detects_other_programs:
             return ""
         left = self.connected + LISTEN - self.clock.now()
         if left > 0:

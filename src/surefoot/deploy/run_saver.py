@@ -105,7 +105,7 @@ class RunSaver:
             "reason": outcome.reason,
             "what": outcome.text,
             "missed_steps": recorder.missed,
-            "timing": timing.figures(),
+            "timing": timing.metrics(),
             "frames_missing": self.link.statistics.missing,
         }
         truth: dict[str, Array] | None = None

@@ -10,7 +10,7 @@ import numpy as np
 
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.limits import Limits
-from surefoot.deploy.board.signals import MotorOrder, Sensors, microseconds
+from surefoot.deploy.board.signals import MotorCommand, Sensors, microseconds
 from surefoot.deploy.messages import Handshake, Mode, Packet, Reason
 from surefoot.deploy.robot_link import LinkStatistics
 from surefoot.emulator.capture_writer import PERIOD
@@ -75,8 +75,8 @@ class EmulatedBoard(ABC):
         self._step = microseconds(plant.robot.timing.servo_step)
         self._start()
         self._booted = 0
-        self._order: MotorOrder | None = None
-        self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(plant.robot.num_motors))
+        self._command: MotorCommand | None = None
+        self._damped = self._last = MotorCommand(Mode.DISARMED, np.zeros(plant.robot.num_motors))
 
     @abstractmethod
     def _start(self) -> None:
@@ -87,7 +87,7 @@ class EmulatedBoard(ABC):
         """Hand the program what arrives next."""
 
     @abstractmethod
-    def _compute_order(self, now: int) -> MotorOrder:
+    def _compute_command(self, now: int) -> MotorCommand:
         """Return what the motors do in the servo step that begins."""
 
     @abstractmethod
@@ -135,7 +135,7 @@ class EmulatedBoard(ABC):
 
     def _steps_until(self, moment: float) -> int:
         """Return how many servo steps can be run at once, the last one ending at `moment` or before."""
-        if self.stride == 1 or self._order is not None:
+        if self.stride == 1 or self._command is not None:
             # The step in progress keeps its order; what has arrived meanwhile acts from the next one on.
             return 1
         first = self.next_step
@@ -148,21 +148,21 @@ class EmulatedBoard(ABC):
 
     def _begin_step(self) -> None:
         """Fix the order of the step in progress: nothing that happens within it changes it."""
-        if self._order is None and self.now > self.plant.ticks * self._step:
-            self._order = self._decide()
+        if self._command is None and self.now > self.plant.ticks * self._step:
+            self._command = self._decide()
             self._send()
 
-    def _decide(self) -> MotorOrder:
+    def _decide(self) -> MotorCommand:
         now = self.plant.ticks * self._step
         if now >= self._standing_until():
-            self._last = self._compute_order(now)
+            self._last = self._compute_command(now)
         return self._last
 
     def _physics(self, count: int) -> None:
-        order = self._order or self._decide()
-        self._order = None
+        command = self._command or self._decide()
+        self._command = None
         self._send()
-        self.plant.step(order, count)
+        self.plant.step(command, count)
         end = self.plant.ticks * self._step
         self.now = max(self.now, end)
         self.injector.tick(end, self.firmware.armed)
@@ -217,5 +217,5 @@ class Board(EmulatedBoard):
     def _receive(self) -> None:
         self.link.receive(self.now, self.firmware)
 
-    def _compute_order(self, now: int) -> MotorOrder:
-        return self.injector.order(self.firmware.tick(now, self.plant.vitals()))
+    def _compute_command(self, now: int) -> MotorCommand:
+        return self.injector.motor_command(self.firmware.tick(now, self.plant.vitals()))

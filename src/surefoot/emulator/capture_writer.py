@@ -25,7 +25,7 @@ class CaptureWriter:
         path: file to write (.csv); it must not exist yet.
         plant: the body.
         later: let a thread write, 20 times per second, so that a slow disk does not delay the robot; otherwise every
-            row is in the file when `see` returns.
+            row is in the file when `update` returns.
 
     Raises:
         SurefootError: the file exists, or its folder does not.
@@ -46,7 +46,7 @@ class CaptureWriter:
     def _add(self, words: list[str]) -> None:
         self.file.add((",".join(words) + "\n").encode())
 
-    def see(self, now: int) -> None:
+    def update(self, now: int) -> None:
         """Add a row if a servo step that ended at `now` [us] is due for one."""
         if now % PERIOD:
             return

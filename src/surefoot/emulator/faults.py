@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.deploy.board.signals import MotorOrder, Sensors
+from surefoot.deploy.board.signals import MotorCommand, Sensors
 from surefoot.deploy.messages import Handshake, Mode, Packet, State
-from surefoot.emulator.fault_table import HARMS, InjectedFault
+from surefoot.emulator.fault_table import LINE_FAULTS, InjectedFault
 from surefoot.emulator.plant import Plant
 
 TILT_FORCE, TILT_TIME = 1.1, 0.4
@@ -39,8 +39,8 @@ class FaultInjector:
         self.hangs_until = 0
         """When the microcontroller's program goes on."""
         self._now = 0
-        self._order: MotorOrder | None = None
-        self._changed_order: MotorOrder | None = None
+        self._command: MotorCommand | None = None
+        self._changed_command: MotorCommand | None = None
         self._old: Packet | None = None
         self._number = 0
 
@@ -74,7 +74,7 @@ class FaultInjector:
     @property
     def chances(self) -> dict[str, float]:
         """Chance per frame of each harm on the line that has begun."""
-        return {name: fault.value for name in HARMS if (fault := self.active(name))}
+        return {name: fault.value for name in LINE_FAULTS if (fault := self.active(name))}
 
     def tick(self, now: int, armed: bool) -> None:
         """Take the end of a servo step, and whether the robot is armed."""
@@ -95,18 +95,18 @@ class FaultInjector:
         if not self.hangs_until and self.began("hang"):
             self.hangs_until = now + round(self.faults["hang"].value * 1e6)
 
-    def order(self, order: MotorOrder) -> MotorOrder:
+    def motor_command(self, command: MotorCommand) -> MotorCommand:
         """Return what the motors get instead of an order; the same object for the same order."""
-        if order is not self._order:
-            self._order, self._changed_order = order, self._change_order(order)
-        return self._changed_order or order
+        if command is not self._command:
+            self._command, self._changed_command = command, self._change_command(command)
+        return self._changed_command or command
 
-    def _change_order(self, order: MotorOrder) -> MotorOrder:
+    def _change_command(self, command: MotorCommand) -> MotorCommand:
         servo, sign = self.wiring()
-        values = order.values[servo]
+        values = command.values[servo]
         # An angle is mirrored at the resting angle, a duty at zero.
-        middle = self.rest if order.mode == Mode.POSITION else 0.0
-        return replace(order, values=np.where(sign < 0, 2 * middle - values, values))
+        middle = self.rest if command.mode == Mode.POSITION else 0.0
+        return replace(command, values=np.where(sign < 0, 2 * middle - values, values))
 
     def wiring(self) -> tuple[NDArray[np.int64], Array]:
         """Return, for each motor, the servo that it is wired to, and -1 where it turns the wrong way (M,)."""

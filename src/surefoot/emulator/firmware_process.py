@@ -65,7 +65,7 @@ class FirmwareProcess:
         self.statistics = LinkStatistics()
         """What the firmware has received."""
         self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0
-        self.effort, self.order = np.zeros((2, motors))
+        self.effort, self.motor_values = np.zeros((2, motors))
         """Duties or torques of the last servo step; angles or duties that an armed robot's motors follow."""
         self.next_state: float = np.inf
         self.command_time = self.old_numbers = self.stale = 0
@@ -136,7 +136,7 @@ class FirmwareProcess:
             self.mode, self.reason = Mode(mode), Reason(reason)
         except ValueError as error:
             raise SurefootError(f"firmware {self._program}: {error}") from None
-        self.effort, self.order = enabled * np.reshape(floats, (2, -1))
+        self.effort, self.motor_values = enabled * np.reshape(floats, (2, -1))
         self.next_state = np.inf if following == _NEVER else following
         if size:
             self._out += self._decoder.feed(self._read(size))

@@ -34,7 +34,7 @@ class MapSender:
         seen = self._plant.capture()
         return seen.position[None], np.atleast_1d(quat_yaw(seen.quat))
 
-    def see(self, now: int) -> None:
+    def update(self, now: int) -> None:
         """Send a map if a servo step that ended at `now` [us] is due for one."""
         if now % PERIOD:
             return

@@ -104,7 +104,7 @@ def measure(board: EmulatedRobot, summary: Summary) -> Iterator[None]:
     summary.processor_time = time.process_time() - used
 
 
-class RealTime:
+class RealTimeLoop:
     """Advances a robot by the computer's monotonic clock, and sleeps in between, until `summary.stop` is set.
 
     The physics takes at least `load` times real time.

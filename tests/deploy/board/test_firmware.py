@@ -62,7 +62,7 @@ def test_a_command_at_the_limits_of_the_handshake_is_obeyed(robot, monkeypatch, 
         assert bench.send(Position(ME, target)) == []
         bench.run(1)
         assert bench.firmware.mode == Mode.POSITION
-        np.testing.assert_array_equal(bench.order.values, target)
+        np.testing.assert_array_equal(bench.motor_command.values, target)
     bench.send(Position(ME, np.nextafter(sent.angle_high.astype(np.float32), np.float32(9))))
     assert bench.firmware.reason == Reason.COMMAND
 
@@ -131,10 +131,10 @@ def test_no_message_crashes_the_firmware_or_exceeds_its_limits(robot, where, tal
         else:
             bench.send(sent, number=number)
         bench.run(pause)
-        if bench.order is not None and bench.order.mode == Mode.POSITION:
-            assert ((bench.order.values >= low) & (bench.order.values <= high)).all()
-        elif bench.order is not None and bench.order.mode == Mode.PWM:
-            assert (np.abs(bench.order.values) <= 1).all()
+        if bench.motor_command is not None and bench.motor_command.mode == Mode.POSITION:
+            assert ((bench.motor_command.values >= low) & (bench.motor_command.values <= high)).all()
+        elif bench.motor_command is not None and bench.motor_command.mode == Mode.PWM:
+            assert (np.abs(bench.motor_command.values) <= 1).all()
 
 
 def random_message(rng: random.Random) -> Message | bytes:
@@ -183,8 +183,8 @@ def test_both_programs_say_the_same(robot, where):
         assert one.firmware.next_state == other.firmware.next_state
         assert one.firmware.is_taken(one.now) == other.firmware.is_taken(one.now)
         assert len(one.sent) == len(other.sent)
-        if one.order is not None:
-            np.testing.assert_array_equal(one.order.values.astype(np.float32), other.order.values)
+        if one.motor_command is not None:
+            np.testing.assert_array_equal(one.motor_command.values.astype(np.float32), other.motor_command.values)
     for mine, its in zip(one.sent, other.sent, strict=True):
         assert (mine.sequence, mine.time) == (its.sequence, its.time)
         assert CODEC.pack(mine.message) == CODEC.pack(its.message), (mine, its)

@@ -1,4 +1,4 @@
-"""The link to a Go2 over DDS: keeper and watcher as processes, against a robot that is a process too."""
+"""The link to a Go2 over DDS: supervisor and watchdog as processes, against a robot that is a process too."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytest.importorskip("cyclonedds")
 from go2_robot import Go2, worker_domain
 
 from surefoot.deploy.dds.dds_link import DdsLink, check_priority, make_config
-from surefoot.deploy.pacer import undisturbed
+from surefoot.deploy.pacer import real_time_priority
 
 DOMAIN = worker_domain(60)
 STEP = 0.01
@@ -39,7 +39,7 @@ def go2() -> RobotDescription:
 @pytest.fixture(scope="module", autouse=True)
 def punctual() -> Iterator[None]:
     """Keep the operator in time, as a deployment does: a busy computer must not make its commands late."""
-    with undisturbed():
+    with real_time_priority():
         yield
 
 
@@ -57,7 +57,7 @@ class Operator:
         self.link = DdsLink(make_config(robot, "lo", DOMAIN, (KP, KD)))
         self.link.connect()
         assert self.link.wait_for(lambda: self.link.states > 1, 2.0)
-        self.watcher, self.keeper = (child.pid for child in self.link.children)
+        self.watchdog, self.supervisor = (child.pid for child in self.link.children)
 
     def arm(self) -> None:
         """Arm, as soon as the robot does."""
@@ -111,7 +111,7 @@ def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, 
     assert max(frame.jump for frame in frames) < 0.1
     rate = len(frames) / (frames[-1].time - frames[0].time)
     assert 450 < rate < 550
-    pids = [operator.watcher, operator.keeper]
+    pids = [operator.watchdog, operator.supervisor]
     real_time = all(os.sched_getscheduler(pid) == os.SCHED_FIFO for pid in pids)
     assert check_priority(pids).passed is (True if real_time else None)
     assert check_priority([os.getppid()]).passed is None
@@ -128,19 +128,19 @@ def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("how", ["killed", "stands still"])
-def test_a_keeper_that_ends_or_stands_still(operator: Operator, body: Go2, how: str) -> None:
-    """`test_keeper.py` has what the keeper does when others end."""
+def test_a_supervisor_that_ends_or_stands_still(operator: Operator, body: Go2, how: str) -> None:
+    """`test_supervisor.py` has what the supervisor does when others end."""
     operator.arm()
     operator.hold(lambda: False, 0.1)
     # Just after a command: stopped while it writes one, it would send that as soon as it goes on.
     while time.monotonic() - body.read()[-1].time > 0.0007:
         pass
     ended = time.monotonic()
-    os.kill(operator.keeper, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+    os.kill(operator.supervisor, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
     first = body.wait_for(lambda frame: frame.damps, ended)
     assert first.time - ended < REACTION
     if how == "stands still":
-        os.kill(operator.keeper, signal.SIGCONT)
+        os.kill(operator.supervisor, signal.SIGCONT)
     time.sleep(0.2)
     frames = [frame for frame in body.read() if frame.time >= ended]
     assert all(frame.damps for frame in frames if frame.time >= first.time)
@@ -163,14 +163,14 @@ def test_another_program_that_commands_the_motors(operator: Operator, body: Go2)
     assert operator.link.last_state().reason == Reason.OTHER_PROGRAM
 
 
-def test_the_keeper_waits_for_three_steps_of_a_slow_policy(go2: RobotDescription) -> None:
+def test_the_supervisor_waits_for_three_steps_of_a_slow_policy(go2: RobotDescription) -> None:
     assert make_config(go2, "lo", DOMAIN).limits.command_timeout == 0.055
     slow = make_config(go2, "lo", DOMAIN, silence=0.06)
     assert slow.limits.command_timeout == slow.handshake.command_timeout == 0.06
 
 
 def test_another_robot_is_refused(robot: RobotDescription) -> None:
-    with pytest.raises(SurefootError, match="speaks with a Unitree Go2; minitaur must have its joint actuators"):
+    with pytest.raises(SurefootError, match="needs a Unitree Go2; minitaur must have joint actuators"):
         make_config(robot, "lo", DOMAIN)
 
 
@@ -189,7 +189,7 @@ def test_a_command_of_another_program_before_the_arming_is_remembered(
     writer = bus.Bus("lo", DOMAIN).writer(bus.LOW_COMMAND_TOPIC, types.LowCmd)
     time.sleep(0.3)
     link = operator.link
-    assert link.hears_others
+    assert link.detects_other_programs
     assert link.foreign_commands == []
     writer.write(encode(new_command()))
     assert link.wait_for(lambda: bool(link.foreign_commands), 2.0, link.ping)

@@ -14,7 +14,7 @@ import pytest
 
 from surefoot.check_result import CheckResult
 from surefoot.deploy.dds.low_level import LOW_STATE, Record, new_record
-from surefoot.deploy.pacer import undisturbed
+from surefoot.deploy.pacer import real_time_priority
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
@@ -138,7 +138,7 @@ def body() -> Iterator[Go2]:
 @pytest.fixture(scope="module")
 def listener(body: Go2) -> Iterator[Inspection]:
     """Listen in time, threads of the bus included: a busy computer must not make the robot's states late."""
-    with undisturbed(threads=True):
+    with real_time_priority(threads=True):
         here = bus.Bus("lo", DOMAIN)
         yield Inspection(here, "lo", DOMAIN)
         here.close()

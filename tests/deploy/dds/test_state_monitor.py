@@ -12,7 +12,7 @@ import pytest
 
 from surefoot.deploy.board.signals import Vitals
 from surefoot.deploy.dds.low_level import LOW_STATE, Record, Remote, encode, new_record
-from surefoot.deploy.dds.state_monitor import LATE, LATE_LOOKS, LOST_RISE, SHOWN, StateMonitor
+from surefoot.deploy.dds.state_monitor import HAZARD_HOLD, MAX_LOST, MIN_POLLS, STATE_TIMEOUT, StateMonitor
 from surefoot.deploy.messages import Reason
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_messages.json").read_text())["low_state"]
@@ -99,7 +99,7 @@ def cut(data: bytes) -> bytes:
 )
 def test_states_that_stop_or_are_damaged(bench: Bench, damage: Callable[[bytes], bytes], reason: Reason) -> None:
     assert bench.run(0.1).hazard is None
-    assert bench.run(1e-6 * (LATE - STEP), damage).hazard is None
+    assert bench.run(1e-6 * (STATE_TIMEOUT - STEP), damage).hazard is None
     hazard = bench.run(1e-6 * STEP, damage).hazard
     assert hazard is not None
     assert hazard[0] == reason
@@ -123,15 +123,15 @@ def test_a_state_now_and_then_that_is_damaged_is_left_out(bench: Bench) -> None:
 def test_states_that_repeat(bench: Bench) -> None:
     bench.run(0.1)
     bench.tick_step = 0
-    hazard = bench.run(1e-6 * LATE).hazard
+    hazard = bench.run(1e-6 * STATE_TIMEOUT).hazard
     assert hazard is not None
     assert hazard[0] == Reason.STATES_FROZEN
 
 
 def test_a_reader_that_was_held_up_itself_looks_before_it_judges(bench: Bench) -> None:
     bench.run(0.1)
-    bench.now += 5 * LATE
-    for _ in range(LATE_LOOKS - 1):
+    bench.now += 5 * STATE_TIMEOUT
+    for _ in range(MIN_POLLS - 1):
         bench.now += STEP
         bench.monitor.take(bench.now, [])
         assert bench.monitor.vitals(bench.now).hazard is None
@@ -145,7 +145,7 @@ def test_a_robot_that_restarts(bench: Bench) -> None:
     hazard = bench.run(0.002).hazard
     assert hazard is not None
     assert hazard[0] == Reason.RESTARTED
-    assert bench.run(1e-6 * SHOWN).hazard is None
+    assert bench.run(1e-6 * HAZARD_HOLD).hazard is None
 
 
 def test_states_out_of_order_are_left_out(bench: Bench) -> None:
@@ -196,7 +196,7 @@ def test_a_motor_whose_messages_are_lost(bench: Bench) -> None:
         hazard = bench.run(0.002).hazard
     assert hazard[0] == Reason.MOTOR_OFF
     assert "FL_hip_joint has lost 10 messages" in hazard[1]
-    assert LOST_RISE <= count < 2 * LOST_RISE  # the count begins anew five times a second
+    assert MAX_LOST <= count < 2 * MAX_LOST  # the count begins anew five times a second
 
 
 def test_messages_of_a_motor_that_are_lost_now_and_then(bench: Bench) -> None:

@@ -12,26 +12,26 @@ from emulated_go2 import FOLDED, GO2, STANDING, Robot, Wire
 
 from surefoot.deploy.dds import low_level
 from surefoot.deploy.dds.low_level import POS_STOP, VEL_STOP
-from surefoot.emulator.dds.board import Go2Board, read_order
+from surefoot.emulator.dds.board import Go2Board, read_joint_command
 from surefoot.emulator.plant import Plant
 
 
-def order(**fields: object) -> object:
+def joint_command(**fields: object) -> object:
     command = low_level.new_command()
     for name, value in fields.items():
         command["motor_cmd"][name][0] = value
-    return read_order(command, 12)
+    return read_joint_command(command, 12)
 
 
 def test_the_vendors_words_for_no_angle_and_no_speed_leave_terms_out() -> None:
-    usual = order(q=0.5, dq=2.0, tau=3.0, kp=40.0, kd=1.0)
+    usual = joint_command(q=0.5, dq=2.0, tau=3.0, kp=40.0, kd=1.0)
     assert (usual.angle[0], usual.speed[0], usual.feedforward[0], usual.kp[0], usual.kd[0]) == (0.5, 2, 3, 40, 1)
-    assert order(q=POS_STOP, dq=2.0, kp=40.0, kd=1.0).kp[0] == 0
-    assert order(q=0.5, dq=VEL_STOP, kp=40.0, kd=1.0).kd[0] == 0
-    off = order(q=0.5, dq=2.0, tau=3.0, kp=40.0, kd=1.0, mode=0)
+    assert joint_command(q=POS_STOP, dq=2.0, kp=40.0, kd=1.0).kp[0] == 0
+    assert joint_command(q=0.5, dq=VEL_STOP, kp=40.0, kd=1.0).kd[0] == 0
+    off = joint_command(q=0.5, dq=2.0, tau=3.0, kp=40.0, kd=1.0, mode=0)
     assert (off.feedforward[0], off.kp[0], off.kd[0]) == (0, 0, 0)
-    assert order(q=np.nan) is None
-    assert order(kd=np.inf) is None
+    assert joint_command(q=np.nan) is None
+    assert joint_command(kd=np.inf) is None
 
 
 def test_torques_follow_the_vendors_law_up_to_the_drives_limits() -> None:

@@ -22,7 +22,7 @@ import numpy as np
 
 from surefoot.deploy import messages
 from surefoot.deploy.board.limits import Limits
-from surefoot.deploy.board.signals import Hazard, MotorOrder, Sensors, Vitals, microseconds
+from surefoot.deploy.board.signals import Hazard, MotorCommand, Sensors, Vitals, microseconds
 from surefoot.deploy.clock import ClockSync
 from surefoot.deploy.messages import Handshake, Hello, Message, Mode, Packet, Position, Pwm, Reason
 
@@ -89,7 +89,7 @@ class Firmware:
         """Commands dropped because they were too old."""
         self._out: list[Packet] = []
         self._sent = 0
-        self._order = self._damped = MotorOrder(Mode.DISARMED, np.zeros(len(handshake.motor_names)))
+        self._motor_command = self._damped = MotorCommand(Mode.DISARMED, np.zeros(len(handshake.motor_names)))
         self._fresh = self._first = False
         self._state_period = microseconds(limits.state_period[1])
         self._report_after = self._command = self._command_time = 0
@@ -235,7 +235,7 @@ class Firmware:
                 return
         self._first = False
         self._command, self._command_time, self._dropped_in_a_row, self._fresh = number, now, 0, False
-        self._order = MotorOrder(self.mode, values)
+        self._motor_command = MotorCommand(self.mode, values)
         self.next_state = now + self._report_after
 
     def _drop(self, now: int, text: str) -> None:
@@ -244,7 +244,7 @@ class Firmware:
         if self.armed and self._dropped_in_a_row >= self.limits.stale_drops:
             self._fail(now, Reason.STALE, text)
 
-    def tick(self, now: int, vitals: Vitals) -> MotorOrder:
+    def tick(self, now: int, vitals: Vitals) -> MotorCommand:
         """Return the order to the motors in the servo step that begins."""
         self._vitals = vitals
         # A voltage that is no number is low.
@@ -264,8 +264,8 @@ class Firmware:
             self._fresh = False
             angle = np.array(vitals.motor_angle, float)
             held = angle if self.mode == Mode.POSITION else np.zeros_like(angle)
-            self._order = MotorOrder(self.mode, held)
-        return self._order
+            self._motor_command = MotorCommand(self.mode, held)
+        return self._motor_command
 
     def _hazard(self, now: int) -> Hazard | None:
         """Return why motors must not move, by the sensors of the last servo step; None if they may."""

@@ -15,7 +15,7 @@ from surefoot.deploy.dds import types
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus, check_interface
 from surefoot.deploy.dds.low_level import LOW_STATE, MOTOR_NAMES, SERVO, STATE_PERIOD, BadMessageError, Record, decode
 from surefoot.deploy.dds.motion_service import MotionService
-from surefoot.deploy.dds.state_monitor import LOST_RISE, MOTORS
+from surefoot.deploy.dds.state_monitor import MAX_LOST, MOTORS
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.rotations import quat_matrix
@@ -214,7 +214,7 @@ def check_motors(records: list[Record]) -> CheckResult:
     if off.size:
         names = choices([MOTOR_NAMES[motor] for motor in off])
         error = f"{names}: mode {int(motors['mode'][off[0]])}; it must be {SERVO}"
-    elif rise.max() >= LOST_RISE:
+    elif rise.max() >= MAX_LOST:
         error = f"{MOTOR_NAMES[int(rise.argmax())]} has lost {int(rise.max())} messages in {OBSERVED:g} s"
     lost, hottest = motors["lost"], int(motors["temperature"].max())
     return fail_if(

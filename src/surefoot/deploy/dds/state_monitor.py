@@ -16,21 +16,21 @@ from surefoot.deploy.messages import Reason
 from surefoot.rotations import quat_rpy
 
 MOTORS = len(MOTOR_NAMES)
-LATE, LATE_LOOKS = 40_000, 3
+STATE_TIMEOUT, MIN_POLLS = 40_000, 3
 """Time [us] without a new state that stops the motors, and how often somebody must have looked for one meanwhile: a
 program that was held up itself first reads what has come. With 20 ms a computer that was held up ended 3 of 60 runs;
 motors that hold a target for 55 ms may miss states for 40."""
-RESTART = 100
+TICK_RESTART = 100
 """Fall of the tick [ms] that is no message out of order, but a robot that counts anew."""
-SHOWN = 500_000
+HAZARD_HOLD = 500_000
 """Time [us] for which what was seen once keeps a robot from arming."""
-LOST_RISE, LOST_WINDOW = 10, 200_000
+MAX_LOST, LOST_WINDOW = 10, 200_000
 """Lost messages of a motor within a time [us] that stop it. Counts of a healthy robot are not 0, but steady."""
-STICK = 0.5
+STICK_THRESHOLD = 0.5
 """Deflection of a stick of the remote control, of 1, that asks to sit."""
 STOP_BUTTONS = frozenset(("L2", "B"))
 """Buttons of the remote control that together damp the motors, as in the vendor's own programs."""
-QUATERNION_ERROR = 0.05
+MAX_QUATERNION_ERROR = 0.05
 """Greatest difference of a quaternion's length from 1."""
 _CELL = (1.0, 5.0)
 """Least and greatest voltage [V] of a cell that is there."""
@@ -83,18 +83,18 @@ class StateMonitor:
         self._angle = self._velocity = self._torque = none
         self._roll_pitch_yaw, self._rate = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         self._temperature, self._lost = (0,) * MOTORS, (0,) * MOTORS
-        self._new_at, self._looks, self._lost_since = -math.inf, 0, -math.inf
+        self._new_at, self._polls, self._lost_since = -math.inf, 0, -math.inf
         self._repeats = self._bad = 0
         """States with the same tick, and damaged ones, since the last new one."""
-        self._shown: Hazard | None = None
-        self._shown_until = 0
-        self._found: Hazard | None = None
+        self._held_hazard: Hazard | None = None
+        self._held_until = 0
+        self._state_hazard: Hazard | None = None
         self._remote = _NO_REMOTE
         self._stop = self._stick = False
 
     def take(self, now: int, messages: Sequence[bytes]) -> None:
         """Take the messages that have come since the last call, oldest first."""
-        self._looks += 1
+        self._polls += 1
         for data in reversed(messages):
             try:
                 state = unpack(LOW_STATE, data)
@@ -111,14 +111,14 @@ class StateMonitor:
         motors, (tick, remote, power) = numbers[7:-3], numbers[-3:]
         if self.tick is not None:
             rise = (tick - self.tick + 2**31) % 2**32 - 2**31
-            if -RESTART < rise <= 0:
+            if -TICK_RESTART < rise <= 0:
                 self._repeats += 1
                 return
             if rise < 0:
-                self._show(now, Reason.RESTARTED, f"the robot's tick went back by {-rise} ms")
+                self._hold(now, Reason.RESTARTED, f"the robot's tick went back by {-rise} ms")
                 rise = 0
             self.energy += 1e-3 * rise * abs(sum(map(operator.mul, self._torque, self._velocity)))
-        self.tick, self._new_at, self._looks, self._repeats, self._bad = tick, now, 0, 0, 0
+        self.tick, self._new_at, self._polls, self._repeats, self._bad = tick, now, 0, 0, 0
         mode, self._angle, self._velocity, self._torque, self._temperature, lost = (
             motors[k :: len(_MOTOR)] for k in range(len(_MOTOR))
         )
@@ -127,12 +127,12 @@ class StateMonitor:
             self.voltage = battery_voltage(_CELLS.unpack_from(state), power)
         length = math.hypot(*numbers[:4])
         if not math.isfinite(sum(numbers[:-3]) + power):
-            self._found = Reason.NOT_FINITE, "a reading of the robot is not finite"
-        elif not abs(length - 1) <= QUATERNION_ERROR:
-            self._found = Reason.NOT_FINITE, f"the IMU's quaternion has length {length:.3g}; it must be 1"
+            self._state_hazard = Reason.NOT_FINITE, "a reading of the robot is not finite"
+        elif not abs(length - 1) <= MAX_QUATERNION_ERROR:
+            self._state_hazard = Reason.NOT_FINITE, f"the IMU's quaternion has length {length:.3g}; it must be 1"
         else:
             self._roll_pitch_yaw = quat_rpy(*numbers[:4])
-            self._found = self._check_motors(now, mode, lost)
+            self._state_hazard = self._check_motors(now, mode, lost)
         if remote != self._remote:
             self._read_remote(remote)
 
@@ -143,9 +143,9 @@ class StateMonitor:
         rises = (0,) if lost == self._lost else tuple(map(operator.sub, lost, self._lost))
         if now - self._lost_since > LOST_WINDOW or min(rises) < 0:
             self._lost, self._lost_since = lost, now
-        elif (worst := max(rises)) >= LOST_RISE:
+        elif (worst := max(rises)) >= MAX_LOST:
             text = f"{MOTOR_NAMES[rises.index(worst)]} has lost {worst} messages in {1e-3 * LOST_WINDOW:g} ms"
-            self._show(now, Reason.MOTOR_OFF, text)
+            self._hold(now, Reason.MOTOR_OFF, text)
         return None
 
     def _read_remote(self, data: bytes) -> None:
@@ -153,26 +153,26 @@ class StateMonitor:
         remote = Remote.decode(np.frombuffer(data, np.uint8))
         self._stop = remote.buttons >= STOP_BUTTONS
         sticks = (remote.left_x, remote.left_y, remote.right_x, remote.right_y)
-        self._stick = any(abs(stick) > STICK for stick in sticks)
+        self._stick = any(abs(stick) > STICK_THRESHOLD for stick in sticks)
 
-    def _show(self, now: int, reason: Reason, text: str) -> None:
-        self._shown, self._shown_until = (reason, text), now + SHOWN
+    def _hold(self, now: int, reason: Reason, text: str) -> None:
+        self._held_hazard, self._held_until = (reason, text), now + HAZARD_HOLD
 
     def hazard(self, now: int) -> Hazard | None:
         """Return why motors must not move; None if they may."""
         silence = now - self._new_at
-        if silence >= LATE and self._looks >= LATE_LOOKS:
+        if silence >= STATE_TIMEOUT and self._polls >= MIN_POLLS:
             since = "no state has come" if self.tick is None else f"no new state for {1e-3 * silence:.0f} ms"
-            if self._bad >= LATE_LOOKS:
+            if self._bad >= MIN_POLLS:
                 return Reason.STATES_DAMAGED, f"{since}: {self._bad} messages were damaged or of another layout"
-            if self._repeats >= LATE_LOOKS:
+            if self._repeats >= MIN_POLLS:
                 return Reason.STATES_FROZEN, f"{since}: the robot repeats tick {self.tick}"
             return Reason.STATES_LATE, since
         if self._stop:
             return Reason.REMOTE, "L2 and B of the remote control are pressed"
-        if self._found is not None:
-            return self._found
-        return self._shown if self._shown is not None and now < self._shown_until else None
+        if self._state_hazard is not None:
+            return self._state_hazard
+        return self._held_hazard if self._held_hazard is not None and now < self._held_until else None
 
     def vitals(self, now: int, hazard: Hazard | None = None) -> Vitals:
         """Return what a board checks in every servo step; `hazard` comes before those of the states."""

@@ -16,11 +16,11 @@ from surefoot.emulator.dds.motion_service import EmulatedMotionService
 from surefoot.emulator.dds.own_controller import OwnController
 from surefoot.emulator.fault_table import InjectedFault
 from surefoot.emulator.faults import FaultInjector
-from surefoot.emulator.plant import JointOrder, Plant
+from surefoot.emulator.plant import JointCommand, Plant
 from surefoot.seeding import generator
 
 
-def read_order(command: Record, motors: int) -> JointOrder | None:
+def read_joint_command(command: Record, motors: int) -> JointCommand | None:
     """Return what the vendor's PD law asks of motors; None if a number is not finite.
 
     A motor whose mode is not `SERVO` gets no torque. `POS_STOP` as an angle and `VEL_STOP` as a speed mean none: the
@@ -33,7 +33,7 @@ def read_order(command: Record, motors: int) -> JointOrder | None:
     on = sent["mode"] == SERVO
     kp *= on & (sent["q"] != np.float32(POS_STOP))
     kd *= on & (sent["dq"] != np.float32(VEL_STOP))
-    return JointOrder(angle, speed, feedforward * on, kp, kd)
+    return JointCommand(angle, speed, feedforward * on, kp, kd)
 
 
 class Go2Board:
@@ -74,7 +74,7 @@ class Go2Board:
         self._message = StateMessage(plant, lead, seed)
         self._random = generator(seed, "order of commands")
         none = np.zeros(plant.robot.num_motors)
-        self._order = self._limp = JointOrder(none, none, none, none, none)
+        self._joint_command = self._no_torque = JointCommand(none, none, none, none, none)
         self._commanded = self._service_back = False
         self._next_state = self._booted = self._switched_on = 0
 
@@ -100,7 +100,7 @@ class Go2Board:
 
     def _advance(self) -> None:
         faults, injector = self._faults, self._injector
-        self.plant.step(faults.order(self._order) if faults.any else self._order)
+        self.plant.step(faults.joint_command(self._joint_command) if faults.any else self._joint_command)
         self.now = now = self.plant.ticks * self._step
         self._message.accelerometer.measure()
         if faults.any:
@@ -126,7 +126,7 @@ class Go2Board:
         if not self._booted and injector.began("reboot"):
             # A restart takes its time; then ticks count anew, and the last command is forgotten.
             self._booted = self._switched_on = now + BOOT_TIME
-            self._order = self._limp
+            self._joint_command = self._no_torque
         if not self._service_back and injector.active("service-back"):
             self._service_back = True
             self.controller.activate()
@@ -147,21 +147,25 @@ class Go2Board:
         """Take the order of the next step from the newest command of everybody who commands."""
         link, faults, motors = self.link, self._faults, self.plant.robot.num_motors
         arrived, link.inbound = link.inbound, []
-        orders = []
+        joint_commands = []
         for command in reversed(arrived):
             if faults.any and faults.drops_command():
                 continue
-            order = read_order(command, motors)
-            if order is not None:
-                orders.append(order)
+            joint_command = read_joint_command(command, motors)
+            if joint_command is not None:
+                joint_commands.append(joint_command)
                 self._commanded = True
                 break
         angles = self.plant.world.actuation.sample[0, :motors]
         for own in (self.controller.command(now, angles), faults.other_command(angles)):
             if own is not None:
                 link.publish_command(own)
-                order = read_order(own, motors)
-                assert order is not None
-                orders.append(order)
-        if orders:
-            self._order = orders[int(self._random.integers(len(orders)))] if len(orders) > 1 else orders[0]
+                joint_command = read_joint_command(own, motors)
+                assert joint_command is not None
+                joint_commands.append(joint_command)
+        if joint_commands:
+            self._joint_command = (
+                joint_commands[int(self._random.integers(len(joint_commands)))]
+                if len(joint_commands) > 1
+                else joint_commands[0]
+            )

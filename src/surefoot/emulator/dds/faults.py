@@ -10,7 +10,7 @@ from surefoot.arrays import Array
 from surefoot.deploy.dds.low_level import STATE_PERIOD, Record, Remote, new_command
 from surefoot.emulator.dds.low_state import StateMessage
 from surefoot.emulator.faults import FaultInjector, flip_bits
-from surefoot.emulator.plant import JointOrder
+from surefoot.emulator.plant import JointCommand
 from surefoot.seeding import generator
 
 _LAYOUT_CUT = 12
@@ -42,7 +42,7 @@ class MessageFaults:
         self._old: bytes | None = None
         self._late: bytes | None = None
         self._lost: tuple[float, ...] | None = None
-        self._kept: JointOrder | None = None
+        self._kept: JointCommand | None = None
         self._other: Record | None = None
 
     def _motor(self, name: str) -> int | None:
@@ -65,22 +65,22 @@ class MessageFaults:
         fault = self._injector.active("late-states")
         return 0 if fault is None else round(1e6 * fault.value)
 
-    def order(self, order: JointOrder) -> JointOrder:
+    def joint_command(self, command: JointCommand) -> JointCommand:
         """Return what the motors get instead of an order."""
         servo, sign = self._injector.wiring()
-        columns = {name: values[servo] for name, values in vars(order).items()}
+        columns = {name: values[servo] for name, values in vars(command).items()}
         angle = columns["angle"]
         columns["angle"] = np.where(sign < 0, 2 * self._injector.rest - angle, angle)
         for name in ("speed", "feedforward"):
             columns[name] *= sign
         if (motor := self._motor("motor-lost")) is not None:
-            self._kept = self._kept or replace(order)
+            self._kept = self._kept or replace(command)
             for name, values in columns.items():
                 values[motor] = getattr(self._kept, name)[motor]
         if (motor := self._motor("motor-off")) is not None:
             for name in ("feedforward", "kp", "kd"):
                 columns[name][motor] = 0.0
-        return JointOrder(**columns)
+        return JointCommand(**columns)
 
     def drops_command(self) -> bool:
         """Return whether a command is lost on its way, or damaged and thus ignored."""

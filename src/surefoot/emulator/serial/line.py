@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from surefoot.emulator.fault_table import HARMS
+from surefoot.emulator.fault_table import LINE_FAULTS
 from surefoot.emulator.faults import flip_bits
 
 BITS_PER_BYTE = 10
@@ -78,7 +78,7 @@ class Line:
     def _harmed(self, frame: bytes) -> list[bytes]:
         """Return the pieces that a frame becomes; keep a frame that arrives after the next one."""
         random = self._random
-        draws = dict(zip(HARMS, random.random(len(HARMS)).tolist(), strict=True))
+        draws = dict(zip(LINE_FAULTS, random.random(len(LINE_FAULTS)).tolist(), strict=True))
 
         def strikes(harm: str) -> bool:
             hit = draws[harm] < self.chances.get(harm, 0.0)

@@ -13,7 +13,7 @@ from surefoot.emulator.board import EmulatedBoard
 from surefoot.emulator.real_time import Summary, measure
 from surefoot.emulator.serial.serial_host_link import HostPort, SerialHostLink
 
-PATIENCE = 2.0
+HOST_TIMEOUT = 2.0
 """Time [s] that a host has to read what the robot sends."""
 _IDLE = 0.05
 _POLL_PERIOD = 0.005
@@ -22,7 +22,7 @@ _STRIDE = 10_000
 """Robot time [us] that passes at once while nobody has the port open."""
 
 
-class Lockstep:
+class LockstepLoop:
     """Advances a board by the times in the frames that arrive.
 
     Before a frame is handed over, the robot runs to the frame's time and sends what is due until then. So a host that

@@ -10,7 +10,7 @@
 #define SECOND 1000000u
 #define WINDOW 10u /* seconds in which the quickest frame is looked for */
 #define WATCHDOG 20000u
-#define REASONS ((size_t)SUREFOOT_REASON_WATCHER + 1u)
+#define REASONS ((size_t)SUREFOOT_REASON_WATCHDOG + 1u)
 
 static const char *const mode_names[] = {"DISARMED", "POSITION", "PWM", "FAULT"};
 
@@ -41,7 +41,7 @@ static struct {
     uint32_t command, stale;
     uint16_t dropped;
     uint32_t dropped_in_a_row;
-    float order[MOTORS];
+    float motor_values[MOTORS];
     /* Readings of the last servo step. */
     bool ticked, finite;
     float angle[MOTORS], roll, pitch, voltage, temperature;
@@ -478,7 +478,7 @@ static void take_command(uint64_t now, const surefoot_header *header, uint8_t mo
     board.command = header->sequence;
     board.command_time = now;
     board.dropped_in_a_row = 0;
-    memcpy(board.order, values, sizeof(board.order));
+    memcpy(board.motor_values, values, sizeof(board.motor_values));
     board.next_state = now + board.report_after;
 }
 
@@ -634,7 +634,7 @@ void board_tick(void)
 {
     const uint64_t now = hal_time();
     float speed[MOTORS], torque[MOTORS], temperature[MOTORS], attitude[3], rates[3], power = 0.0f;
-    motor_order order[MOTORS];
+    motor_command command[MOTORS];
     size_t m;
 
     hal_read_motors(board.angle, speed, torque);
@@ -666,7 +666,7 @@ void board_tick(void)
         /* Nothing was commanded yet: servos hold the present angles, motors get no duty. */
         board.fresh = false;
         for (m = 0; m < MOTORS; m++) {
-            board.order[m] = board.mode == SUREFOOT_MODE_POSITION ? board.angle[m] : 0.0f;
+            board.motor_values[m] = board.mode == SUREFOOT_MODE_POSITION ? board.angle[m] : 0.0f;
         }
     }
     for (m = 0; m < MOTORS; m++) {
@@ -675,15 +675,15 @@ void board_tick(void)
         float wanted;
 
         /* Damped motors have the servo's own derivative gain. */
-        order[m].target = position ? board.order[m] : 0.0f;
-        order[m].kp = position ? robot_handshake.servo_kp[m] : 0.0f;
-        order[m].kd = pwm ? 0.0f : robot_handshake.servo_kd[m];
-        order[m].feedforward = pwm ? board.order[m] * limit : 0.0f;
-        wanted = order[m].feedforward + order[m].kp * (order[m].target - board.angle[m]) - order[m].kd * speed[m];
+        command[m].target = position ? board.motor_values[m] : 0.0f;
+        command[m].kp = position ? robot_handshake.servo_kp[m] : 0.0f;
+        command[m].kd = pwm ? 0.0f : robot_handshake.servo_kd[m];
+        command[m].feedforward = pwm ? board.motor_values[m] * limit : 0.0f;
+        wanted = command[m].feedforward + command[m].kp * (command[m].target - board.angle[m]) - command[m].kd * speed[m];
         /* An effort that is no number is none. */
-        order[m].effort = wanted > limit ? limit : wanted < -limit ? -limit : isnan(wanted) ? 0.0f : wanted;
+        command[m].effort = wanted > limit ? limit : wanted < -limit ? -limit : isnan(wanted) ? 0.0f : wanted;
     }
-    hal_drive_motors(order);
+    hal_drive_motors(command);
     hal_feed_watchdog();
 }
 
@@ -744,7 +744,7 @@ board_status board_show(void)
         .stale = board.stale,
     };
 
-    memcpy(status.order, board.order, sizeof(status.order));
+    memcpy(status.motor_values, board.motor_values, sizeof(status.motor_values));
     return status;
 }
 

@@ -19,7 +19,7 @@ typedef struct {
     uint8_t mode;                               /* a surefoot_mode */
     uint8_t reason;                             /* a surefoot_reason */
     uint16_t owner;                             /* the operator's session; 0: none */
-    float order[SUREFOOT_MOTORS];               /* angles or duties that an armed robot's motors follow */
+    float motor_values[SUREFOOT_MOTORS];        /* angles or duties that an armed robot's motors follow */
     uint64_t command_time;                      /* when a command was accepted last, or the robot armed */
     uint64_t next_state;                        /* when a state is due */
     uint64_t taken_until;                       /* after that another operator may connect */

@@ -18,7 +18,7 @@ typedef struct {
     float target;      /* rad */
     float kp, kd;      /* effort per rad, and per rad/s */
     float feedforward; /* effort */
-} motor_order;
+} motor_command;
 
 /* Start clock, serial line, sensors and motor drivers; motors are off. */
 void hal_start(void);
@@ -35,7 +35,7 @@ bool hal_write_line(const uint8_t *bytes, size_t size);
 /* Present angles, speeds and torques; torques are those of the currents. */
 void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS], float torque[SUREFOOT_MOTORS]);
 /* What each motor does until the next call. */
-void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS]);
+void hal_drive_motors(const motor_command command[SUREFOOT_MOTORS]);
 /* Switch the motor drivers on. They stay on: damped motors are driven too. */
 void hal_enable_motors(void);
 /* Temperature of each motor [degC]. */

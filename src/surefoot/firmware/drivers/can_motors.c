@@ -121,17 +121,17 @@ void hal_read_temperatures(float temperature[SUREFOOT_MOTORS])
     }
 }
 
-void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
+void hal_drive_motors(const motor_command command[SUREFOOT_MOTORS])
 {
     uint16_t m;
 
     can_clear(); /* what a bus has not carried in a servo period is old: one that returns must not bring it */
     for (m = 0; m < SUREFOOT_MOTORS; m++) {
-        const float angle = direction[m] * (order[m].target - zero[m]);
+        const float angle = direction[m] * (command[m].target - zero[m]);
         const uint32_t p = pack(angle, -MAX_ANGLE, MAX_ANGLE, 16), v = pack(0.0f, -MAX_SPEED, MAX_SPEED, 12);
-        const uint32_t kp = pack(isnan(angle) ? 0.0f : order[m].kp, 0.0f, MAX_KP, 12);
-        const uint32_t kd = pack(order[m].kd, 0.0f, MAX_KD, 12);
-        const uint32_t t = pack(direction[m] * order[m].feedforward, -MAX_TORQUE, MAX_TORQUE, 12);
+        const uint32_t kp = pack(isnan(angle) ? 0.0f : command[m].kp, 0.0f, MAX_KP, 12);
+        const uint32_t kd = pack(command[m].kd, 0.0f, MAX_KD, 12);
+        const uint32_t t = pack(direction[m] * command[m].feedforward, -MAX_TORQUE, MAX_TORQUE, 12);
         const can_frame frame = {
             (uint16_t)(FIRST_ID + m),
             8,

@@ -21,9 +21,9 @@ void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS],
     }
 }
 
-void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
+void hal_drive_motors(const motor_command command[SUREFOOT_MOTORS])
 {
-    (void)order; /* a plain drive takes `effort`, one with a PD law of its own the other numbers */
+    (void)command; /* a plain drive takes `effort`, one with a PD law of its own the other numbers */
 }
 
 void hal_enable_motors(void)

@@ -26,13 +26,13 @@ void hal_enable_motors(void)
 {
 }
 
-void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
+void hal_drive_motors(const motor_command command[SUREFOOT_MOTORS])
 {
     float effort[SUREFOOT_MOTORS];
     int m;
 
     for (m = 0; m < SUREFOOT_MOTORS; m++) {
-        effort[m] = order[m].effort;
+        effort[m] = command[m].effort;
     }
     write_host(effort, sizeof(effort));
     if (!read_host(&seen, SENT)) {

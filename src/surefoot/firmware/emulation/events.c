@@ -29,7 +29,7 @@ typedef struct {
     uint16_t owner;
     uint64_t command_time, next_state, taken_until;
     uint32_t frames, damaged, foreign, unknown, old_numbers, stale;
-    float effort[SUREFOOT_MOTORS], order[SUREFOOT_MOTORS];
+    float effort[SUREFOOT_MOTORS], motor_values[SUREFOOT_MOTORS];
     uint8_t enabled;
     uint32_t watchdog; /* us; 0: none */
     uint32_t cycles; /* of the event */
@@ -74,12 +74,12 @@ bool hal_write_line(const uint8_t *bytes, size_t size)
     return true;
 }
 
-void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
+void hal_drive_motors(const motor_command command[SUREFOOT_MOTORS])
 {
     size_t m;
 
     for (m = 0; m < SUREFOOT_MOTORS; m++) {
-        driven[m] = order[m].effort;
+        driven[m] = command[m].effort;
     }
 }
 
@@ -120,7 +120,7 @@ static void reply(uint32_t cycles)
     };
 
     memcpy(made.effort, driven, sizeof(driven));
-    memcpy(made.order, status.order, sizeof(status.order));
+    memcpy(made.motor_values, status.motor_values, sizeof(status.motor_values));
     write_answer(&made, sizeof(made));
     write_answer(out, out_size);
     out_size = 0;
