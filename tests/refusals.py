@@ -495,7 +495,7 @@ REFUSALS = [
             "trot --port x --duration -1": "duration is -1; it must be over 0",
             "trot --port x --episodes 0": "episodes is 0; it must be 1 or more",
             "trot --port x --out /dev/null": "out is /dev/null; it must be a folder",
-            "trot --port x --height-map 5556": "--height-map is given; policy 'trot' sees no map",
+            "trot --port x --height-map 5556": "--height-map is given; policy 'trot' uses no height map",
             "go2-steer --link dds": "--interface is missing; it names the network interface",
             "go2-steer --link can": "--link is 'can'",
             "go2-steer --port x --release": "--release is given; it goes with --link dds",

@@ -82,7 +82,7 @@ def swapped(names: tuple[Any, ...], one: int, other: int) -> tuple[Any, ...]:
 @pytest.mark.parametrize(
     ("change", "check", "message"),
     [
-        ({"robot": "spot"}, "robot", "it is 'spot', the data sheet is of 'minitaur'"),
+        ({"robot": "spot"}, "robot", "it is 'spot'; the data sheet is for 'minitaur'"),
         (
             {"motor_names": swapped(ROBOT.motor_names, 0, 5)},
             "motors",
@@ -111,17 +111,21 @@ def swapped(names: tuple[Any, ...], one: int, other: int) -> tuple[Any, ...]:
         ),
         ({"servo_kd": np.full(8, 0.014)}, "servo gains", "each must be within 5%"),
         ({"servo_period": 0.002}, "servo period", "2 ms; the data sheet says 1 ms"),
-        ({"command_period_min": 0.007}, "control step", "6 ms; the robot takes commands every 7 to 20 ms"),
-        ({"command_period_max": 0.005}, "control step", "6 ms; the robot takes commands every 2 to 5 ms"),
+        ({"command_period_min": 0.007}, "control step", "6 ms; the robot accepts commands every 7 to 20 ms"),
+        ({"command_period_max": 0.005}, "control step", "6 ms; the robot accepts commands every 2 to 5 ms"),
         ({"servo_period": 0.00105, "command_timeout": 1.0}, "control step", "5.71 servo periods of 1.05 ms"),
         ({"command_timeout": 0.017}, "watchdog", "after 17 ms without a command; it must allow 3 control steps, 18 ms"),
         # The trot swings 0.3 + 0.25 rad and extends to 2.0 + 0.35 + 0.25 rad: 3.15 rad at most, 0.85 at least.
-        ({"angle_high": np.full(8, 3.1)}, "angle limits", "can be sent to 0.850 to 3.150 rad; the robot takes -0.400"),
-        ({"angle_low": np.full(8, 0.9)}, "angle limits", "0.850 to 3.150 rad; the robot takes 0.900 to 3.700"),
+        (
+            {"angle_high": np.full(8, 3.1)},
+            "angle limits",
+            "can be commanded to 0.850 to 3.150 rad; the robot accepts -0.400",
+        ),
+        ({"angle_low": np.full(8, 0.9)}, "angle limits", "0.850 to 3.150 rad; the robot accepts 0.900 to 3.700"),
         (
             {"angle_high": np.array([3.7, 3.7, 3.7, 3.0, 3.7, 3.7, 3.7, 3.7])},
             "angle limits",
-            "back_left_1_motor can be sent to",
+            "back_left_1_motor can be commanded to",
         ),
     ],
 )
@@ -148,7 +152,7 @@ def test_the_standing_pose_must_be_within_the_robots_limits():
     # Standing at 0.6 rad, below the range of the trot.
     contract = replace(contract_of(), rest=(0.0, 0.6))
     failed = failures(contract, replace(HANDSHAKE, angle_low=np.full(8, 0.8)))
-    assert "can be sent to 0.600 to 3.150 rad" in failed["angle limits"].message
+    assert "can be commanded to 0.600 to 3.150 rad" in failed["angle limits"].message
     assert failed["angle limits"].value == pytest.approx(-0.2)
 
 
@@ -251,17 +255,17 @@ def test_the_grid_of_a_policys_map_is_that_of_the_robot():
     for change, message in (
         (
             None,
-            "height_map is the grid of height_scan or of footholds; it must be there with one of these, and only then",
+            "height_map is the grid of height_scan and footholds; it must be there with these, and only then",
         ),
-        (replace(grid, ahead=grid.ahead[1:]), "the 18 places ahead of its map are not the 19 of minitaur here"),
+        (replace(grid, ahead=grid.ahead[1:]), "its height map has 18 other points ahead than the 19 of minitaur here"),
         (
             replace(grid, left=tuple(1.1 * place for place in grid.left)),
-            "the 13 places left of its map are not the 13 of minitaur here",
+            "its height map has 13 other points left than the 13 of minitaur here",
         ),
     ):
         with pytest.raises(SurefootError, match=message):
             check_policy(replace(seeing, height_map=change), ROBOT)
-    with pytest.raises(SurefootError, match=r"sees the ground; give --height-map PORT, to which a program sends"):
+    with pytest.raises(SurefootError, match=r"needs a height map; give --height-map PORT, to which a program sends"):
         check_map(seeing, None)
     with pytest.raises(SurefootError, match="follows no commands; it could not stand while a map is late"):
         check_map(replace(seeing, commands=None), 5556)

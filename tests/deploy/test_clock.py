@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from surefoot.deploy.clock import WINDOW, ClockSync, LockstepClock, MonotonicClock
+from surefoot.deploy.clock import SYNC_WINDOW, ClockSync, LockstepClock, MonotonicClock
 from surefoot.deploy.serial.serial_link import SerialLink
 from surefoot.errors import SurefootError
 
@@ -49,16 +49,16 @@ def test_the_offset_is_infinite_without_a_frame():
     sync = ClockSync()
     assert sync.offset == math.inf
     sync.add(0.0, 5.0)
-    sync.forget()
+    sync.reset()
     assert sync.offset == math.inf
 
 
 def test_a_quick_frame_counts_for_the_window_and_no_longer():
     sync = ClockSync()
     sync.add(0.0, 50.0)
-    sync.add(WINDOW, 50.0 + WINDOW + 0.004)
+    sync.add(SYNC_WINDOW, 50.0 + SYNC_WINDOW + 0.004)
     assert sync.offset == pytest.approx(50.0)
-    sync.add(WINDOW + 2.0, 50.0 + WINDOW + 2.004)
+    sync.add(SYNC_WINDOW + 2.0, 50.0 + SYNC_WINDOW + 2.004)
     assert sync.offset == pytest.approx(50.004)
 
 
@@ -68,5 +68,5 @@ def test_the_drift_of_clocks_is_followed_in_bounded_memory():
     for k in range(6000):
         sent = 0.01 * k
         sync.add(sent, 7.0 + sent * (1.0 + drift))
-    assert 0.0 <= sync.age(sent, 7.0 + sent * (1.0 + drift)) <= 1.2 * drift * WINDOW
-    assert len(sync._buckets) <= WINDOW + 2
+    assert 0.0 <= sync.age(sent, 7.0 + sent * (1.0 + drift)) <= 1.2 * drift * SYNC_WINDOW
+    assert len(sync._buckets) <= SYNC_WINDOW + 2

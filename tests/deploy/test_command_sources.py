@@ -18,7 +18,7 @@ import pytest
 from scripted import COMMAND_LIMITS as LIMITS
 
 from surefoot.deploy.command_sources import (
-    FRESH,
+    MAX_COMMAND_AGE,
     ChannelCommands,
     GamepadCommands,
     KeyboardCommands,
@@ -66,7 +66,7 @@ def test_a_command_of_the_channel_holds_for_a_while_and_then_means_stand() -> No
         assert channel.read(0.0).tolist() == STAND
         send_command(channel.port, forward=0.5, yaw_rate=-0.2)
         wait_for(channel, [0.5, 0.0, -0.2])
-        now[0] += FRESH - 0.01
+        now[0] += MAX_COMMAND_AGE - 0.01
         assert channel.read(0.0).tolist() == [0.5, 0.0, -0.2]
         now[0] += 0.02
         assert channel.read(0.0).tolist() == STAND
@@ -98,7 +98,7 @@ def test_an_invalid_datagram_is_counted_and_ignored(channel: ChannelCommands, da
         sender.sendto(data, ("127.0.0.1", channel.port))
     send_command(channel.port, forward=0.5)
     wait_for(channel, [0.5, 0.0, 0.0])
-    assert channel.refused == 1
+    assert channel.rejected == 1
 
 
 def test_a_second_channel_on_the_same_port_is_refused(channel: ChannelCommands) -> None:

@@ -103,7 +103,7 @@ def test_a_computer_that_keeps_stalling_arms_no_robot(deployment, computer, toy,
         return 0.0
 
     computer.late = late
-    with pytest.raises(SurefootError, match=r"not armed: \d+ control steps in a row were missed; at most 2"):
+    with pytest.raises(SurefootError, match=r"not armed: \d+ consecutive control steps were missed; at most 2"):
         connect(deployment)
     assert monitor.phases.count("check timing") == TIMING_ATTEMPTS
     assert Arm not in {type(message) for _, message in toy.received}

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from surefoot.deploy.display import LiveDisplay, PlainLines, StatusPanel, show
+from surefoot.deploy.display import LiveDisplay, PlainLines, StatusPanel, draw_messages
 from surefoot.deploy.loop import Snapshot
 
 
@@ -61,7 +61,7 @@ def test_lines_are_drawn_and_other_lines_skipped():
         '{"phase": "stand up", "left": 1.5}',
         '{"warning": "hot"}',
     )
-    show(lines, stream)
+    draw_messages(lines, stream)
     for text in ("trot on minitaur", "stand up, 1.5 s left", "! hot"):
         assert text in stream.getvalue()
 

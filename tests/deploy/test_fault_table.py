@@ -339,7 +339,7 @@ def test_row_3_a_policy_that_breaks(ended, reason, text):
 @pytest.mark.parametrize(
     ("scenario", "text"),
     [
-        ("other-robot", "it is 'not-minitaur', the data sheet is of 'minitaur'"),
+        ("other-robot", "it is 'not-minitaur'; the data sheet is for 'minitaur'"),
         ("other-order", "names and order must be the same"),
         ("other-gains", "the robot's servos have kp 1.5"),
         ("other-schema", "the robot has version 1 and schema"),
@@ -407,7 +407,7 @@ def test_row_5_late_steps_are_held_and_counted_and_too_many_damp(living_robot, t
         ended = host.end()
         # Two steps of 6 ms pass in every short stop, so that at least one is missed, and five in the long one.
         assert ended.outcome == (3, "fault", "late")
-        assert "control steps in a row were missed; at most 2" in ended.run["what"]
+        assert "consecutive control steps were missed; at most 2" in ended.run["what"]
         print(f"{ended.run['timing']['missed']} missed; {ended.run['what']}")
         assert ended.run["timing"]["missed"] >= 4 + 3
         # It held its target then, and went on.
@@ -578,7 +578,7 @@ def test_row_9_ctrl_c_twice(ended):
 @scenarios("disk full")
 def test_row_10_a_full_disk(ended):
     assert (ended.run["ended"], ended.run["steps"], ended.run["trace"]) == ("time", 100, None)
-    assert "surefoot: recording stopped: File too large; the robot goes on" in ended.messages
+    assert "surefoot: recording stopped: File too large; the robot continues" in ended.messages
     assert any(note.startswith("recording stopped") for note in ended.run["notes"])
     # The robot went on to the end; only the exit code reports the lost trace.
     assert_sat_and_disarmed(ended.record)

@@ -14,7 +14,7 @@ from fault_bench import QUICK_UP as STARTUP_TIME
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
 from surefoot.deploy.messages import Arm, Damp, Mode, Pong, Position, Reason
-from surefoot.deploy.motion_runner import REST
+from surefoot.deploy.motion_runner import SITTING_TIME
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.poses import sitting_pose
 from surefoot.deploy.run_saver import RunSaver
@@ -150,7 +150,7 @@ def test_motors_move_smoothly_from_where_they_are_until_the_robot_sits(deploy, t
     up = round(STARTUP_TIME / STEP)
     assert targets[up - 10] == pytest.approx(robot.pose_angles(*policy.contract.rest), abs=1e-6)
     assert speed[: up - 1].max() < 4.0
-    assert speed[-round(REST / STEP) :].max() < 1e-6
+    assert speed[-round(SITTING_TIME / STEP) :].max() < 1e-6
 
 
 def test_rows_that_make_no_trace_are_a_note_and_lost(deploy, monkeypatch):
@@ -158,7 +158,7 @@ def test_rows_that_make_no_trace_are_a_note_and_lost(deploy, monkeypatch):
         "surefoot.task.partial_trace.TraceHead.trace", mock.Mock(side_effect=SurefootError("time repeats"))
     )
     _, saved, _ = deploy()
-    assert (saved.trace, saved.lost, saved.notes) == (None, True, ["the rows make no trace: time repeats"])
+    assert (saved.trace, saved.lost, saved.notes) == (None, True, ["no trace can be made of the rows: time repeats"])
 
 
 def test_rows_have_the_commands_and_the_states_at_their_end(deploy, toy, policy):

@@ -14,7 +14,7 @@ import pytest
 
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
-from surefoot.deploy.map_channel import FRESH, MapChannel, send_map
+from surefoot.deploy.map_channel import MAX_DELAY, MapChannel, send_map
 from surefoot.deploy.motion_runner import STARTUP_TIME
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.run_saver import RunSaver
@@ -59,7 +59,7 @@ def test_heights_come_by_place_ahead_then_to_the_left_and_age(channel: MapChanne
     send_map(channel.port, [[-0.3, -0.31], [-0.32, -0.33], [5.0, -0.35]], age=0.05)
     assert receive(channel) == [-0.3, -0.31, -0.32, -0.33, 1.0, -0.35]
     assert channel.age == pytest.approx(0.05)
-    now[0] += GRID.age + FRESH - 0.051
+    now[0] += GRID.age + MAX_DELAY - 0.051
     channel.read()
     assert channel.is_fresh
     now[0] += 0.002
@@ -87,7 +87,7 @@ def test_what_is_no_map_of_the_grid_is_counted_and_ignored(channel: MapChannel, 
         sender.sendto(data, ("127.0.0.1", channel.port))
     send_map(channel.port, [[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]])
     assert receive(channel) == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
-    assert channel.refused == 1
+    assert channel.rejected == 1
 
 
 class Seeing:
@@ -152,10 +152,10 @@ def test_the_robot_stands_while_its_map_is_late(run, monitor) -> None:
     done = run(lambda moment: not 0.5 < moment < 1.5)
     assert (done.outcome.ended, done.outcome.safe) == ("time", False)
     (warning,) = monitor.warnings
-    assert warning == "the map of heights was late; the robot stands until the next one"
+    assert warning == "the height map was late; the robot stands until the next one"
     contract = done.policy.contract
     time = contract.control_step * np.arange(150)
-    late = 0.5 + contract.height_map.age + FRESH
+    late = 0.5 + contract.height_map.age + MAX_DELAY
     walks, stands = (np.isclose(done.trace.command, one).all(axis=1) for one in (WALK, STAND))
     # States, and with them maps, come once a control step; phases take a step more than their time.
     margin = 0.15
@@ -166,13 +166,13 @@ def test_the_robot_stands_while_its_map_is_late(run, monitor) -> None:
 def test_the_robot_sits_when_its_map_does_not_come_back(run, toy) -> None:
     done = run(lambda moment: moment < 0.3, steps=400)
     assert (done.outcome.ended, done.outcome.reason, done.outcome.safe) == ("stopped", "map", True)
-    assert "the newest map of heights is 2.0 s old; at most 2" in done.outcome.text
+    assert "the latest height map is 2.0 s old; at most 2" in done.outcome.text
     assert toy.kinds()[-1] == "Disarm"
     ran = len(done.trace.time) * done.policy.contract.control_step
     assert ran == pytest.approx(0.3 + SafetyLimits.map_age, abs=0.15)
 
 
 def test_without_a_map_no_motor_moves(run, toy) -> None:
-    with pytest.raises(SurefootError, match=r"no map of heights arrives at port \d+ within 1 s; start the program"):
+    with pytest.raises(SurefootError, match=r"no height map arrived at port \d+ within 1 s; start the program"):
         run(lambda moment: False)
     assert "Arm" not in toy.kinds()

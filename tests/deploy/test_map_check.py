@@ -42,11 +42,11 @@ def test_a_map_of_level_ground_under_a_robot_that_lies_or_stands_is_taken(go2, g
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (0.0, "the ground under the base at 0.00 m; the robot stands 0.31 m above it: are they heights in the world?"),
-        (0.31, "at 0.31 m; the robot stands 0.31 m above it: do they count downward?"),
-        (-310.0, "at -310.00 m; the robot stands 0.31 m above it: are they in millimetres?"),
-        (-31.0, "are they in centimetres?"),
-        (-3.0, "the robot stands 0.31 m above it. Heights must count from the base's origin, upward, in metres"),
+        (0.0, "at 0.00 m in the map, but the robot stands 0.31 m above it: are the heights in the world frame?"),
+        (0.31, "at 0.31 m in the map, but the robot stands 0.31 m above it: are the heights positive downward?"),
+        (-310.0, "at -310.00 m in the map, but the robot stands 0.31 m above it: are the heights in millimetres?"),
+        (-31.0, "are the heights in centimetres?"),
+        (-3.0, "0.31 m above it. Heights must be relative to the base's origin, positive upward, in metres"),
     ],
 )
 def test_other_frames_signs_and_units_are_named(go2, grid, value, message):
@@ -63,7 +63,7 @@ def test_a_robot_on_a_slope_has_its_feet_on_the_map(go2, grid):
     pitch = -0.2
     slope = np.repeat(-0.31 / np.cos(pitch) - np.tan(pitch) * np.array(grid.ahead), len(grid.left))
     check_standing(slope, grid, go2, go2.resting_angles, [0.0, pitch, 1.0])
-    with pytest.raises(SurefootError, match="the map has the ground under the base at"):
+    with pytest.raises(SurefootError, match="the ground under the base is at"):
         check_standing(slope + 0.2, grid, go2, go2.resting_angles, [0.0, pitch, 1.0])
 
 
@@ -72,10 +72,10 @@ def test_a_stated_grid_must_be_the_policys(grid):
     check_grid({"ahead": [round(x, 3) for x in ahead], "left": left}, grid)
     for changed, message in (
         ({"left": [y / 2 for y in left]}, "the map's points are 0.02662 m apart to the left, the policy's 0.05325"),
-        ({"ahead": ahead[1:]}, "the map has 18 places ahead, the policy 19"),
+        ({"ahead": ahead[1:]}, "the map has 18 points ahead, the policy 19"),
         ({"ahead": [x + 0.1 for x in ahead]}, "the map's points begin -0.2195 m ahead, the policy's -0.3195"),
         ({"left": left[::-1]}, "the map's points are -0.05325 m apart to the left"),
-        ({"left": 3}, "the map's left are no numbers"),
+        ({"left": 3}, "the map's left must be numbers"),
     ):
         with pytest.raises(SurefootError) as caught:
             check_grid(changed, grid)
@@ -90,5 +90,5 @@ def test_a_channel_takes_a_map_with_its_grid_and_says_why_another_is_refused(gri
         deadline = time.monotonic() + 30.0
         while channel.read() is None:
             assert time.monotonic() < deadline
-    assert channel.refused == 1
-    assert channel.why == "the map has 18 x 13 points, the policy 19 x 13"
+    assert channel.rejected == 1
+    assert channel.last_error == "the map has 18 x 13 points, the policy 19 x 13"

@@ -86,8 +86,8 @@ def test_a_line_that_is_still_written_is_left_out(straight):
     [
         ("", "has no column time; it needs time, x, y, z"),
         ("time,x,y\n1,2,3\n", "has no column z"),
-        (HEAD + "\n0,0,0,0,1,0,0,0\n", "has 1 whole rows; it needs 2 or more"),
-        (HEAD + "\n0,0,0,nan,1,0,0,0\n1,a,0,0,1,0,0,0\n", "has 0 whole rows"),
+        (HEAD + "\n0,0,0,0,1,0,0,0\n", "has 1 complete rows; it needs 2 or more"),
+        (HEAD + "\n0,0,0,nan,1,0,0,0\n1,a,0,0,1,0,0,0\n", "has 0 complete rows"),
     ],
 )
 def test_a_file_without_the_columns_or_two_rows_is_refused(text, match, tmp_path):
@@ -104,7 +104,7 @@ def test_a_file_that_is_missing_is_refused(tmp_path):
 
 @pytest.mark.parametrize("start", [-0.2, 1.8])
 def test_a_file_that_does_not_cover_the_run_is_refused(start, straight):
-    with pytest.raises(SurefootError, match=r"covers 0.000 to 2.000 s on the robot's clock; the run took place from"):
+    with pytest.raises(SurefootError, match=r"covers 0.000 to 2.000 s on the robot's clock; the run lasted from"):
         base_and_feet(read_capture(straight), start, 0.006, 100, LEGS)
 
 

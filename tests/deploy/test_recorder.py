@@ -120,7 +120,7 @@ def partial(recorded, tmp_path):
     for row in recorded[0].rows:
         file.add(row_bytes(row[None]))
     file.close()
-    assert file.stopped == ""
+    assert file.error == ""
     return file.path
 
 
@@ -186,7 +186,7 @@ def test_a_file_that_cannot_be_opened_stops_recording(tmp_path):
     file = BackgroundFile(tmp_path / "none" / "run.partial", 0.1)
     file.add(b"row")
     file.close()
-    assert file.stopped == "No such file or directory"
+    assert file.error == "No such file or directory"
 
 
 def test_an_error_that_the_disk_reports_at_the_end_is_kept(tmp_path):
@@ -195,7 +195,7 @@ def test_an_error_that_the_disk_reports_at_the_end_is_kept(tmp_path):
     file._file.close()
     file._file = mock.Mock(close=mock.Mock(side_effect=OSError(28, "No space left on device")))
     file.close()
-    assert file.stopped == "No space left on device"
+    assert file.error == "No space left on device"
 
 
 def test_a_file_without_data_is_not_made(tmp_path):
@@ -204,7 +204,7 @@ def test_a_file_without_data_is_not_made(tmp_path):
 
 
 def test_a_blocked_disk_does_not_block_the_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(background_file, "PATIENCE", 0.1)
+    monkeypatch.setattr(background_file, "CLOSE_TIMEOUT", 0.1)
     file = BackgroundFile(tmp_path / "run.partial", 0.1)
     file._writer.send_signal(signal.SIGSTOP)
     os.waitpid(file._writer.pid, os.WUNTRACED)  # on a busy computer it reads on for a while
@@ -212,9 +212,9 @@ def test_a_blocked_disk_does_not_block_the_run(tmp_path, monkeypatch):
     for _ in range(40):
         file.add(bytes(100_000))
     assert time.monotonic() - start < 5.0
-    assert 25 < file.waiting < 40
+    assert 25 < file.pending < 40
     file.close()
-    assert file.stopped == "the disk does not answer"
+    assert file.error == "the disk does not respond"
     file._writer.kill()
     file._writer.wait()
 
@@ -226,7 +226,7 @@ def test_what_waits_for_a_slow_disk_is_written_in_order(tmp_path):
         file.add(piece)
     file._writer.send_signal(signal.SIGCONT)
     file.close()
-    assert file.stopped == ""
+    assert file.error == ""
     assert file.path.read_bytes() == b"".join(pieces)
 
 
@@ -235,7 +235,7 @@ def test_a_writer_that_is_killed_stops_recording(tmp_path):
     file._writer.kill()
     file._writer.wait()
     file.add(b"row")
-    assert file.stopped == "its process has ended"
+    assert file.error == "its process has ended"
     file.close()
 
 

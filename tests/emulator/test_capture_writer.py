@@ -58,6 +58,6 @@ def test_a_full_disk_ends_the_recording_and_not_the_robot(plant, tmp_path):
     capture = CaptureWriter(tmp_path / "a.csv", plant)
     capture.file._file = Path("/dev/full").open("wb", buffering=0)  # noqa: SIM115
     run(capture, plant, 20)
-    assert capture.file.stopped == "No space left on device"
+    assert capture.file.error == "No space left on device"
     assert plant.ticks == 20
     capture.close()

@@ -314,7 +314,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
         finally:
             for observer in observers:
                 observer.close()
-                if isinstance(observer, CaptureWriter) and observer.file.stopped:
-                    print(f"surefoot: motion capture stopped: {observer.file.stopped}", file=sys.stderr)
+                if isinstance(observer, CaptureWriter) and observer.file.error:
+                    print(f"surefoot: motion capture stopped: {observer.file.error}", file=sys.stderr)
     print(f"surefoot: {summary.text(board)}", file=sys.stderr)
     return 0

@@ -78,7 +78,7 @@ def test_a_battery_without_cells_has_the_voltage_of_the_board(bench: Bench) -> N
 
 
 def test_before_the_first_state_nothing_may_move(bench: Bench) -> None:
-    assert bench.run(0.1, lambda data: None).hazard == (Reason.STATES_LATE, "no state has come")
+    assert bench.run(0.1, lambda data: None).hazard == (Reason.STATES_LATE, "no state has arrived")
 
 
 def silence(_: bytes) -> None:
@@ -178,7 +178,7 @@ def test_readings_that_are_not_finite(bench: Bench, field: str, value: float) ->
 def test_an_imu_that_sends_zeros(bench: Bench) -> None:
     bench.state["imu_state"]["quaternion"] = 0
     hazard = bench.run(0.002).hazard
-    assert hazard == (Reason.NOT_FINITE, "the IMU's quaternion has length 0; it must be 1")
+    assert hazard == (Reason.NOT_FINITE, "the IMU's quaternion has norm 0; it must be 1")
 
 
 def test_a_motor_that_is_off(bench: Bench) -> None:

@@ -243,8 +243,8 @@ def test_a_text_may_fill_its_field_or_be_cut(field: str, text: str, arrives: str
 @pytest.mark.parametrize(
     ("field", "value", "match"),
     [
-        ("name", "abcde", "name is 'abcde'; it may have 4 bytes"),
-        ("name", "aäß", "name is 'aäß'; it may have 4 bytes"),
+        ("name", "abcde", "name is 'abcde'; it may have at most 4 bytes"),
+        ("name", "aäß", "name is 'aäß'; it may have at most 4 bytes"),
         ("names", ("x", "xyz"), "names is 'xyz'"),
         ("names", ("x",), "names has 1 entries; it must have 2"),
     ],

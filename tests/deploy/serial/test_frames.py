@@ -283,7 +283,7 @@ def test_a_piece_beyond_the_limit_is_not_kept(size: int, held: bool):
         decoder = Decoder(CODEC)
         for at in range(0, size, step):
             decoder.feed(b"x" * min(step, size - at))
-        assert len(decoder._held) == (size if held else 0)
+        assert len(decoder._buffer) == (size if held else 0)
         assert numbers(decoder.feed(PONG)) == [3]
         assert decoder.statistics.damaged == 1
 
@@ -292,7 +292,7 @@ def test_a_line_that_never_ends_is_one_damaged_piece_and_takes_no_memory():
     decoder = Decoder(CODEC)
     for size in (1, 100, 1000, 5_000_000, 7, 1024, 1025):
         assert decoder.feed(b"\xaa" * size) == []
-        assert sys.getsizeof(decoder._held) < 2 * MAX_FRAME
+        assert sys.getsizeof(decoder._buffer) < 2 * MAX_FRAME
     assert decoder.statistics.damaged == 0
     # A frame without a zero in front is lost with it.
     assert numbers(decoder.feed(PING[1:] + PONG)) == [3]
@@ -318,7 +318,7 @@ PIECES = st.one_of(
 def test_no_bytes_raise_or_pass(data: bytes):
     decoder = Decoder(CODEC)
     decoder.feed(data)
-    assert len(decoder._held) <= MAX_FRAME
+    assert len(decoder._buffer) <= MAX_FRAME
     assert decoder.statistics.received == 0
 
 
@@ -331,7 +331,7 @@ def test_the_split_of_a_stream_changes_nothing(pieces: list[bytes], data: st.Dat
     split, bytewise = [], []
     for start, end in itertools.pairwise([0, *cuts, len(stream)]):
         split += parts.feed(stream[start:end])
-        assert len(parts._held) <= MAX_FRAME
+        assert len(parts._buffer) <= MAX_FRAME
     for byte in stream:
         bytewise += single.feed(bytes([byte]))
     for frames, decoder in ((split, parts), (bytewise, single)):

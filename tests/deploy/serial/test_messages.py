@@ -152,7 +152,7 @@ def test_the_text_of_a_fault_is_cut():
         (Position(1, np.zeros(9)), "target has 9 entries; it must have 8"),
         (Pwm(1, np.zeros((8, 1))), "Pwm"),
         (dataclasses.replace(STATE, dropped=65536), "State"),
-        (dataclasses.replace(EXAMPLES[8].message, robot="a" * 25), "robot is 'a+'; it may have 24 bytes"),
+        (dataclasses.replace(EXAMPLES[8].message, robot="a" * 25), "robot is 'a+'; it may have at most 24 bytes"),
     ],
 )
 def test_a_message_with_a_value_out_of_range_is_refused(message: Message, what: str):

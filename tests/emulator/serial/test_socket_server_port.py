@@ -88,7 +88,7 @@ def test_hosts_are_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.raises(SurefootError, match=f"port {re.escape(str(path))}: can't be opened: Connection refused"):
         connect(str(path))
     listener.listen()
-    monkeypatch.setattr("surefoot.deploy.dds.socket_port._PATIENCE", 0.05)
+    monkeypatch.setattr("surefoot.deploy.dds.socket_port._ACCEPT_TIMEOUT", 0.05)
     with pytest.raises(SurefootError, match="can't be opened: timed out"):
         connect(str(path))
     listener.close()

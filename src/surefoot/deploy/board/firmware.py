@@ -42,7 +42,7 @@ class LinkWatch:
     def restart(self) -> None:
         """Begin another session: its numbers and its clock are new."""
         self.last_number, self._clean_since = 0, None
-        self._sync.forget()
+        self._sync.reset()
 
     def is_next(self, number: int) -> bool:
         """Return whether a packet's number is above all before; if so, it is the last one from now on."""

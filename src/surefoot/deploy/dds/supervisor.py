@@ -27,7 +27,7 @@ from surefoot.deploy.dds.processes import LinkConfig, await_readers, serve
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.dds.state_monitor import HAZARD_HOLD, MOTORS, StateMonitor
 from surefoot.deploy.messages import Mode, Reason
-from surefoot.deploy.robot_link import LISTEN, LinkLostError
+from surefoot.deploy.robot_link import LISTEN_TIME, LinkLostError
 
 PERIOD = round(STATE_PERIOD * 1e6)
 """Period of the commands to the robot [us]."""
@@ -37,7 +37,7 @@ DAMPING_TIME = 500_000
 """Time for which the supervisor damps the motors after the control loop has ended [us]."""
 IDLE, ACTIVE, DONE = b"\0", b"\1", b"\2"
 """Heartbeats to the watchdog: no command written yet; commands are being written; the supervisor exits normally."""
-_HAZARD_HOLDS = {Reason.OTHER_PROGRAM: microseconds(LISTEN)}
+_HAZARD_HOLDS = {Reason.OTHER_PROGRAM: microseconds(LISTEN_TIME)}
 """Time for which a hazard prevents arming after it was seen last [us]; defaults to `HAZARD_HOLD`. Another program may
 send commands rarely, so it is remembered for longer."""
 _HEARTBEAT_CYCLES = 2
