@@ -161,8 +161,8 @@ typedef struct {
     float tilt_limit;                      /* [rad] roll or pitch beyond which the robot damps its motors */
     float voltage_min;                     /* [V] battery voltage below which the robot damps its motors */
     float temperature_max;                 /* [degC] motor temperature above which the robot damps its motors */
-    uint32_t command_timeout;              /* [1e-6 s] time without a command after which an armed robot damps its motors */
-    uint32_t rearm_after;                  /* [1e-6 s] time that the link must be clean before a damped robot can be armed */
+    uint32_t command_timeout;              /* [1e-6 s] silence after which an armed robot damps its motors */
+    uint32_t rearm_after;                  /* [1e-6 s] time of a clean link before a damped robot can be armed */
 } surefoot_handshake;
 
 /* Answer to a ping; its header has the sending time on the robot's clock. */

@@ -111,7 +111,10 @@ def test_a_computer_that_keeps_stalling_arms_no_robot(deployment, computer, toy,
 
 @pytest.mark.parametrize(
     ("name", "value", "text"),
-    [("voltage", 13.5, "the battery has 13.5 V, below 14 V"), ("temperature", 85.0, "a motor has 85 degC; at most 80")],
+    [
+        ("voltage", 13.5, "the battery voltage is 13.5 V, below 14 V"),
+        ("temperature", 85.0, "a motor is at 85 degC; at most 80"),
+    ],
 )
 def test_a_low_battery_or_a_hot_motor_at_the_start_is_refused(deployment, toy, name, value, text):
     reading = np.full(8, value) if name == "temperature" else value

@@ -413,7 +413,7 @@ def wear(toy):
 
 
 def test_a_robot_that_does_not_arm_is_refused(deploy, toy):
-    with pytest.raises(SurefootError, match="the robot does not arm: a motor has 95 degC"):
+    with pytest.raises(SurefootError, match="the robot does not arm: a motor is at 95 degC"):
         deploy(prepare=lambda: wear(toy))
     assert not sent(toy, Position)
 
@@ -424,7 +424,7 @@ def test_a_robot_that_does_not_arm_again_ends_its_second_run(deploy, toy):
     saver = RunSaver(deploy.deployment, None, STEPS)
     outcome = deploy.deployment.run(saver.recorder, LoopTiming(100))
     assert end_of(outcome) == ("fault", "arm", True)
-    assert "a motor has 95 degC" in outcome.text
+    assert "a motor is at 95 degC" in outcome.text
 
 
 def test_a_request_to_arm_that_is_lost_is_repeated(deploy, toy):

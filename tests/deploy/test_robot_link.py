@@ -83,7 +83,7 @@ def test_a_second_operator_is_refused_and_the_first_keeps_the_robot(toy, link):
     link.connect()
     link.arm(Mode.POSITION, 0.006)
     stranger = operator_of(toy, 78)
-    with pytest.raises(SurefootError, match="the robot rejects the connection: another operator has the robot"):
+    with pytest.raises(SurefootError, match="the robot rejects the connection: another operator uses the robot"):
         stranger.connect()
     assert toy.firmware.owner == 77
 

@@ -376,7 +376,7 @@ def overheat(board: Board) -> None:
         (report_error, Reason.MOTOR_OFF, "the drive of motor 07 reports an error"),
         (switch_off, Reason.MOTOR_OFF, "the drive of motor 00 does not answer"),
         (fill, Reason.MOTOR_OFF, "the drive of motor 07 does not answer"),
-        (overheat, Reason.TEMPERATURE, "a motor has 120 degC; the limit is 88"),
+        (overheat, Reason.TEMPERATURE, "a motor is at 120 degC; the limit is 88"),
     ],
     ids=("silent", "error", "bus off", "bus full", "hot"),
 )

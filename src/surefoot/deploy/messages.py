@@ -146,8 +146,8 @@ class Handshake(Message):
     tilt_limit: float = quantity("rad", "roll or pitch beyond which the robot damps its motors")
     voltage_min: float = quantity("V", "battery voltage below which the robot damps its motors")
     temperature_max: float = quantity("degC", "motor temperature above which the robot damps its motors")
-    command_timeout: float = quantity("s", "time without a command after which an armed robot damps its motors")
-    rearm_after: float = quantity("s", "time that the link must be clean before a damped robot can be armed")
+    command_timeout: float = quantity("s", "silence after which an armed robot damps its motors")
+    rearm_after: float = quantity("s", "time of a clean link before a damped robot can be armed")
 
 
 @dataclass(frozen=True)

@@ -215,7 +215,7 @@ class Guard:
             self.warn(f"battery below {limits.battery_warn:g} V; charge it soon")
         if low_for(limits.battery_low) < limits.battery_time:
             return GO
-        text = f"the battery has {voltage:.1f} V, below {limits.battery_low:g} V for {limits.battery_time:g} s"
+        text = f"the battery voltage is {voltage:.1f} V, below {limits.battery_low:g} V for {limits.battery_time:g} s"
         return Verdict(Act.SIT, "battery", text)
 
     def _temperature(self, state: State) -> Verdict:
@@ -224,7 +224,7 @@ class Guard:
             self.warn(f"a motor is hotter than {self.limits.temperature_warn:g} degC")
         if hottest <= self.limits.temperature_high:
             return GO
-        text = f"a motor has {hottest:.0f} degC; at most {self.limits.temperature_high:g}"
+        text = f"a motor is at {hottest:.0f} degC; at most {self.limits.temperature_high:g}"
         return Verdict(Act.SIT, "temperature", text)
 
     def _map(self) -> Verdict:

@@ -1,14 +1,15 @@
-/* The board's program when its surroundings are another program: surefoot's emulator.
+/* Hardware abstraction of the board's program for surefoot's emulator, which drives it by events.
  *
- * Events come by read_event, each answered by write_answer before the next one. Numbers are little-endian and packed.
- * An event is
+ * Events are read by read_event, and each is answered by write_answer before the next one. Numbers are little-endian
+ * and packed. An event is
  *
- *     u8   what: 'T' a servo step, 'R' a state may be due, 'B' bytes of the line have come
+ *     u8   type: 'T' servo step, 'R' a state may be due, 'B' bytes have arrived on the serial line
  *     u64  time [us]
- *     u16  size of what follows: readings for T and R, bytes of the line for B
+ *     u16  size of the content: readings for T and R, bytes of the line for B
+ *     content
  *
- * and the answer a struct `answer`, followed by the bytes for the line. Before the first event the program writes its
- * schema (u32) and its robot's name (24 bytes). Time passes with events alone. */
+ * and the answer is a struct `answer`, followed by the bytes to send on the line. Before the first event the program
+ * writes its schema (u32) and the name of its robot (24 bytes). Time advances only with events. */
 #include "events.h"
 
 #include <string.h>
@@ -61,7 +62,7 @@ size_t hal_read_line(uint8_t *bytes, size_t room)
 {
     (void)bytes;
     (void)room;
-    return 0; /* events bring them */
+    return 0; /* they arrive by events */
 }
 
 bool hal_write_line(const uint8_t *bytes, size_t size)
@@ -90,7 +91,7 @@ void hal_enable_motors(void)
 
 void hal_start_watchdog(uint32_t microseconds)
 {
-    watchdog = microseconds; /* the emulator has one */
+    watchdog = microseconds; /* the emulator implements it */
 }
 
 void hal_feed_watchdog(void)
@@ -155,10 +156,10 @@ void run_events(void)
                 board_tick();
             } else {
                 board_report();
-                seen = of_servo; /* a state's readings may be older or noisier */
+                seen = of_servo; /* readings of a state are delayed and noisy */
             }
         } else {
-            return; /* it is not the emulator, or that of another robot */
+            return; /* not the emulator, or the emulator of another robot */
         }
         reply(read_cycles() - before);
     }
