@@ -35,16 +35,16 @@ def test_faults_are_parsed_from_words():
 @pytest.mark.parametrize(
     ("word", "message"),
     [
-        ("melt", "'melt' is no fault; choices: corrupt, drop"),
-        ("drop=2", r"fault drop is 2; it must be 0 to 1 \(unit: chance a frame\)"),
+        ("melt", "'melt' is not a fault; choices: corrupt, drop"),
+        ("drop=2", r"fault drop is 2; it must be 0 to 1 \(unit: probability per frame\)"),
         ("drop=-1", "fault drop is -1; it must be 0 to 1"),
-        ("drop=x", "fault 'drop=x' gives no number; write NAME, NAME=VALUE or NAME=VALUE@TIME"),
-        ("drop=nan", "gives no number"),
-        ("drop=", "gives no number"),
+        ("drop=x", "fault 'drop=x' has no valid number; write NAME, NAME=VALUE or NAME=VALUE@TIME"),
+        ("drop=nan", "has no valid number"),
+        ("drop=", "has no valid number"),
         ("drop@-1", "fault drop begins at -1 s; it must be 0 or more"),
         ("unplug=-1", r"fault unplug is -1; it must be 0 or more \(unit: s after arming\)"),
-        ("unplug@2", "fault unplug takes its time as unplug=TIME; 'unplug@2' gives another"),
-        ("other-robot=3", "fault other-robot takes no number; 'other-robot=3' gives one"),
+        ("unplug@2", "fault unplug has its time as value, unplug=TIME; 'unplug@2' gives another"),
+        ("other-robot=3", "fault other-robot has no value; 'other-robot=3' gives one"),
         ("flip-sign=8", "fault flip-sign is 8; it must be 0 to 7"),
         ("swap-motors=7", "fault swap-motors is 7; it must be 0 to 6"),
         ("flip-sign=0.5", "fault flip-sign is 0.5; it must be a whole number"),
@@ -59,7 +59,7 @@ def test_duplicate_faults_and_faults_of_the_other_clock_are_refused():
     with pytest.raises(SurefootError, match="fault drop is given twice"):
         parse_faults(["drop", "drop=0.1"])
     for name in ("batching", "overload"):
-        with pytest.raises(SurefootError, match=f"fault {name} is about real time; it does not go with --lockstep"):
+        with pytest.raises(SurefootError, match=f"fault {name} concerns real time; it cannot be used with --lockstep"):
             parse_faults([name], lockstep=True)
 
 
@@ -71,7 +71,7 @@ def test_a_link_has_the_faults_of_what_it_has():
                 assert list(parse_faults([name], motors=12, link=link)) == [name]
             else:
                 (other,) = kind.links
-                message = f"fault {name} acts on {kind.target}; --link {link} does not have that, give --link {other}"
+                message = f"fault {name} acts on {kind.target}, which --link {link} does not have; give --link {other}"
                 with pytest.raises(SurefootError, match=message):
                     parse_faults([name], motors=12, link=link)
 
@@ -90,7 +90,7 @@ def test_one_to_three_bits_are_flipped_and_none_before_the_first():
 def test_every_fault_is_described():
     lines = describe()
     assert len(lines) == len(FAULTS)
-    assert lines[1] == "drop=0.05 (chance a frame): frames are lost"
+    assert lines[1] == "drop=0.05 (probability per frame): frames are lost"
 
 
 def test_line_faults_begin_each_at_its_time(rig):

@@ -1,4 +1,4 @@
-"""Injection of faults into an emulated robot's body, sensors, orders and packets."""
+"""Injection of faults into an emulated robot: its body, sensors, motor commands and packets."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from surefoot.emulator.fault_table import LINE_FAULTS, InjectedFault
 from surefoot.emulator.plant import Plant
 
 TILT_FORCE, TILT_TIME = 1.1, 0.4
-"""Force of the push that topples a robot, over its weight, and its duration [s]."""
-FALL_OF_VOLTAGE, RISE_OF_TEMPERATURE = 2.0, 40.0
-"""Rates at which a battery becomes low [V/s] and a motor hot [degC/s]."""
+"""Force of the push that topples a robot, relative to its weight, and its duration [s]."""
+VOLTAGE_FALL_RATE, HEATING_RATE = 2.0, 40.0
+"""Rates at which the battery voltage falls [V/s] and the motor temperature rises [degC/s]."""
 _IMU_SIGNS = {1: (-1, 1), 2: (1, -1), 3: (-1, -1)}
 
 
 def flip_bits(data: bytes, random: np.random.Generator, first: int = 0) -> bytes:
-    """Return bytes with one to three bits flipped, from bit `first` on."""
+    """Flip one to three random bits, at bit `first` or later."""
     bits = np.unpackbits(np.frombuffer(data, np.uint8))
     bits[first + random.choice(len(bits) - first, int(random.integers(1, 4)), replace=False)] ^= 1
     return np.packbits(bits).tobytes()
 
 
 class FaultInjector:
-    """The faults of one robot; without any it changes nothing. Times are whole microseconds."""
+    """Injects the requested faults into one robot. Times are whole microseconds."""
 
     def __init__(self, faults: Mapping[str, InjectedFault], plant: Plant) -> None:
         self.faults, self._plant = faults, plant
         self.rest = plant.robot.resting_angles
         self.armed_at: int | None = None
         self.hangs_until = 0
-        """When the microcontroller's program goes on."""
+        """Time at which a hanging program continues."""
         self._now = 0
         self._command: MotorCommand | None = None
         self._changed_command: MotorCommand | None = None
@@ -45,7 +45,7 @@ class FaultInjector:
         self._number = 0
 
     def change_handshake(self, handshake: Handshake) -> Handshake:
-        """Return what the robot states about itself."""
+        """Return the handshake with the requested faults."""
         faults = self.faults
         if "other-robot" in faults:
             handshake = replace(handshake, robot=f"not-{handshake.robot}"[:24])
@@ -63,21 +63,21 @@ class FaultInjector:
         return -math.inf if self.armed_at is None else (self._now - self.armed_at) / 1e6 - fault.start
 
     def active(self, name: str) -> InjectedFault | None:
-        """Return a fault that was requested and acts now; one that begins at 0 acts before anything is armed."""
+        """Return a fault if it is active now, else None; a fault that starts at 0 is active before arming."""
         fault = self.faults.get(name)
         return fault if fault and (fault.start == 0 or self._since(fault) >= 0) else None
 
     def began(self, name: str) -> bool:
-        """Return whether a fault was requested and its time after arming has passed."""
+        """Return whether a fault was requested and its start time after arming has passed."""
         return name in self.faults and self._since(self.faults[name]) >= 0
 
     @property
     def chances(self) -> dict[str, float]:
-        """Chance per frame of each harm on the line that has begun."""
+        """Probability per frame of each active line fault."""
         return {name: fault.value for name in LINE_FAULTS if (fault := self.active(name))}
 
     def tick(self, now: int, armed: bool) -> None:
-        """Take the end of a servo step, and whether the robot is armed."""
+        """Update the faults at the end of a servo step; `armed` is whether the robot is armed."""
         self._now = now
         if armed and self.armed_at is None:
             self.armed_at = now
@@ -86,9 +86,9 @@ class FaultInjector:
         plant = self._plant
         if fault := self.active("battery-low"):
             fall = max(plant.start_voltage - fault.value, 0.0)
-            plant.voltage_drop = min(FALL_OF_VOLTAGE * max(self._since(fault), 0.0), fall)
+            plant.voltage_drop = min(VOLTAGE_FALL_RATE * max(self._since(fault), 0.0), fall)
         if (fault := self.active("motor-hot")) and plant.temperature[0] < fault.value:
-            plant.temperature[0] += RISE_OF_TEMPERATURE * plant.robot.timing.servo_step
+            plant.temperature[0] += HEATING_RATE * plant.robot.timing.servo_step
         if fault := self.faults.get("tilt"):
             force = TILT_FORCE * plant.robot.weight if 0 <= self._since(fault) < TILT_TIME else 0.0
             plant.push(np.array([0.0, force, 0.0]))
@@ -96,7 +96,7 @@ class FaultInjector:
             self.hangs_until = now + round(self.faults["hang"].value * 1e6)
 
     def motor_command(self, command: MotorCommand) -> MotorCommand:
-        """Return what the motors get instead of an order; the same object for the same order."""
+        """Return the command that reaches the motors; the same object for the same input."""
         if command is not self._command:
             self._command, self._changed_command = command, self._change_command(command)
         return self._changed_command or command
@@ -109,7 +109,7 @@ class FaultInjector:
         return replace(command, values=np.where(sign < 0, 2 * middle - values, values))
 
     def wiring(self) -> tuple[NDArray[np.int64], Array]:
-        """Return, for each motor, the servo that it is wired to, and -1 where it turns the wrong way (M,)."""
+        """Return the index of the servo to which each motor is wired (M,), and its sign, -1 if it is reversed (M,)."""
         servo, sign = np.arange(len(self.rest)), np.ones(len(self.rest))
         if fault := self.active("swap-motors"):
             motor = int(fault.value)
@@ -119,7 +119,7 @@ class FaultInjector:
         return servo, sign
 
     def servo_readings(self, seen: Sensors) -> Sensors:
-        """Return what a microcontroller's own servos read, wired to the wrong motors or the wrong way round."""
+        """Return the readings of a microcontroller's servos, with swapped and reversed motors."""
         if not self.faults:
             return seen
         servo, sign = self.wiring()
@@ -128,14 +128,14 @@ class FaultInjector:
         return replace(seen, motor_angle=angle[servo], motor_velocity=velocity[servo], motor_torque=torque[servo])
 
     def efforts(self, effort: Array) -> Array:
-        """Return what motors get (M,), of a microcontroller's own servos."""
+        """Return the efforts (M,) that reach the motors from a microcontroller's servos."""
         if not self.faults:
             return effort
         servo, sign = self.wiring()
         return np.asarray(sign * effort[servo])
 
     def sensors(self, seen: Sensors) -> Sensors:
-        """Return the readings with the faults of the sensors."""
+        """Return sensor readings with the faults of the sensors."""
         if fault := self.active("flip-encoder"):
             motor = int(fault.value)
             angle, velocity = seen.motor_angle.copy(), seen.motor_velocity.copy()
@@ -149,7 +149,7 @@ class FaultInjector:
         return seen
 
     def packet(self, packet: Packet) -> Packet:
-        """Return what is sent instead of a packet."""
+        """Return the packet to send instead of `packet`."""
         if isinstance(packet.message, Handshake):
             packet = replace(packet, message=self.change_handshake(packet.message))
         elif isinstance(packet.message, State):

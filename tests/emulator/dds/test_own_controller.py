@@ -31,9 +31,9 @@ def test_modes() -> None:
     controller.release_mode("")
     assert controller.command(2000, still)["motor_cmd"]["kp"].max() == 0
     assert controller.command(4000, still) is None
-    assert not controller.wedged
+    assert not controller.blocked
     controller.select_mode('{"name": "normal"}')
-    assert controller.wedged
+    assert controller.blocked
 
 
 def test_it_stands_up_lies_down_and_drops_when_damped() -> None:

@@ -1,4 +1,4 @@
-"""Faults of an emulated Go2 that concern its messages: states before they are packed, their bytes, commands."""
+"""Message faults of an emulated Go2: in the fields of states, in their bytes, and in commands."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from surefoot.emulator.faults import FaultInjector, flip_bits
 from surefoot.emulator.plant import JointCommand
 from surefoot.seeding import generator
 
-_LAYOUT_CUT = 12
-"""Bytes that the other layout lacks at its end: `fan_frequency` and `reserve`."""
+_OMITTED_BYTES = 12
+"""Bytes that the other layout omits at the end: `fan_frequency` and `reserve`."""
 _HEADER_BITS = 32
-"""Bits of a message's encapsulation, which are never damaged."""
+"""Size of the CDR header, which is never damaged [bits]."""
 _STOP = Remote(frozenset({"L2", "B"}), 0.0, 0.0, 0.0, 0.0)
 _STICK = Remote(frozenset(), 0.0, 0.8, 0.0, 0.0)
 _OTHER_GAINS = 5.0, 1.0
-"""Gains of the other program: those of the vendor's low-level example."""
+"""Gains of the other program, from the vendor's low-level example."""
 
 
 class MessageFaults:
-    """The faults of a robot's messages; without any it changes nothing. Times are whole microseconds.
+    """Applies faults to a robot's messages. Times are whole microseconds.
 
-    The "number" of a state, in the descriptions of the faults, is its tick.
+    In the descriptions of faults, the sequence number of a state is its tick.
 
     Args:
-        injector: which faults there are, and when they act.
-        seed: of the random ones.
+        injector: requested faults and their start times.
+        seed: seed of random faults.
     """
 
     def __init__(self, injector: FaultInjector, seed: int) -> None:
@@ -49,24 +49,24 @@ class MessageFaults:
         fault = self._injector.active(name)
         return None if fault is None else int(fault.value)
 
-    def _strikes(self, name: str) -> bool:
+    def _occurs(self, name: str) -> bool:
         fault = self._injector.active(name)
         return fault is not None and bool(self._random.random() < fault.value)
 
     @property
     def period(self) -> int:
-        """Time between two states."""
+        """Period of states."""
         fault = self._injector.active("slow-states")
         return round(1e6 * STATE_PERIOD) if fault is None else round(1e6 / fault.value)
 
     @property
     def delay(self) -> int:
-        """Time that a state takes to hosts."""
+        """Transmission time of a state."""
         fault = self._injector.active("late-states")
         return 0 if fault is None else round(1e6 * fault.value)
 
     def joint_command(self, command: JointCommand) -> JointCommand:
-        """Return what the motors get instead of an order."""
+        """Return the command that reaches the motors."""
         servo, sign = self._injector.wiring()
         columns = {name: values[servo] for name, values in vars(command).items()}
         angle = columns["angle"]
@@ -83,15 +83,15 @@ class MessageFaults:
         return JointCommand(**columns)
 
     def drops_command(self) -> bool:
-        """Return whether a command is lost on its way, or damaged and thus ignored."""
-        return self._strikes("drop") or self._strikes("corrupt")
+        """Return whether a command is lost, or damaged and therefore ignored."""
+        return self._occurs("drop") or self._occurs("corrupt")
 
     def change(self, message: StateMessage, now: int) -> None:
-        """Change the state in a message before it is packed."""
+        """Apply faults to the fields of a state message."""
         injector, record, motors = self._injector, message.record, message.motors
         force = record["imu_state"]["accelerometer"]
         if fault := injector.active("imu-flip"):
-            # As angles and rates are exchanged or negated: gravity is (-sin pitch, sin roll cos pitch, ...).
+            # Consistent with the angles and rates: specific force is g (-sin pitch, sin roll cos pitch, ...).
             x, y = force[:2].tolist()
             force[:2] = {0: (-y, -x), 1: (x, -y), 2: (-x, y), 3: (-x, -y)}[int(fault.value)]
         if (motor := self._motor("motor-off")) is not None:
@@ -118,25 +118,25 @@ class MessageFaults:
         self._tick = int(record["tick"])
 
     def packets(self, data: bytes) -> list[bytes]:
-        """Return what is sent instead of a state's bytes."""
+        """Return the messages to send instead of an encoded state."""
         injector = self._injector
         if injector.active("stale-state"):
             data = self._old = self._old or data
         if injector.active("other-layout"):
-            data = data[:-_LAYOUT_CUT]
-        if self._strikes("drop"):
+            data = data[:-_OMITTED_BYTES]
+        if self._occurs("drop"):
             return []
-        if self._strikes("corrupt"):
+        if self._occurs("corrupt"):
             data = flip_bits(data, self._random, first=_HEADER_BITS)
         late, self._late = self._late, None
-        if late is None and self._strikes("reorder"):
+        if late is None and self._occurs("reorder"):
             self._late = data
             return []
-        packets = [data, data] if self._strikes("duplicate") else [data]
+        packets = [data, data] if self._occurs("duplicate") else [data]
         return packets if late is None else [*packets, late]
 
     def other_command(self, angles: Array) -> Record | None:
-        """Return the command of another program, if there is one: it holds the angles (12,) [rad] at its start."""
+        """Return the command of another program, or None; it holds the angles (12,) at its start [rad]."""
         if not self._injector.active("second-writer"):
             return None
         if self._other is None:
