@@ -1,4 +1,4 @@
-"""A microcontroller whose sensors and messages a test sets: its program in Python, or in C."""
+"""Test bench of a microcontroller with simulated sensors and messages, for its program in Python or C."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ PROGRAMS = ("messages", "serial line", IN_C)
 
 
 class NoHosts:
-    """The hosts' end of a line that a test reads by itself."""
+    """Hosts' end of a line that the test reads directly."""
 
     unread = 0
 
 
 class CompiledFirmware(FirmwareProcess):
-    """The program in C, with those attributes of the one in Python that the tests use."""
+    """The program in C, with the attributes of the Python program that the tests use."""
 
     def __init__(self, robot: Any, handshake: Handshake, limits: Limits, *target: str) -> None:
         super().__init__(compiled(robot, limits, handshake, *target), robot.name, robot.num_motors)
@@ -52,7 +52,7 @@ class CompiledFirmware(FirmwareProcess):
 
 
 class Bench:
-    """A microcontroller whose sensors the test sets, with a servo step every millisecond.
+    """A microcontroller with simulated sensors and a servo step every millisecond.
 
     Messages of a host reach the program as they are (`where` is "messages"), as bytes over a "serial line", or as
     bytes the program in "C", on this computer or on an STM32F405 in "QEMU".
@@ -73,11 +73,11 @@ class Bench:
         self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)
         self.motor_command: MotorCommand | None = None
         self.sent: list[Packet] = []
-        """What the robot has sent, oldest first."""
+        """Packets sent by the robot, oldest first."""
         self.sensors = Sensors(*(np.zeros(8),) * 3, np.zeros(3), np.zeros(3), 5.0, 16.0, np.full(8, 25.0))
 
     def take(self) -> list[Packet]:
-        """Return what the robot has sent since, as the host receives it."""
+        """Return the packets sent since the last call, as the host receives them."""
         packets = self.firmware.take()
         if self.line is not None:
             for packet in packets:
@@ -87,7 +87,7 @@ class Bench:
         return packets
 
     def run(self, milliseconds: int) -> list[Packet]:
-        """Let time pass; return what the robot sends meanwhile."""
+        """Advance time; return the packets that the robot sends."""
         before = len(self.sent)
         for _ in range(milliseconds):
             self.motor_command = self.firmware.tick(self.now, self.vitals)
@@ -97,7 +97,7 @@ class Bench:
         return self.sent[before:]
 
     def send(self, message: Message, sent: float | None = None, number: int | None = None) -> list[Message]:
-        """Send a message, by default now and with the next number; return the answers."""
+        """Send a message and return the answers; time and number default to the present and the next number."""
         sent = self.now / 1e6 + 100.0 if sent is None else sent
         if number is None:
             self.number = number = self.number + 1
@@ -108,7 +108,7 @@ class Bench:
         return [packet.message for packet in self.take()]
 
     def put(self, data: bytes) -> None:
-        """Put bytes on the line to the robot."""
+        """Send bytes to the robot."""
         if self.line is None:
             self.firmware.receive(self.now, data) if self.in_c else self.firmware.watch.note_damage()
             return

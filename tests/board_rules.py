@@ -1,4 +1,4 @@
-"""The rules of the board in one table: each is a row of steps that every program of a board must pass.
+"""Rules of the board in one table: each row is a sequence of steps that every program of a board must pass.
 
 A step lets something happen on a `Bench`, or compares what the robot does with what the rule says.
 """
@@ -38,7 +38,7 @@ HELD = np.arange(8) / 10
 NAN, INF = np.nan, np.inf
 
 
-# What happens.
+# Actions.
 
 
 def send(
@@ -77,7 +77,7 @@ def send(
 
 
 def send_unasked(message: Message) -> Step:
-    """Send a message whatever the answer is."""
+    """Send a message, and ignore the answers."""
     return lambda bench: bench.send(message) and None
 
 
@@ -92,7 +92,7 @@ def put(data: bytes) -> Step:
 
 
 def feel(**changes: Any) -> Step:
-    """Change what the sensors read."""
+    """Change the sensor readings."""
 
     def step(bench: Bench) -> None:
         bench.vitals = replace(bench.vitals, **changes)
@@ -106,7 +106,7 @@ def run(
     faults: dict[int, Reason] | None = None,
     ages: Sequence[float] | None = None,
 ) -> Step:
-    """Let time pass; compare when [ms] states and faults come, and the ages [s] of the last command in the states."""
+    """Advance time; compare the times [ms] of states and faults, and the ages of the last command in states [s]."""
 
     def step(bench: Bench) -> None:
         start = bench.now
@@ -123,7 +123,7 @@ def run(
     return step
 
 
-# What the robot does.
+# Checks.
 
 
 def in_mode(mode: Mode, reason: Reason = Reason.NONE, owner: int | None = None) -> Step:
@@ -181,7 +181,7 @@ def said(text: str) -> Step:
 
 @dataclass(frozen=True)
 class Rule:
-    """Steps, and limits of the board that are not those of the robot."""
+    """Steps of a rule, and limits of the board that differ from the robot's."""
 
     steps: tuple[Step, ...]
     limits: dict[str, float] = field(default_factory=dict)
@@ -198,12 +198,12 @@ DAMPED = (run(60), in_mode(Mode.FAULT, Reason.TIMEOUT))
 
 
 def command(times: int, every: int = 6) -> tuple[Step, ...]:
-    """Commands in good order."""
+    """Valid commands."""
     return (GOOD, run(every)) * times
 
 
 def delayed(seconds: float) -> tuple[Step, ...]:
-    """Send a ping that is quick, and a command that is late."""
+    """Send a fast ping and a late command."""
     return PING, send(Position(ME, TARGET), late=seconds)
 
 
@@ -212,7 +212,7 @@ def one_angle(angle: float) -> np.ndarray:
 
 
 def damps_itself(milliseconds: int, reason: Reason, **readings: Any) -> tuple[Step, ...]:
-    """Steps of a robot with bad readings: it does not arm as long as they are so, however clean the link is."""
+    """Steps of a robot with bad readings: as long as they last, it cannot be armed even with a clean link."""
     good = {"tilt": 0.0, "voltage": 16.0, "temperature": 25.0}
     return (
         *(*ARMED, feel(**readings)),
@@ -269,7 +269,7 @@ RULES = {
             *(run(12, (9,)), arm(Reason.MODE, mode=Mode.PWM), in_mode(Mode.POSITION)),
         )
     ),
-    "arming in another mode or with periods beyond the limits is refused": Rule(
+    "arming in another mode or with periods beyond the limits is rejected": Rule(
         (
             *CONNECTED,
             *(arm(Reason.COMMAND, period=p, after=a) for p, a in ((0.001, 0.001), (0.051, 0.01), (0.006, 0.007))),
@@ -277,10 +277,10 @@ RULES = {
             in_mode(Mode.DISARMED),
         )
     ),
-    "a robot without duties does not arm for them": Rule(
+    "a robot without PWM mode cannot be armed for it": Rule(
         (*CONNECTED, arm(Reason.MODE, mode=Mode.PWM), arm(), in_mode(Mode.POSITION)), {"duty": 0.0}
     ),
-    "disarm and bye damp in good order": Rule(
+    "disarm and bye damp the motors normally": Rule(
         (
             *(*ARMED, send(Disarm(ME)), run(1), in_mode(Mode.DISARMED), motor_command(Mode.DISARMED)),
             *(arm(), send(Bye(ME)), in_mode(Mode.DISARMED, owner=0)),
@@ -377,11 +377,11 @@ RULES = {
         )
     ),
     "a tilt damps": Rule(damps_itself(1, Reason.TILT, tilt=1.01)),
-    "a tilt that is no number damps": Rule(damps_itself(1, Reason.TILT, tilt=NAN)),
+    "a tilt that is NaN damps": Rule(damps_itself(1, Reason.TILT, tilt=NAN)),
     "a hot motor damps": Rule(damps_itself(1, Reason.TEMPERATURE, temperature=90.1)),
-    "a temperature that is no number damps": Rule(damps_itself(1, Reason.TEMPERATURE, temperature=NAN)),
+    "a temperature that is NaN damps": Rule(damps_itself(1, Reason.TEMPERATURE, temperature=NAN)),
     "a battery low for 500 ms damps": Rule(damps_itself(501, Reason.BATTERY, voltage=12.4)),
-    "a voltage that is no number damps": Rule(damps_itself(501, Reason.BATTERY, voltage=NAN)),
+    "a voltage that is NaN damps": Rule(damps_itself(501, Reason.BATTERY, voltage=NAN)),
     "a short sag of the voltage does not damp": Rule(
         (
             *ARMED,

@@ -1,4 +1,4 @@
-"""Timing of the control loop, on a clock that tests move, and what keeps the process in time."""
+"""Timing of the control loop on a simulated clock, and real-time priority."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from surefoot.deploy.pacer import LoopTiming, Pacer, real_time_priority
 
 
 class HandClock:
-    """A clock that wakes late once."""
+    """A clock that wakes up late once."""
 
     def __init__(self) -> None:
         self.time = 10.0
@@ -35,7 +35,7 @@ def test_steps_come_at_whole_periods():
 
 
 @pytest.mark.parametrize(("late", "missed"), [(0.001, 0), (0.0059, 0), (0.0061, 1), (0.0125, 2), (0.0181, 3)])
-def test_a_step_that_starts_a_period_late_is_missed_and_due_times_stay(late, missed):
+def test_a_step_late_by_a_period_is_missed_and_due_times_do_not_shift(late, missed):
     clock = HandClock()
     pacer = Pacer(clock, 0.006)
     pacer.next()
@@ -49,7 +49,7 @@ def test_a_step_that_starts_a_period_late_is_missed_and_due_times_stay(late, mis
     assert following.due == pytest.approx(tick.due + 0.006)
 
 
-def test_a_restart_takes_the_place_of_the_next_step():
+def test_a_restart_replaces_the_next_step():
     clock = HandClock()
     pacer = Pacer(clock, 0.006)
     for _ in range(3):
@@ -63,7 +63,7 @@ def test_a_restart_takes_the_place_of_the_next_step():
     assert tick.due == pytest.approx(11.0)
 
 
-def test_figures_are_in_milliseconds():
+def test_metrics_are_in_milliseconds():
     timing = LoopTiming(100)
     assert timing.metrics()["lateness_median_ms"] is None
     for k in range(101):
@@ -79,7 +79,7 @@ def test_figures_are_in_milliseconds():
     assert timing.last(2).tolist() == pytest.approx([0.98e-3, 0.99e-3])
 
 
-def test_real_time_priority_collects_no_garbage_and_ends_also_after_an_exception():
+def test_real_time_priority_disables_garbage_collection_and_ends_after_an_exception():
     before = sys.getswitchinterval()
 
     def fail() -> None:
@@ -95,7 +95,7 @@ def test_real_time_priority_collects_no_garbage_and_ends_also_after_an_exception
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
 
 
-def test_real_time_priority_works_without_the_right_to_priority(monkeypatch):
+def test_real_time_priority_works_without_permission(monkeypatch):
     def refused(*_: object) -> None:
         raise PermissionError
 

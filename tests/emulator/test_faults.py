@@ -1,4 +1,4 @@
-"""Faults by name: how they are requested, and what some do to a running robot.
+"""Faults by name: how they are requested, and the effects of some on a running robot.
 
 `tests/deploy/test_fault_table.py` and `tests/cli/test_doctor_cli.py` test the others.
 """
@@ -21,7 +21,7 @@ from surefoot.errors import SurefootError
 ME = 7
 
 
-def test_faults_are_parsed_from_words():
+def test_faults_are_parsed():
     faults = parse_faults(["drop=0.2", "unplug=1.5", "battery-low=13@3.5", "other-robot", "hang", "corrupt@2"])
     assert list(faults) == ["drop", "unplug", "battery-low", "other-robot", "hang", "corrupt"]
     assert (faults["drop"].value, faults["drop"].start) == (0.2, 0.0)
@@ -50,12 +50,12 @@ def test_faults_are_parsed_from_words():
         ("flip-sign=0.5", "fault flip-sign is 0.5; it must be a whole number"),
     ],
 )
-def test_a_fault_that_does_not_exist_or_a_number_out_of_range_is_refused(word, message):
+def test_unknown_faults_and_values_out_of_range_are_rejected(word, message):
     with pytest.raises(SurefootError, match=message):
         parse_faults([word])
 
 
-def test_duplicate_faults_and_faults_of_the_other_clock_are_refused():
+def test_duplicate_faults_and_faults_of_the_other_clock_are_rejected():
     with pytest.raises(SurefootError, match="fault drop is given twice"):
         parse_faults(["drop", "drop=0.1"])
     for name in ("batching", "overload"):
@@ -63,7 +63,7 @@ def test_duplicate_faults_and_faults_of_the_other_clock_are_refused():
             parse_faults([name], lockstep=True)
 
 
-def test_a_link_has_the_faults_of_what_it_has():
+def test_a_link_supports_the_faults_of_its_targets():
     assert set(LINKS) == {"serial", "dds"}
     for name, kind in FAULTS.items():
         for link, targets in LINKS.items():
@@ -93,7 +93,7 @@ def test_every_fault_is_described():
     assert lines[1] == "drop=0.05 (probability per frame): frames are lost"
 
 
-def test_line_faults_begin_each_at_its_time(rig):
+def test_each_line_fault_starts_at_its_time(rig):
     bench = rig("drop=1@0.1", "duplicate=1")
     bench.arm()
     bench.walk(16)
@@ -122,7 +122,7 @@ def test_a_flipped_imu_exchanges_or_negates_roll_and_pitch(rig, way, signs):
     np.testing.assert_allclose([roll, pitch], expected, rtol=1e-6)
 
 
-def test_a_reboot_forgets_the_operator(rig):
+def test_a_reboot_ends_the_session(rig):
     bench = rig("reboot=0.1")
     bench.arm()
     bench.walk(16)

@@ -1,4 +1,4 @@
-"""The map of heights that an emulated robot sends."""
+"""Height maps sent by an emulated robot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from surefoot.policy.contract import HeightMap
 from surefoot.task.height_scan import MAP, ScanConfig
 
 
-def test_a_map_comes_fifty_times_a_second_with_its_age_and_errors(robot) -> None:
+def test_maps_are_sent_at_50_hz_with_age_and_errors(robot) -> None:
     plant, grid = Plant(robot), HeightMap(*MAP.scale(robot), age=0.0)
     level = -plant.capture().position[2]
     errors = ScanConfig(noise=0.0, drift=0.0, shift=0.0, holes=0.0, delay=3)

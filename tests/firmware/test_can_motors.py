@@ -1,4 +1,4 @@
-"""The driver of motors on a CAN bus, alone and below the board's program, with drives that are simulated.
+"""The driver of motors on a CAN bus with simulated drives, with and without the board's program.
 
 The board's program and the driver are compiled for this computer. Frames are those of the actuators' manuals: to a
 drive position (16 bits), speed, kp, kd and torque (12 each); from it its number, position (16), speed, torque (12
@@ -31,7 +31,7 @@ HANDSHAKE = firmware_handshake(ROBOT, Limits.from_robot(ROBOT))
 POSE = (HANDSHAKE.angle_low + HANDSHAKE.angle_high) / 2
 MOTORS, DT = 12, HANDSHAKE.servo_period
 RANGES = ((-12.5, 12.5), (-45.0, 45.0), (0.0, 500.0), (0.0, 5.0), (-24.0, 24.0))
-"""Of position [rad], speed [rad/s], kp [N m/rad], kd [N m s/rad] and torque [N m]."""
+"""Ranges of position [rad], speed [rad/s], kp [N m/rad], kd [N m s/rad] and torque [N m]."""
 BITS = (16, 12, 12, 12, 12)
 STEPS = [(high - low) / (2**bits - 1) for (low, high), bits in zip(RANGES, BITS, strict=True)]
 """Resolution of each."""
@@ -75,7 +75,7 @@ class Order(ctypes.Structure):
 
 
 class Drive:
-    """A drive with its motor, an inertia of .02 kg m2: obeys the last order while it is on, and answers each frame.
+    """A drive and its motor with an inertia of 0.02 kg m2: follows the last command while on, and answers each frame.
 
     After 20 ms without a frame it forgets the order.
     """
@@ -85,12 +85,12 @@ class Drive:
         self.order = np.zeros(5)
         """Position, speed, kp, kd, torque."""
         self.obeyed: list[np.ndarray] = []
-        """All orders."""
+        """All received commands."""
         self.on = self.mute = False
         self.error, self.temperature, self.waited = 0, 31, 0
 
     def obey(self, data: bytes) -> bytes:
-        """Take a frame; return the answer without the drive's number."""
+        """Process a frame; return the answer without the drive's number."""
         self.waited = 0
         if data == SWITCH_ON:
             self.on = True
@@ -108,13 +108,13 @@ class Drive:
         return bytes([*(p << 24 | v << 12 | t).to_bytes(5, "big"), self.temperature, self.error])
 
     def act(self) -> None:
-        """Set the torque by the last order."""
+        """Set the torque from the last command."""
         angle, speed, kp, kd, torque = self.order
         wanted = torque + kp * (angle - self.angle) + kd * (speed - self.speed)
         self.torque = float(np.clip(wanted, *RANGES[4])) if self.on and not self.error else 0.0
 
     def step(self) -> None:
-        """Move for a servo step, with ten steps of the drive's own loop."""
+        """Simulate a servo step, with ten steps of the drive's own loop."""
         self.waited += 1
         if self.waited > 0.02 / DT:
             self.order = np.zeros(5)
@@ -125,19 +125,19 @@ class Drive:
 
 
 class Board:
-    """The board's program with the driver, a bus and its drives; time passes with servo steps."""
+    """The board's program with the driver, a bus and its drives; time advances with servo steps."""
 
     def __init__(self, library: Path) -> None:
         self.c = ctypes.CDLL(str(library))
         self.drives = [Drive(angle) for angle in POSE]
         self.room = 1000
-        """How many frames the bus carries in a servo step."""
+        """Number of frames that the bus transmits per servo step."""
         self.answer_id = lambda number: 0
         self.number = 0
         self.host, self.states, self.faults = Decoder(Codec(MOTORS)), list[State](), list[messages.Fault]()
 
     def exchange(self) -> list[tuple[int, bytes]]:
-        """Carry frames to the drives and their answers back; return what the drives got, with identifiers."""
+        """Transmit frames to the drives and their answers back; return the frames that drives received, by identifier."""
         data, carried = (ctypes.c_uint8 * 8)(), []
         while len(carried) < self.room and (number := self.c.get(data)) >= 0:
             carried.append((number, bytes(data)))
@@ -147,26 +147,26 @@ class Board:
         return carried
 
     def put(self, name: int, data: bytes) -> None:
-        """Put a frame on the bus to the board."""
+        """Send a frame to the board."""
         self.c.put(name, data, len(data))
 
     def read(self) -> np.ndarray:
-        """Angles, speeds and torques (3, M) by the driver."""
+        """Angles, speeds and torques (3, M) read by the driver."""
         seen = np.zeros((3, MOTORS), np.float32)
         self.c.hal_read_motors(*(row.ctypes.data_as(ctypes.c_void_p) for row in seen))
         return seen
 
     def drive(self, orders: Iterable[dict[str, float]]) -> list[tuple[int, bytes]]:
-        """Drive the motors by the driver alone; return the frames."""
+        """Drive the motors with the driver only; return the frames."""
         self.c.hal_drive_motors((Order * MOTORS)(*(Order(**order) for order in orders)))
         return self.exchange()
 
     def wait(self) -> None:
-        """Let a servo step pass."""
+        """Simulate a servo step."""
         ctypes.c_uint64.in_dll(self.c, "now").value += round(1e6 * DT)
 
     def send(self, message: Message) -> None:
-        """Send a message of the host."""
+        """Send a message from the host."""
         self.number += 1
         now = ctypes.c_uint64.in_dll(self.c, "now").value / 1e6
         frame = encode_frame(self.host.codec, message, self.number, now)
@@ -225,13 +225,13 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def board(library: Path, tmp_path: Path) -> Board:
-    # Another file has variables of its own.
+    # Each library file has its own variables.
     return Board(Path(shutil.copy(library, tmp_path / "board.so")))
 
 
 @pytest.fixture
 def armed(board: Board) -> Board:
-    """The board armed, its drives on and in their pose."""
+    """The armed board, with its drives on and in their pose."""
     board.c.board_start()
     board.run(5)
     board.send(messages.Hello(7, 0.002))
@@ -276,7 +276,7 @@ def test_numbers_go_both_ways_within_the_resolution(board):
         board.wait()
 
 
-def test_numbers_out_of_range_are_clipped_and_what_is_no_number_gives_no_torque(board):
+def test_values_out_of_range_are_clipped_and_nan_gives_no_torque(board):
     beyond = {"target": 1e9, "kp": 1e9, "kd": np.inf, "feedforward": 25.0}
     board.drive([beyond] * 6 + [{name: -number for name, number in beyond.items()}] * 6)
     ends = np.array(RANGES)
@@ -292,7 +292,7 @@ def test_numbers_out_of_range_are_clipped_and_what_is_no_number_gives_no_torque(
         assert abs(drive.order[4]) < STEPS[4]
 
 
-def test_directions_zeros_and_offsets_of_an_owner_are_obeyed(tmp_path):
+def test_directions_zeros_and_offsets_of_the_owner_are_applied(tmp_path):
     board = Board(
         build(
             tmp_path,
@@ -316,7 +316,7 @@ def test_directions_zeros_and_offsets_of_an_owner_are_obeyed(tmp_path):
     assert set(temperature) == {31.0}
 
 
-def test_answers_of_others_have_no_effect_and_those_with_a_drives_own_identifier_count(board):
+def test_only_answers_with_the_identifier_of_the_master_or_the_drive_count(board):
     assert np.isnan(board.read()[:2]).all()
     for number, name, length in ((99, 0, 8), (0, 0, 8), (1, 5, 8), (1, 0, 6), (1, 0, 0)):
         board.put(name, bytes([number, *[255] * 7])[:length])
@@ -326,7 +326,7 @@ def test_answers_of_others_have_no_effect_and_those_with_a_drives_own_identifier
     np.testing.assert_allclose(board.read()[0], POSE, atol=STEPS[0])
 
 
-# Below the board's program.
+# With the board's program.
 
 
 def test_the_board_switches_drives_on_and_they_follow_its_commands(armed):
@@ -345,27 +345,27 @@ def test_the_board_switches_drives_on_and_they_follow_its_commands(armed):
 
 
 def silence(board: Board) -> None:
-    """A drive hears, and is not heard."""
+    """A drive receives frames, but its answers are lost."""
     board.drives[7].mute = True
 
 
 def report_error(board: Board) -> None:
-    """A drive has switched itself off, and says so."""
+    """A drive has switched itself off, and reports it."""
     board.drives[7].error = 5
 
 
 def switch_off(board: Board) -> None:
-    """The bus is off: it carries nothing."""
+    """The bus is off and transmits nothing."""
     board.room = 0
 
 
 def fill(board: Board) -> None:
-    """The bus is full: other frames leave room for seven in a servo step."""
+    """The bus is full: other frames leave room for seven per servo step."""
     board.room = 7
 
 
 def overheat(board: Board) -> None:
-    """A drive has 120 degC."""
+    """A drive reports 120 degC."""
     board.drives[7].temperature = 120
 
 
@@ -380,11 +380,11 @@ def overheat(board: Board) -> None:
     ],
     ids=("silent", "error", "bus off", "bus full", "hot"),
 )
-def test_a_fault_damps_all_motors_until_it_is_gone_and_the_robot_is_armed_anew(armed, fault, reason, text):
+def test_a_fault_damps_all_motors_until_it_ends_and_the_robot_is_armed_again(armed, fault, reason, text):
     armed.run(10, POSE + 0.1)
     before = len(armed.drives[0].obeyed)
     fault(armed)
-    # 10 ms of silence, the answers that were on their way, and the step that finds it.
+    # 10 ms of silence, the answers in transit, and the step that detects it.
     armed.run(7, POSE + 0.1)
     assert armed.mode == (Mode.FAULT, reason)
     assert armed.faults[-1].text == text
@@ -395,14 +395,14 @@ def test_a_fault_damps_all_motors_until_it_is_gone_and_the_robot_is_armed_anew(a
         assert drive.order[2] == 0.0
         assert drive.order[3] == pytest.approx(HANDSHAKE.servo_kd[0], abs=STEPS[3])
         assert abs(drive.order[4]) < STEPS[4]
-    # It does not arm while it lasts; drives that the bus does not reach have damped themselves.
+    # It cannot be armed during the fault; drives that the bus does not reach have damped themselves.
     armed.run(round(HANDSHAKE.rearm_after / DT))
     assert not any(drive.order[2] for drive in armed.drives)
     armed.send(messages.Arm(7, Mode.POSITION, 0.006, 0.001))
     armed.run(1)
     assert armed.mode == (Mode.FAULT, reason)
     assert armed.faults[-1].text == text
-    # When it is gone no drive gets an order of before; one that was without power meanwhile is switched on.
+    # After the fault no drive gets an outdated command; a drive that had no power is switched on.
     orders = [len(drive.obeyed) for drive in armed.drives]
     armed.room = 1000
     for drive in armed.drives:
@@ -417,7 +417,7 @@ def test_a_fault_damps_all_motors_until_it_is_gone_and_the_robot_is_armed_anew(a
     assert all(drive.on and drive.order[2] for drive in armed.drives)
 
 
-def test_a_drive_that_is_never_there_keeps_the_board_from_arming(board):
+def test_a_missing_drive_prevents_arming(board):
     board.c.board_start()
     board.drives[11].mute = True
     board.send(messages.Hello(7, 0.002))
@@ -430,6 +430,6 @@ def test_a_drive_that_is_never_there_keeps_the_board_from_arming(board):
 
 
 @needs_qemu
-def test_it_fits_the_stm32f405_with_its_bus():
+def test_the_firmware_fits_the_stm32f405():
     drivers = "drivers/can_motors.c stm32f4/can_bus.c drivers/no_sensors.c"
     assert compiled(ROBOT, None, None, "board.elf", f"DRIVERS={drivers}").exists()

@@ -176,7 +176,7 @@ def test_the_own_controller_is_released_and_selected_again(listener: Inspection,
     assert body.settings.controller == "mcf"
 
 
-def test_a_robot_that_stands_is_not_released(listener: Inspection, body: Go2, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_standing_robot_is_not_released(listener: Inspection, body: Go2, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(motion_service, "LIE_DOWN_TIMEOUT", 0.1)
     body.reset()
     body.set(controller="mcf", angle=np.tile([0.0, 0.67, -1.3], 4))
@@ -227,7 +227,7 @@ while time.monotonic() < end:
         other.wait()
 
 
-def test_a_domain_without_a_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_domain_without_a_robot_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inspection, "FIRST_STATE_TIMEOUT", 0.3)
     here = bus.Bus("lo", EMPTY)
     listener = Inspection(here, "lo", EMPTY)

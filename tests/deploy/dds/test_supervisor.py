@@ -1,4 +1,4 @@
-"""The supervisor between a control loop, a watchdog and a robot on a clock of the test, so that all times are exact."""
+"""The supervisor between a control loop, a watchdog and a robot, on a simulated clock, so that all times are exact."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from surefoot.robot import RobotDescription
 
 ME = 7
 STEP = 10_000
-"""Time [us] between two commands of the loop."""
+"""Period of the loop's commands [us]."""
 KP, KD = 40.0, 1.5
 LYING = np.tile([0.0, 1.2, -2.6], 4)
 ARMED = 100_000
-"""When the loop asks to arm [us]."""
+"""Time at which the loop asks to arm [us]."""
 EVENT = 500_000
-"""When something happens [us]."""
+"""Time of the tested event [us]."""
 SLACK = 1000
-"""Time [us] between two moments of the test's clock."""
+"""Resolution of the simulated clock [us]."""
 
 
 @dataclass
 class Command:
-    """A command to the robot."""
+    """Command to the robot."""
 
     time: int
-    """When it was written [us]."""
+    """Time at which it was written [us]."""
     kp: float
     kd: float
     target: np.ndarray
@@ -53,7 +53,7 @@ class Command:
 
 
 class Topic:
-    """Messages to the supervisor that it has not taken yet."""
+    """Topic with messages that the supervisor has not read yet."""
 
     def __init__(self) -> None:
         self.messages: list[bytes] = []
@@ -64,19 +64,19 @@ class Topic:
 
 
 class Bench:
-    """A supervisor with a robot that lies, a loop that arms it and holds its pose, and a watchdog that answers."""
+    """A supervisor with a lying robot, a loop that arms it and holds its pose, and a watchdog that answers."""
 
     def __init__(self) -> None:
         self.now = 0
         self.topics: dict[str, Topic] = {}
         self.commands: list[Command] = []
         self.packets: list[Any] = []
-        """What the loop has received."""
+        """Packets that the loop has received."""
         self.target = LYING
-        """What the loop commands."""
+        """Target that the loop commands."""
         self.silent = self.loop_silent = self.watchdog_silent = False
         self.controller = ""
-        """Name that the watchdog has heard."""
+        """Name of the active controller, reported by the watchdog."""
         self.events: list[tuple[int, Callable[[], object]]] = []
         self.state = low_level.new_record(low_level.LOW_STATE)
         self.state["head"], self.state["tick"] = low_level.HEAD, 1000
@@ -94,7 +94,7 @@ class Bench:
         ends = SocketPort(loop, "the loop"), SocketPort(beats, "the watchdog")
         self.supervisor = Supervisor(config, self, *ends)  # type: ignore[arg-type]
 
-    # What the supervisor takes for a bus and for a writer.
+    # Interface of a bus and of a writer.
 
     def reader(self, name: str, kind: type, depth: int = 1, others: bool = False) -> Topic:
         return self.topics.setdefault(name, Topic())
@@ -109,7 +109,7 @@ class Bench:
         self.commands.append(Command(self.now, kp, kd, motors["q"].astype(float)))
         return True
 
-    # What the supervisor takes for its clock.
+    # Interface of the supervisor's clock.
 
     def monotonic_ns(self) -> int:
         return 1000 * self.now
@@ -118,7 +118,7 @@ class Bench:
         self.wait((), (), (), seconds)
 
     def wait(self, reads: Sequence[Any], _writes: object, _errors: object, seconds: float) -> tuple[Any, ...]:
-        """Let time pass until something can be read, as `select`."""
+        """Advance time until data can be read, like `select`."""
         end = self.now + round(1e6 * seconds)
         while not (ready := select.select(reads, (), (), 0) if reads else ((), (), ()))[0] and self.now < end:
             self.now = min(end, (self.now // SLACK + 1) * SLACK)
@@ -170,11 +170,11 @@ class Bench:
             self.loop.close()
 
     def at(self, time: int, action: Callable[[], object]) -> None:
-        """Let something happen at a time [us], later than what was said before."""
+        """Schedule an action at a time [us], later than the earlier ones."""
         self.events.append((time, action))
 
     def run(self, until: int = 1_000_000) -> None:
-        """Run until the loop closes [us], and the supervisor has ended."""
+        """Run until the loop closes the link at `until` [us] and the supervisor has ended."""
         self.at(until, self.loop.close)
         with (
             mock.patch.object(supervisor, "time", self),
@@ -192,7 +192,7 @@ class Bench:
 
     @property
     def damped(self) -> int:
-        """When the motors were damped [us], for good."""
+        """Time at which the motors were damped for the rest of the run [us]."""
         first = next(k for k, command in enumerate(self.commands) if command.damps)
         assert all(command.damps for command in self.commands[first:])
         return self.commands[first].time
@@ -209,12 +209,12 @@ def bench() -> Iterator[Bench]:
     bench.close()
 
 
-def test_commands_begin_with_the_arming_have_gains_and_a_period_and_damp_once_the_loop_is_gone(bench: Bench) -> None:
+def test_commands_start_with_arming_and_damp_once_the_loop_has_ended(bench: Bench) -> None:
     bench.target = LYING + 0.02
     bench.run(until=EVENT)
     held = [command for command in bench.commands if not command.damps]
     assert ARMED <= held[0].time <= ARMED + PERIOD + SLACK
-    np.testing.assert_allclose(held[0].target, LYING, atol=1e-6)  # the present pose, until a command comes
+    np.testing.assert_allclose(held[0].target, LYING, atol=1e-6)  # the present pose until the first command
     np.testing.assert_allclose(held[-1].target, LYING + 0.02, atol=1e-6)
     assert {(command.kp, command.kd) for command in held} == {(KP, KD)}
     times = [command.time for command in bench.commands]
@@ -230,19 +230,19 @@ def test_a_robot_that_was_never_armed_gets_no_command(bench: Bench) -> None:
     assert bench.now < ARMED + STEP
 
 
-def test_time_is_the_robots(bench: Bench) -> None:
+def test_time_follows_the_robots_tick(bench: Bench) -> None:
     bench.run(until=EVENT)
     last = bench.received(State)[-1]
     assert last.time == pytest.approx(1e-6 * EVENT + 1.0, abs=0.004)  # its tick began at a second
 
 
-def test_duties_are_refused(bench: Bench) -> None:
+def test_duties_are_rejected(bench: Bench) -> None:
     bench.at(ARMED - STEP // 2, lambda: bench.send(Arm(ME, int(Mode.PWM), 1e-6 * STEP, 0.005)))
     bench.run(until=EVENT)
     assert bench.reasons == [Reason.MODE]
 
 
-def test_a_first_command_that_jumps_is_refused(bench: Bench) -> None:
+def test_a_first_command_with_a_jump_damps(bench: Bench) -> None:
     bench.target = LYING + 1.1 * FIRST_TORQUE / KP
     bench.run(until=EVENT)
     assert bench.reasons[0] == Reason.COMMAND
@@ -290,7 +290,7 @@ def switch_motor_off(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("event", "reason", "text", "least", "most"),
     [
-        # A command came at the event; the data sheet's time-out is 55 ms.
+        # A command arrived at the event; the data sheet's timeout is 55 ms.
         (hush_loop, Reason.TIMEOUT, "", 55_000 - STEP, 55_000 + PERIOD + SLACK),
         (end_silently, Reason.STATES_LATE, "", STATE_TIMEOUT - PERIOD, STATE_TIMEOUT + 2 * PERIOD),
         (lean, Reason.TILT, "", 0, 3 * PERIOD),
@@ -310,7 +310,7 @@ def test_a_fault_damps_in_time(
     assert bench.reasons[0] == reason
     assert text in bench.received(Fault)[0].message.text
     assert least <= bench.damped - EVENT <= most
-    # Commands go on without a gap.
+    # Commands continue without a gap.
     assert set(np.diff([command.time for command in bench.commands])) == {PERIOD}
 
 
