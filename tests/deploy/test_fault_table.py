@@ -1,12 +1,11 @@
 """Every row of the safety table, with the emulator and `surefoot deploy` over pseudo-terminals.
 
-Between the two lies a cable of the test's own: it hears what both say, and knows when something is to happen. Where
-timing allows the robot runs in lockstep, in this process: then all times are exact, whatever else the computer does.
-Where time is the point both are processes that run in real time, and a test that fails while the computer is busy is
-tried again.
+A cable between the two records the packets of both, and triggers events. If possible the robot runs in lockstep in
+this process, so that all times are exact on a busy computer. In tests of real time, both are processes, and a test that
+fails on a busy computer is repeated.
 
-Times are those of the robot's clock or of the host's, as they stand in the frames. Rows are those of
-`docs/safety.md`: ways to stop, and faults of the serial link; their numbers are of these tests alone.
+Times are on the robot's or the host's clock, as in the frames. Rows are rows of `docs/safety.md` (ways to stop, faults
+of the serial link); only these tests number them.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ class SensorConfig:
 
 
 class PowerConfig(NamedTuple):
-    """Battery and motor heat. The defaults are those of data sheets that do not state them."""
+    """Parameters of battery and motor heat; the defaults apply to data sheets without these values."""
 
     battery_resistance: float = Battery.resistance
     """Internal resistance [Ohm]."""
@@ -85,7 +85,7 @@ def power_tick(state: ActuationState, power: PowerConfig, dt: float, temperature
     """Update the motor temperatures over one step; return the current drawn from the battery [A].
 
     A motor's current I follows from its torque by inverting the torque table; where the table is flat, the smallest
-    current is used. At speed w the motor draws the power I (R I + K_t w) from the battery, of which R I^2 becomes heat:
+    current is used. At speed w the motor draws the power I (R I + K_t w) from the battery; R I^2 becomes heat:
 
         C dT/dt = R I^2 - (T - T_air) / R_heat
 

@@ -229,8 +229,8 @@ class Firmware:
             return
         if self._first and mode == Mode.POSITION and self._vitals is not None:
             torque = handshake.servo_kp * np.abs(values - self._vitals.motor_angle)
-            if not (greatest := float(torque.max())) <= self.limits.first_torque:
-                text = f"the first command would give {greatest:.1f} N m at once; at most {self.limits.first_torque:g}"
+            if not (maximum := float(torque.max())) <= self.limits.first_torque:
+                text = f"the first command would give {maximum:.1f} N m at once; at most {self.limits.first_torque:g}"
                 self._fail(now, Reason.COMMAND, text)
                 return
         self._first = False
