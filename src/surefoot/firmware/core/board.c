@@ -53,23 +53,23 @@ static struct {
 static struct {
     char chars[sizeof(((surefoot_fault *)0)->text)];
     size_t length;
-} why;
+} text;
 
-static void put(const char *more)
+static void append_text(const char *more)
 {
-    while (*more != '\0' && why.length < sizeof(why.chars)) {
-        why.chars[why.length++] = *more++;
+    while (*more != '\0' && text.length < sizeof(text.chars)) {
+        text.chars[text.length++] = *more++;
     }
 }
 
 /* Start a new text. */
-static void say(const char *chars)
+static void set_text(const char *chars)
 {
-    why.length = 0;
-    put(chars);
+    text.length = 0;
+    append_text(chars);
 }
 
-static void put_whole(uint32_t number)
+static void append_integer(uint32_t number)
 {
     char digits[11];
     size_t at = sizeof(digits) - 1u;
@@ -79,56 +79,56 @@ static void put_whole(uint32_t number)
         digits[--at] = (char)('0' + number % 10u);
         number /= 10u;
     } while (number != 0u);
-    put(digits + at);
+    append_text(digits + at);
 }
 
 /* Append a number with a fixed number of decimals. */
-static void put_number(float number, int decimals)
+static void append_number(float number, int decimals)
 {
     const float magnitude = fabsf(number);
     uint32_t unit = 1, whole;
     int k;
 
     if (isnan(number)) {
-        put("nan");
+        append_text("nan");
         return;
     }
     if (number < 0.0f) {
-        put("-");
+        append_text("-");
     }
     if (!(magnitude < 1e6f)) {
-        put(isinf(number) ? "inf" : "1e6 or more");
+        append_text(isinf(number) ? "inf" : "1e6 or more");
         return;
     }
     for (k = 0; k < decimals; k++) {
         unit *= 10u;
     }
     whole = (uint32_t)lroundf(magnitude * (float)unit);
-    put_whole(whole / unit);
+    append_integer(whole / unit);
     if (decimals > 0) {
-        put(".");
+        append_text(".");
         for (k = 0; k < decimals; k++) {
             unit /= 10u;
-            put_whole(whole / unit % 10u);
+            append_integer(whole / unit % 10u);
         }
     }
 }
 
 /* Append a limit, without trailing zeros. */
-static void put_limit(float number)
+static void append_limit(float number)
 {
-    put_number(number, 3);
-    while (why.length > 0u && why.chars[why.length - 1u] == '0') {
-        why.length--;
+    append_number(number, 3);
+    while (text.length > 0u && text.chars[text.length - 1u] == '0') {
+        text.length--;
     }
-    if (why.length > 0u && why.chars[why.length - 1u] == '.') {
-        why.length--;
+    if (text.length > 0u && text.chars[text.length - 1u] == '.') {
+        text.length--;
     }
 }
 
-static void put_seconds(uint32_t microseconds)
+static void append_seconds(uint32_t microseconds)
 {
-    put_limit((float)microseconds / 1e6f);
+    append_limit((float)microseconds / 1e6f);
 }
 
 /* Messages to the host. */
@@ -149,7 +149,7 @@ static void send_fault(uint16_t session, uint8_t reason)
 {
     surefoot_fault fault = {.session = session, .reason = reason};
 
-    memcpy(fault.text, why.chars, why.length);
+    memcpy(fault.text, text.chars, text.length);
     send(SUREFOOT_FAULT, &fault);
 }
 
@@ -293,32 +293,32 @@ static uint8_t hazard(uint64_t now)
     }
     reason = hal_hazard(&seen);
     if (reason != SUREFOOT_REASON_NONE) {
-        say(seen);
+        set_text(seen);
         return reason;
     }
     if (!board.finite) {
-        say("the angle or speed of a motor is not finite");
+        set_text("the angle or speed of a motor is not finite");
         return SUREFOOT_REASON_NOT_FINITE;
     }
     if (!(tilt <= robot_handshake.tilt_limit)) {
-        say("tilt is ");
-        put_number(tilt, 2);
-        put(" rad; the limit is ");
-        put_limit(robot_handshake.tilt_limit);
+        set_text("tilt is ");
+        append_number(tilt, 2);
+        append_text(" rad; the limit is ");
+        append_limit(robot_handshake.tilt_limit);
         return SUREFOOT_REASON_TILT;
     }
     if (board.low_since != BOARD_NEVER && now - board.low_since >= LIMIT_VOLTAGE_TIME) {
-        say("battery voltage is ");
-        put_number(board.voltage, 2);
-        put(" V; the limit is ");
-        put_limit(robot_handshake.voltage_min);
+        set_text("battery voltage is ");
+        append_number(board.voltage, 2);
+        append_text(" V; the limit is ");
+        append_limit(robot_handshake.voltage_min);
         return SUREFOOT_REASON_BATTERY;
     }
     if (!(board.temperature <= robot_handshake.temperature_max)) {
-        say("a motor is at ");
-        put_number(board.temperature, 0);
-        put(" degC; the limit is ");
-        put_limit(robot_handshake.temperature_max);
+        set_text("a motor is at ");
+        append_number(board.temperature, 0);
+        append_text(" degC; the limit is ");
+        append_limit(robot_handshake.temperature_max);
         return SUREFOOT_REASON_TEMPERATURE;
     }
     return SUREFOOT_REASON_NONE;
@@ -341,7 +341,7 @@ static void answer_hello(uint64_t now, const surefoot_hello *hello)
 static void start_session(uint64_t now, const surefoot_header *header, const surefoot_hello *hello)
 {
     if (board.owner != 0u && now <= taken_until()) {
-        say("another operator uses the robot");
+        set_text("another operator uses the robot");
         reject(now, hello->session, SUREFOOT_REASON_BUSY);
         return;
     }
@@ -366,31 +366,31 @@ static void arm(uint64_t now, const surefoot_arm *message)
     uint8_t reason;
 
     if (!possible || (is_armed() && mode != board.mode)) {
-        say("mode ");
-        put_whole(mode);
-        put(" can't be armed while ");
-        put(mode_names[board.mode]);
+        set_text("mode ");
+        append_integer(mode);
+        append_text(" can't be armed while ");
+        append_text(mode_names[board.mode]);
         reject(now, board.owner, SUREFOOT_REASON_MODE);
         return;
     }
     if (message->command_period < robot_handshake.command_period_min
         || message->command_period > robot_handshake.command_period_max
         || message->report_after > message->command_period) {
-        say("command period is ");
-        put_number((float)message->command_period / 1e6f, 3);
-        put(" s; it must be ");
-        put_seconds(robot_handshake.command_period_min);
-        put(" to ");
-        put_seconds(robot_handshake.command_period_max);
+        set_text("command period is ");
+        append_number((float)message->command_period / 1e6f, 3);
+        append_text(" s; it must be ");
+        append_seconds(robot_handshake.command_period_min);
+        append_text(" to ");
+        append_seconds(robot_handshake.command_period_max);
         reject(now, board.owner, SUREFOOT_REASON_COMMAND);
         return;
     }
     if (!is_armed() && board.reason != SUREFOOT_REASON_NONE && clean_for(now) < robot_handshake.rearm_after) {
-        say("the link must be clean for ");
-        put_seconds(robot_handshake.rearm_after);
-        put(" s (");
-        put(reason_names[board.reason]);
-        put(")");
+        set_text("the link must be clean for ");
+        append_seconds(robot_handshake.rearm_after);
+        append_text(" s (");
+        append_text(reason_names[board.reason]);
+        append_text(")");
         reject(now, board.owner, SUREFOOT_REASON_NOT_CLEAN);
         return;
     }
@@ -428,17 +428,17 @@ static void take_command(uint64_t now, const surefoot_header *header, uint8_t mo
     if (board.mode != mode) {
         board.dropped++;
         if (board.mode != SUREFOOT_MODE_FAULT) { /* every state of a faulted robot has the reason */
-            say("a command arrived while ");
-            put(mode_names[board.mode]);
+            set_text("a command arrived while ");
+            append_text(mode_names[board.mode]);
             reject(now, board.owner, SUREFOOT_REASON_MODE);
         }
         return;
     }
     if (age > (int64_t)(LIMIT_STALE_AFTER * (float)board.period)) {
         board.stale++;
-        say("commands were late, the last by ");
-        put_number((float)age / 1e6f, 3);
-        put(" s");
+        set_text("commands were late, the last by ");
+        append_number((float)age / 1e6f, 3);
+        append_text(" s");
         drop(now);
         return;
     }
@@ -452,9 +452,9 @@ static void take_command(uint64_t now, const surefoot_header *header, uint8_t mo
 
             memcpy(name, robot_handshake.motor_names[m], sizeof(robot_handshake.motor_names[0]));
             board.dropped++;
-            say(name);
-            put(" was commanded to ");
-            put_number(values[m], 3);
+            set_text(name);
+            append_text(" was commanded to ");
+            append_number(values[m], 3);
             fail(now, SUREFOOT_REASON_COMMAND);
             return;
         }
@@ -466,10 +466,10 @@ static void take_command(uint64_t now, const surefoot_header *header, uint8_t mo
             torque = greater(torque, robot_handshake.servo_kp[m] * fabsf(values[m] - board.angle[m]));
         }
         if (!(torque <= LIMIT_FIRST_TORQUE)) {
-            say("the first command would give ");
-            put_number(torque, 1);
-            put(" N m at once; at most ");
-            put_limit(LIMIT_FIRST_TORQUE);
+            set_text("the first command would give ");
+            append_number(torque, 1);
+            append_text(" N m at once; at most ");
+            append_limit(LIMIT_FIRST_TORQUE);
             fail(now, SUREFOOT_REASON_COMMAND);
             return;
         }
@@ -493,7 +493,7 @@ static void take_session_frame(uint64_t now, const surefoot_header *header, cons
 
     if (!is_next(header->sequence)) {
         if (command) {
-            say("commands were repeated or out of order");
+            set_text("commands were repeated or out of order");
             drop(now);
         }
         return;
@@ -515,7 +515,7 @@ static void take_session_frame(uint64_t now, const surefoot_header *header, cons
         arm(now, &request);
         break;
     case SUREFOOT_DAMP:
-        say("the operator requested it");
+        set_text("the operator requested it");
         fail(now, SUREFOOT_REASON_HOST);
         break;
     case SUREFOOT_DISARM:
@@ -559,9 +559,9 @@ static void take_frame(uint64_t now)
         memcpy(&hello, payload, sizeof(hello));
         start_session(now, &header, &hello);
     } else if (session == 0u || session != board.owner) {
-        say("session ");
-        put_whole(session);
-        put(" is unknown");
+        set_text("session ");
+        append_integer(session);
+        append_text(" is unknown");
         reject(now, session, SUREFOOT_REASON_SESSION);
     } else {
         take_session_frame(now, &header, payload);
@@ -592,7 +592,7 @@ void board_receive(const uint8_t *bytes, size_t size)
             break;
         case SUREFOOT_FOREIGN:
             board.clean_since = BOARD_NEVER;
-            say("schema is " ROBOT_SCHEMA_TEXT);
+            set_text("schema is " ROBOT_SCHEMA_TEXT);
             reject(now, 0, SUREFOOT_REASON_SCHEMA);
             break;
         case SUREFOOT_DAMAGED:
@@ -611,9 +611,9 @@ static void check(uint64_t now)
     uint8_t reason;
 
     if (now - board.command_time >= robot_handshake.command_timeout) {
-        say("no command for ");
-        put_seconds(robot_handshake.command_timeout);
-        put(" s");
+        set_text("no command for ");
+        append_seconds(robot_handshake.command_timeout);
+        append_text(" s");
         fail(now, SUREFOOT_REASON_TIMEOUT);
         return;
     }
@@ -625,7 +625,7 @@ static void check(uint64_t now)
     reason = hal_sit(&seen);
     if (reason != SUREFOOT_REASON_NONE && board.reason == SUREFOOT_REASON_NONE) {
         board.reason = reason;
-        say(seen);
+        set_text(seen);
         send_fault(board.owner, reason);
     }
 }

@@ -1,8 +1,8 @@
 /* Motors and sensors of a simulated body, for board.elf in QEMU; clock, interrupts and serial line are real.
  *
- * In each servo step the program writes the efforts of the motors (f32 each) to QEMU's standard output. Then it waits on
- * standard input for the readings one step later: angles, speeds, torques and temperatures of the motors; roll, pitch,
- * yaw, three angular rates and the voltage; all f32. */
+ * In each servo step the program writes the efforts of the motors (f32 each) to QEMU's standard output. Then it waits
+ * on standard input for the readings one step later: angles, speeds, torques and temperatures of the motors; roll,
+ * pitch, yaw, three angular rates and the voltage; all f32. */
 #include <stddef.h>
 
 #include "drivers.h"
