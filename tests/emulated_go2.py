@@ -28,7 +28,7 @@ class Wire:
     next_departure = float("inf")
 
     def __init__(self) -> None:
-        self.dead = False
+        self.unplugged = False
         self.inbound: list[Record] = []
         self.published: list[Record] = []
         """Commands of the robot's own controller."""
@@ -39,7 +39,7 @@ class Wire:
         self.published.append(command.copy())
 
     def send(self, at: int, data: bytes) -> None:
-        if not self.dead:
+        if not self.unplugged:
             self.sent.append((at, data))
 
     @property

@@ -18,7 +18,7 @@ from surefoot.columns import RowLayout
 from surefoot.deploy import background_file
 from surefoot.deploy.background_file import BackgroundFile
 from surefoot.deploy.recorder import Recorder
-from surefoot.deploy.run_saver import next_free
+from surefoot.deploy.run_saver import next_free_path
 from surefoot.errors import SurefootError
 from surefoot.task.partial_trace import TraceHead, recover, row_bytes
 
@@ -262,7 +262,7 @@ os.killpg(0, signal.SIGKILL)
 
 
 def test_file_numbers_skip_complete_and_partial_runs(tmp_path):
-    assert next_free(tmp_path / "new").name == "run_000.npz"
+    assert next_free_path(tmp_path / "new").name == "run_000.npz"
     (tmp_path / "run_000.npz").touch()
     (tmp_path / "run_001.npz.partial").touch()
-    assert next_free(tmp_path) == tmp_path / "run_002.npz"
+    assert next_free_path(tmp_path) == tmp_path / "run_002.npz"

@@ -193,7 +193,7 @@ def test_in_lockstep_a_host_that_has_left_loses_the_robot(emulate_here, program)
     process.hosts.remove(first)
     first.send(Ping(9), 0.030)  # its last message is received
     first.close()
-    while process.board.firmware.is_taken(process.board.now):
+    while process.board.firmware.has_operator(process.board.now):
         time.sleep(0.005)
     second = process.host()
     second.send(Hello(OTHER, 0.010), 7.0)

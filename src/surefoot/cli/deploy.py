@@ -154,7 +154,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     from surefoot.deploy.command_sources import FileCommands
     from surefoot.deploy.motion_runner import SHUTDOWN_TIME, STARTUP_TIME
     from surefoot.deploy.pacer import LoopTiming
-    from surefoot.deploy.run_saver import RunSaver, next_free
+    from surefoot.deploy.run_saver import RunSaver, next_free_path
 
     contract = deployment.contract
     step = contract.control_step
@@ -167,7 +167,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     results: list[dict[str, Any]] = []
     code = 0
     for run in range(command.episodes):
-        path = None if command.dry_run and command.out is None else next_free(command.out or Path("deploy"))
+        path = None if command.dry_run and command.out is None else next_free_path(command.out or Path("deploy"))
         saver = RunSaver(deployment, path, steps, command.world_name, run)
         timing = LoopTiming(steps + round((STARTUP_TIME + SHUTDOWN_TIME) / step) + 16)
         saver.begin()

@@ -72,7 +72,7 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
 
 
 def check_map(contract: Contract, port: int | None) -> None:
-    """Check that exactly a perceptive policy has a port for a height map, and that it can stand without a map.
+    """Check that a perceptive policy has a port for height maps and can stand without one, and that others have no port.
 
     Raises:
         SurefootError: no port, a port that is not needed, or a perceptive policy without velocity commands.

@@ -252,7 +252,7 @@ class Deployment:
         try:
             if verdict.act in (Act.GO, Act.SIT):
                 # A lying robot is disarmed as it is: moving it to a sitting pose would stall the motors.
-                ending = runner.drop() if policy_ran else runner.sit_down() if runner.risen else GO
+                ending = runner.drop() if policy_ran else runner.sit_down() if runner.has_risen else GO
                 if ending.act is Act.GO and not self.dry_run:
                     ending = runner.disarm()
                 if ending.act is not Act.GO:

@@ -134,7 +134,7 @@ class ControlLoop:
             sitting: whether the robot is sitting down already, so that only a verdict to damp ends the phase early.
 
         Returns:
-            `GO`, or the verdict that ended the phase early. If it damps, the robot was already asked to.
+            `GO`, or the verdict that ended the phase early. If it is to damp, the request was already sent.
         """
         self.monitor.phase(phase, steps * self.control_step)
         self._phase, self._steps = phase, steps

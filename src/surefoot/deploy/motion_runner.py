@@ -80,7 +80,7 @@ class MotionRunner:
         self.loop = ControlLoop(link, control_step, guard, operator, monitor, timing, dry_run)
         self.clean_time = self.handshake.rearm_after + _CLEAN_MARGIN
         """Time that the link must be clean before a damped robot can be armed, with a margin [s]."""
-        self.risen = False
+        self.has_risen = False
         """Whether the robot has started to stand up, so that it must sit down again."""
 
     @property
@@ -185,7 +185,7 @@ class MotionRunner:
             ("stand up", drawn, standing, RISE_TIME),
             ("stand", standing, standing, STAND_TIME),
         ):
-            self.risen = self.risen or phase == "stand up"
+            self.has_risen = self.has_risen or phase == "stand up"
             verdict = self.move(phase, end, duration, start)
             if verdict.act is not Act.GO:
                 return verdict

@@ -19,7 +19,7 @@ from surefoot.task.partial_trace import SUFFIX, TraceHead
 from surefoot.task.trace import EpisodeTrace, run_meta
 
 
-def next_free(folder: Path) -> Path:
+def next_free_path(folder: Path) -> Path:
     """Return the first path of run_000.npz, run_001.npz, ... that no complete or partial run uses."""
     taken = set(os.listdir(folder)) if folder.is_dir() else set()
     names = (f"run_{number:03d}.npz" for number in itertools.count())

@@ -37,7 +37,7 @@ class BoardProgram(Protocol):
     def armed(self) -> bool:
         """Whether motors follow commands."""
 
-    def is_taken(self, now: int) -> bool:
+    def has_operator(self, now: int) -> bool:
         """Return whether an operator uses the robot, so that others are rejected."""
 
     def take(self) -> list[Packet]:
@@ -68,7 +68,7 @@ class EmulatedBoard(ABC):
         self.injector = FaultInjector(faults, plant)
         if "late-states" in faults:
             plant.extra_latency = faults["late-states"].value
-        link.chances = self.injector.chances
+        link.probabilities = self.injector.probabilities
         self.now = self.reboots = 0
         self.on_step: list[Callable[[int], None]] = []
         """Called with the time [us] after servo steps: at least after each that motion capture records."""
@@ -167,10 +167,10 @@ class EmulatedBoard(ABC):
         end = self.plant.ticks * self._step
         self.now = max(self.now, end)
         self.injector.tick(end, self.firmware.armed)
-        self.link.chances = self.injector.chances
-        if self.injector.began("unplug"):
+        self.link.probabilities = self.injector.probabilities
+        if self.injector.has_started("unplug"):
             self.link.cut_off()
-        if not self.reboots and self.injector.began("reboot"):
+        if not self.reboots and self.injector.has_started("reboot"):
             self._reboot(end)
         for observe in self.on_step:
             observe(end)

@@ -62,19 +62,19 @@ class FaultInjector:
     def _since(self, fault: InjectedFault) -> float:
         return -math.inf if self.armed_at is None else (self._now - self.armed_at) / 1e6 - fault.start
 
-    def active(self, name: str) -> InjectedFault | None:
+    def active_fault(self, name: str) -> InjectedFault | None:
         """Return a fault if it is active now, else None; a fault that starts at 0 is active before arming."""
         fault = self.faults.get(name)
         return fault if fault and (fault.start == 0 or self._since(fault) >= 0) else None
 
-    def began(self, name: str) -> bool:
+    def has_started(self, name: str) -> bool:
         """Return whether a fault was requested and its start time after arming has passed."""
         return name in self.faults and self._since(self.faults[name]) >= 0
 
     @property
-    def chances(self) -> dict[str, float]:
+    def probabilities(self) -> dict[str, float]:
         """Probability per frame of each active line fault."""
-        return {name: fault.value for name in LINE_FAULTS if (fault := self.active(name))}
+        return {name: fault.value for name in LINE_FAULTS if (fault := self.active_fault(name))}
 
     def tick(self, now: int, armed: bool) -> None:
         """Update the faults at the end of a servo step; `armed` is whether the robot is armed."""
@@ -84,15 +84,15 @@ class FaultInjector:
         if self.armed_at is None:
             return
         plant = self._plant
-        if fault := self.active("battery-low"):
+        if fault := self.active_fault("battery-low"):
             fall = max(plant.start_voltage - fault.value, 0.0)
             plant.voltage_drop = min(VOLTAGE_FALL_RATE * max(self._since(fault), 0.0), fall)
-        if (fault := self.active("motor-hot")) and plant.temperature[0] < fault.value:
+        if (fault := self.active_fault("motor-hot")) and plant.temperature[0] < fault.value:
             plant.temperature[0] += HEATING_RATE * plant.robot.timing.servo_step
         if fault := self.faults.get("tilt"):
             force = TILT_FORCE * plant.robot.weight if 0 <= self._since(fault) < TILT_TIME else 0.0
             plant.push(np.array([0.0, force, 0.0]))
-        if not self.hangs_until and self.began("hang"):
+        if not self.hangs_until and self.has_started("hang"):
             self.hangs_until = now + round(self.faults["hang"].value * 1e6)
 
     def motor_command(self, command: MotorCommand) -> MotorCommand:
@@ -111,10 +111,10 @@ class FaultInjector:
     def wiring(self) -> tuple[NDArray[np.int64], Array]:
         """Return the index of the servo to which each motor is wired (M,), and its sign, -1 if it is reversed (M,)."""
         servo, sign = np.arange(len(self.rest)), np.ones(len(self.rest))
-        if fault := self.active("swap-motors"):
+        if fault := self.active_fault("swap-motors"):
             motor = int(fault.value)
             servo[[motor, motor + 1]] = motor + 1, motor
-        if fault := self.active("flip-sign"):
+        if fault := self.active_fault("flip-sign"):
             sign[int(fault.value)] = -1.0
         return servo, sign
 
@@ -136,12 +136,12 @@ class FaultInjector:
 
     def sensors(self, seen: Sensors) -> Sensors:
         """Return sensor readings with the faults of the sensors."""
-        if fault := self.active("flip-encoder"):
+        if fault := self.active_fault("flip-encoder"):
             motor = int(fault.value)
             angle, velocity = seen.motor_angle.copy(), seen.motor_velocity.copy()
             angle[motor], velocity[motor] = 2 * self.rest[motor] - angle[motor], -velocity[motor]
             seen = replace(seen, motor_angle=angle, motor_velocity=velocity)
-        if fault := self.active("imu-flip"):
+        if fault := self.active_fault("imu-flip"):
             angles, rates = seen.roll_pitch_yaw.copy(), seen.angular_velocity_base.copy()
             for array in (angles, rates):
                 array[:2] = array[[1, 0]] if fault.value == 0 else array[:2] * _IMU_SIGNS[int(fault.value)]
@@ -153,12 +153,12 @@ class FaultInjector:
         if isinstance(packet.message, Handshake):
             packet = replace(packet, message=self.change_handshake(packet.message))
         elif isinstance(packet.message, State):
-            if self.began("stale-state"):
+            if self.has_started("stale-state"):
                 self._old = self._old or packet
                 packet = replace(packet, message=self._old.message, time=self._old.time)
-            if self.began("repeat-sequence"):
+            if self.has_started("repeat-sequence"):
                 packet = replace(packet, sequence=max(self._number, 1))
-            elif self.began("backward-sequence"):
+            elif self.has_started("backward-sequence"):
                 packet = replace(packet, sequence=max(self._number - 1, 1))
         self._number = packet.sequence
         return packet

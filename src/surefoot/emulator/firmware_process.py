@@ -73,7 +73,7 @@ class FirmwareProcess:
         self.watchdog = self.cycles = 0
         """Time without a servo step after which the microcontroller restarts [us]; processor cycles of the last event,
         0 if they are not counted."""
-        self._taken_until = 0
+        self._reserved_until = 0
         schema, name = _GREETING.unpack(self._read(_GREETING.size))
         if (schema, name.rstrip(b"\0")) != (codec.schema, robot.encode()):
             raise SurefootError(f"firmware {program} is not for robot {robot}; `surefoot robot firmware new` writes it")
@@ -83,9 +83,9 @@ class FirmwareProcess:
         """Whether motors follow commands."""
         return self.mode in (Mode.POSITION, Mode.PWM)
 
-    def is_taken(self, now: int) -> bool:
+    def has_operator(self, now: int) -> bool:
         """Return whether an operator uses the robot, so that others are rejected."""
-        return bool(self.owner) and now <= self._taken_until
+        return bool(self.owner) and now <= self._reserved_until
 
     def take(self) -> list[Packet]:
         """Remove and return the packets to send, oldest first."""
@@ -125,7 +125,7 @@ class FirmwareProcess:
         except BrokenPipeError:
             self._fail()
         mode, reason, self.owner, *rest = self._answer.unpack(self._read(self._answer.size))
-        self.command_time, following, self._taken_until, *rest = rest
+        self.command_time, following, self._reserved_until, *rest = rest
         *counts, self.old_numbers, self.stale = rest[:6]
         *floats, enabled, self.watchdog, self.cycles, size = rest[6:]
         seen = self.statistics

@@ -15,9 +15,9 @@ from surefoot.emulator.fault_table import LINE_FAULTS
 from surefoot.emulator.serial.line import Line
 
 
-def line(chances: dict[str, float] | None = None, **config: float) -> Line:
+def line(probabilities: dict[str, float] | None = None, **config: float) -> Line:
     made = Line(np.random.default_rng(5), **config)
-    made.chances = chances or {}
+    made.probabilities = probabilities or {}
     return made
 
 

@@ -104,7 +104,7 @@ class Firmware:
         """Whether motors follow commands."""
         return self.mode in ARMED
 
-    def is_taken(self, now: int) -> bool:
+    def has_operator(self, now: int) -> bool:
         """Return whether an operator uses the robot, so that others are rejected."""
         silent = now - self.watch.last_received > microseconds(self.limits.owner_timeout)
         return bool(self.owner) and (self.armed or not silent)
@@ -165,7 +165,7 @@ class Firmware:
             self.owner, self.next_state = 0, math.inf
 
     def _start_session(self, now: int, packet: Packet, hello: Hello) -> None:
-        if self.is_taken(now):
+        if self.has_operator(now):
             self._reject(now, hello.session, Reason.BUSY, "another operator uses the robot")
             return
         self._disarm(now)

@@ -100,10 +100,10 @@ class Go2Board:
 
     def _advance(self) -> None:
         faults, injector = self._faults, self._injector
-        self.plant.step(faults.joint_command(self._joint_command) if faults.any else self._joint_command)
+        self.plant.step(faults.joint_command(self._joint_command) if faults.enabled else self._joint_command)
         self.now = now = self.plant.ticks * self._step
         self._message.accelerometer.measure()
-        if faults.any:
+        if faults.enabled:
             injector.tick(now, self._commanded)
             self._apply_faults(now)
         for observe in self.on_step:
@@ -121,13 +121,13 @@ class Go2Board:
     def _apply_faults(self, now: int) -> None:
         """Apply the faults of the whole robot."""
         injector = self._injector
-        if injector.active("unplug"):
-            self.link.dead = True
-        if not self._booted and injector.began("reboot"):
+        if injector.active_fault("unplug"):
+            self.link.unplugged = True
+        if not self._booted and injector.has_started("reboot"):
             # After the startup time, ticks restart at 0, and the last command is lost.
             self._booted = self._switched_on = now + BOOT_TIME
             self._joint_command = self._no_torque
-        if not self._service_back and injector.active("service-back"):
+        if not self._service_back and injector.active_fault("service-back"):
             self._service_back = True
             self.controller.activate()
             self.controller.stand_up()
@@ -136,7 +136,7 @@ class Go2Board:
         faults, message = self._faults, self._message
         sensors = self._injector.sensors(self.plant.read(0.0, self._lead))
         message.fill((now - self._switched_on) // 1000, sensors)
-        if not faults.any:
+        if not faults.enabled:
             self.link.send(now, encode(message.record))
             return
         faults.change(message, now)
@@ -149,7 +149,7 @@ class Go2Board:
         received, link.inbound = link.inbound, []
         candidates = []
         for command in reversed(received):
-            if faults.any and faults.drops_command():
+            if faults.enabled and faults.drops_command():
                 continue
             joint_command = read_joint_command(command, motors)
             if joint_command is not None:

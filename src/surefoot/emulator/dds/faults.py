@@ -35,7 +35,7 @@ class MessageFaults:
 
     def __init__(self, injector: FaultInjector, seed: int) -> None:
         self._injector = injector
-        self.any = bool(injector.faults)
+        self.enabled = bool(injector.faults)
         self._random = generator(seed, "faults of messages")
         self._tick = 0
         self._tick_zero: int | None = None
@@ -46,23 +46,23 @@ class MessageFaults:
         self._other: Record | None = None
 
     def _motor(self, name: str) -> int | None:
-        fault = self._injector.active(name)
+        fault = self._injector.active_fault(name)
         return None if fault is None else int(fault.value)
 
     def _occurs(self, name: str) -> bool:
-        fault = self._injector.active(name)
+        fault = self._injector.active_fault(name)
         return fault is not None and bool(self._random.random() < fault.value)
 
     @property
     def period(self) -> int:
         """Period of states."""
-        fault = self._injector.active("slow-states")
+        fault = self._injector.active_fault("slow-states")
         return round(1e6 * STATE_PERIOD) if fault is None else round(1e6 / fault.value)
 
     @property
     def delay(self) -> int:
         """Transmission time of a state."""
-        fault = self._injector.active("late-states")
+        fault = self._injector.active_fault("late-states")
         return 0 if fault is None else round(1e6 * fault.value)
 
     def joint_command(self, command: JointCommand) -> JointCommand:
@@ -90,7 +90,7 @@ class MessageFaults:
         """Apply faults to the fields of a state message."""
         injector, record, motors = self._injector, message.record, message.motors
         force = record["imu_state"]["accelerometer"]
-        if fault := injector.active("imu-flip"):
+        if fault := injector.active_fault("imu-flip"):
             # Consistent with the angles and rates: specific force is g (-sin pitch, sin roll cos pitch, ...).
             x, y = force[:2].tolist()
             force[:2] = {0: (-y, -x), 1: (x, -y), 2: (-x, y), 3: (-x, -y)}[int(fault.value)]
@@ -103,26 +103,26 @@ class MessageFaults:
             for name, value in zip(fields, self._lost, strict=True):
                 motors[name][motor] = value
             motors["lost"][motor] += 1
-        if injector.active("not-finite"):
+        if injector.active_fault("not-finite"):
             motors["q"][0] = np.nan
         for name, remote in (("remote-stop", _STOP), ("remote-stick", _STICK)):
-            if injector.active(name):
+            if injector.active_fault(name):
                 record["wireless_remote"] = remote.encode()
-        if injector.active("tick-restart"):
+        if injector.active_fault("tick-restart"):
             self._tick_zero = now if self._tick_zero is None else self._tick_zero
             record["tick"] = (now - self._tick_zero) // 1000
-        if injector.active("repeat-sequence"):
+        if injector.active_fault("repeat-sequence"):
             record["tick"] = self._tick
-        elif injector.active("backward-sequence"):
+        elif injector.active_fault("backward-sequence"):
             record["tick"] = max(self._tick - 2, 0)
         self._tick = int(record["tick"])
 
     def packets(self, data: bytes) -> list[bytes]:
         """Return the messages to send instead of an encoded state."""
         injector = self._injector
-        if injector.active("stale-state"):
+        if injector.active_fault("stale-state"):
             data = self._old = self._old or data
-        if injector.active("other-layout"):
+        if injector.active_fault("other-layout"):
             data = data[:-_OMITTED_BYTES]
         if self._occurs("drop"):
             return []
@@ -137,7 +137,7 @@ class MessageFaults:
 
     def other_command(self, angles: Array) -> Record | None:
         """Return the command of another program, or None; it holds the angles (12,) at its start [rad]."""
-        if not self._injector.active("second-writer"):
+        if not self._injector.active_fault("second-writer"):
             return None
         if self._other is None:
             self._other = new_command()

@@ -27,7 +27,7 @@ class LowLevelLink:
         self.sent = self.received = self.damaged = 0
         """Number of states sent; of commands received, including damaged ones; and of commands with a wrong length or
         checksum."""
-        self.dead = False
+        self.unplugged = False
         """Whether the cable is pulled, so that no message is transmitted."""
 
     def counts(self) -> list[str]:
@@ -45,7 +45,7 @@ class LowLevelLink:
 
     def publish_command(self, command: Record) -> None:
         """Publish a command of the robot's own controller on rt/lowcmd."""
-        if not self.dead:
+        if not self.unplugged:
             self._own.write(encode(command))
 
     def poll(self, now: int) -> None:
@@ -57,14 +57,14 @@ class LowLevelLink:
             except BadMessageError:
                 self.damaged += 1  # a robot does not report them
             else:
-                if not self.dead:
+                if not self.unplugged:
                     self.inbound.append(command)
 
     def flush(self, now: int) -> None:
         """Publish the states that are due by now."""
         while self._outbound and self._outbound[0][0] <= now:
             _, data = self._outbound.popleft()
-            if not self.dead:
+            if not self.unplugged:
                 self._states.write(data)
                 self.sent += 1
 

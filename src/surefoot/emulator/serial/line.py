@@ -27,11 +27,11 @@ class Line:
     """
 
     def __init__(self, random: np.random.Generator, baud: float = 0.0, batch: float = 0.0) -> None:
-        self.chances: Mapping[str, float] = {}
+        self.probabilities: Mapping[str, float] = {}
         """Probability of each active line fault, 0 to 1 per frame."""
         self.counts: Counter[str] = Counter()
         """Number of affected frames by fault."""
-        self.dead = False
+        self.unplugged = False
         self._random, self._baud, self._batch = random, baud, batch
         self._open = bytearray()
         self._delayed: bytes | None = None
@@ -49,7 +49,7 @@ class Line:
 
     def send(self, now: int, data: bytes) -> None:
         """Send bytes; zeros separate frames."""
-        if self.dead:
+        if self.unplugged:
             return
         self._open += data
         start = 0
@@ -66,7 +66,7 @@ class Line:
             self._open.clear()
 
     def _send_frame(self, now: int, frame: bytes) -> None:
-        if not self.chances:
+        if not self.probabilities:
             self._put(now, frame)
             return
         delayed, self._delayed = self._delayed, None
@@ -81,7 +81,7 @@ class Line:
         samples = dict(zip(LINE_FAULTS, random.random(len(LINE_FAULTS)).tolist(), strict=True))
 
         def occurs(fault: str) -> bool:
-            occurs = samples[fault] < self.chances.get(fault, 0.0)
+            occurs = samples[fault] < self.probabilities.get(fault, 0.0)
             self.counts[fault] += occurs
             return occurs
 
@@ -112,5 +112,5 @@ class Line:
 
     def cut_off(self) -> None:
         """Pull the cable: data in transit and all later data are lost."""
-        self.dead = True
+        self.unplugged = True
         self._in_transit.clear()

@@ -51,7 +51,7 @@ class LockstepLoop:
         end = sys.maxsize if until is None else microseconds(until)
         with measure(board, summary):
             while not summary.stop and board.now < end:
-                if port.deserted():
+                if port.has_no_host():
                     self._pass_time()
                     time.sleep(_POLL_PERIOD)  # `wait` would return immediately
                 elif port.wait(_WAIT_TIME) and (data := port.read()):
@@ -60,7 +60,7 @@ class LockstepLoop:
     def _pass_time(self) -> None:
         """Advance robot time until another operator may connect; data that the robot sends are lost."""
         board = self.board
-        while board.firmware.is_taken(board.now) and not self._summary.stop:
+        while board.firmware.has_operator(board.now) and not self._summary.stop:
             board.run_to(board.now + _STRIDE)
             self._link.take(board.now)
 

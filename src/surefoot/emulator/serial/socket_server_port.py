@@ -50,7 +50,7 @@ class SocketServerPort:
         self._host = SocketPort(end, "the host")
         self.write(GREETING)
 
-    def deserted(self) -> bool:
+    def has_no_host(self) -> bool:
         """Return whether no host is connected."""
         self._accept()
         return self._host is None

@@ -238,7 +238,7 @@ static bool is_armed(void)
     return board.mode == SUREFOOT_MODE_POSITION || board.mode == SUREFOOT_MODE_PWM;
 }
 
-static uint64_t taken_until(void)
+static uint64_t reserved_until(void)
 {
     if (board.owner == 0u) {
         return 0u;
@@ -340,7 +340,7 @@ static void answer_hello(uint64_t now, const surefoot_hello *hello)
 
 static void start_session(uint64_t now, const surefoot_header *header, const surefoot_hello *hello)
 {
-    if (board.owner != 0u && now <= taken_until()) {
+    if (board.owner != 0u && now <= reserved_until()) {
         set_text("another operator uses the robot");
         reject(now, hello->session, SUREFOOT_REASON_BUSY);
         return;
@@ -736,7 +736,7 @@ board_status board_show(void)
         .owner = board.owner,
         .command_time = board.command_time,
         .next_state = board.next_state,
-        .taken_until = taken_until(),
+        .reserved_until = reserved_until(),
         .frames = board.decoder.frames,
         .damaged = board.decoder.damaged,
         .foreign = board.decoder.foreign,

@@ -22,7 +22,7 @@ typedef struct {
     float motor_values[SUREFOOT_MOTORS];        /* angles or duties that the motors of an armed robot follow */
     uint64_t command_time;                      /* time of the last accepted command, or of arming */
     uint64_t next_state;                        /* time at which the next state is due */
-    uint64_t taken_until;                       /* time after which another operator may connect */
+    uint64_t reserved_until;                       /* time after which another operator may connect */
     uint32_t frames, damaged, foreign, unknown; /* received frames, by result of decoding */
     uint32_t old_numbers, stale;                /* frames and commands that were dropped */
 } board_status;

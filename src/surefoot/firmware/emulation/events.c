@@ -28,7 +28,7 @@ typedef struct {
 typedef struct {
     uint8_t mode, reason;
     uint16_t owner;
-    uint64_t command_time, next_state, taken_until;
+    uint64_t command_time, next_state, reserved_until;
     uint32_t frames, damaged, foreign, unknown, old_numbers, stale;
     float effort[SUREFOOT_MOTORS], motor_values[SUREFOOT_MOTORS];
     uint8_t enabled;
@@ -107,7 +107,7 @@ static void reply(uint32_t cycles)
         .owner = status.owner,
         .command_time = status.command_time,
         .next_state = status.next_state,
-        .taken_until = status.taken_until,
+        .reserved_until = status.reserved_until,
         .frames = status.frames,
         .damaged = status.damaged,
         .foreign = status.foreign,
