@@ -72,7 +72,7 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
 
 
 def check_map(contract: Contract, port: int | None) -> None:
-    """Check that a perceptive policy has a port for height maps and can stand without one, and that others have no port.
+    """Check that a perceptive policy has a port for height maps and can stand without one, and that others have none.
 
     Raises:
         SurefootError: no port, a port that is not needed, or a perceptive policy without velocity commands.
