@@ -294,7 +294,7 @@ RULES = {
         )
     ),
     "pings do not reset the watchdog": Rule((*ARMED, *(PING, run(1)) * 60, in_mode(Mode.FAULT, Reason.TIMEOUT))),
-    # A refusal a second ago counts no more among the ten that are answered; silence is not clean.
+    # A rejection more than a second ago no longer counts towards the limit of ten; a silent link is not clean.
     "a fault stays until armed after 500 ms of clean link": Rule(
         (
             *(*ARMED, *DAMPED, arm(Reason.NOT_CLEAN), run(1000)),
@@ -318,7 +318,7 @@ RULES = {
     "the operator can damp at once": Rule(
         (*ARMED, send(Damp(ME), Reason.HOST), run(1), motor_command(Mode.DISARMED), in_mode(Mode.FAULT, Reason.HOST))
     ),
-    "the first fault is kept": Rule((*ARMED, *DAMPED, send(Damp(ME)), in_mode(Mode.FAULT, Reason.TIMEOUT))),
+    "the first fault is stored": Rule((*ARMED, *DAMPED, send(Damp(ME)), in_mode(Mode.FAULT, Reason.TIMEOUT))),
     **{
         f"an angle of {angle} damps at once": Rule(
             (
@@ -345,7 +345,7 @@ RULES = {
         (*CONNECTED, arm(), send(Position(ME, HELD + 0.06), Reason.COMMAND), in_mode(Mode.FAULT, Reason.COMMAND)),
         {"first_torque": 0.05},
     ),
-    "three commands with old numbers in a row damp": Rule(
+    "three consecutive commands with old numbers damp": Rule(
         (
             *(*ARMED, *command(2)),
             *(send(OLD, number=0), run(1), in_mode(Mode.POSITION)),
@@ -369,7 +369,7 @@ RULES = {
         )
     ),
     # A first frame that came 30 ms sooner than all that follow makes them old; after 11 s it is forgotten.
-    "the quickest frame of ten seconds is the measure of age": Rule(
+    "ages are relative to the fastest frame of ten seconds": Rule(
         (
             *(*ARMED, *delayed(0.0), run(6), *(*delayed(0.030), run(6)) * 2, counted(stale=2)),
             *(*delayed(0.0), *(*delayed(0.015), run(20)) * 600),
@@ -389,7 +389,7 @@ RULES = {
             in_mode(Mode.POSITION),
         )
     ),
-    "what else a body sees damps and keeps from arming": Rule(
+    "further hazards damp and prevent arming": Rule(
         (
             *(*ARMED, feel(hazard=(Reason.MOTOR_OFF, "a motor is off"))),
             *(run(1, faults={0: Reason.MOTOR_OFF}), said("a motor is off"), in_mode(Mode.FAULT, Reason.MOTOR_OFF)),
@@ -403,7 +403,7 @@ RULES = {
             *(in_mode(Mode.POSITION, Reason.REMOTE), *command(2), motor_command(Mode.POSITION, TARGET)),
         )
     ),
-    "a second operator is refused and the first keeps the robot": Rule(
+    "a second operator is rejected and the first keeps the robot": Rule(
         (
             *ARMED,
             *(
@@ -427,16 +427,16 @@ RULES = {
     "a hello of the same session is answered again": Rule(
         (*ARMED, send(Hello(ME, 0.01), Handshake), in_mode(Mode.POSITION))
     ),
-    "commands for another mode are refused": Rule(
+    "commands for another mode are rejected": Rule(
         (
             *(*CONNECTED, send(Position(ME, TARGET), Reason.MODE), arm(), send(Pwm(ME, TARGET / 2), Reason.MODE)),
             *(in_mode(Mode.POSITION), run(10), state(dropped=2)),
         )
     ),
-    "refusals are sent ten times a second": Rule(
+    "rejections are sent at most ten times per second": Rule(
         (*(send_unasked(Position(OTHER, TARGET)), run(5)) * 400, counted(faults=20))
     ),
-    "a second operator is answered ten times a second": Rule(
+    "a second operator is answered at most ten times per second": Rule(
         (
             *CONNECTED,
             *(send(Hello(OTHER, 0.01), Reason.BUSY, number=900),) * 10,

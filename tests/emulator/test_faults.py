@@ -152,6 +152,6 @@ def test_a_hang_makes_commands_stale_or_ends_with_a_restart(rig):
         assert bench.board._booted - BOOT_TIME - armed_at - 100_000 == pytest.approx(21_000, abs=1000)
         return
     assert sent == []
-    # Then all that has come meanwhile is heard at once: the oldest of it is too old.
+    # Then all data that have arrived are processed at once: the oldest commands are too old.
     assert bench.board.firmware.mode == Mode.FAULT
     assert bench.board.firmware.reason in (Reason.STALE, Reason.TIMEOUT)

@@ -35,7 +35,7 @@ class RunOutcome:
     """How a run ended."""
 
     ended: str
-    """Time, fall, fault or stopped, as in traces."""
+    """Kind of end, as in traces: time, fall, fault or stopped."""
     reason: str
     """Reason in one or two words."""
     text: str

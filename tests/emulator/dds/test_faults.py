@@ -77,9 +77,9 @@ def test_a_program_that_hangs_or_restarts() -> None:
     assert ticks(robot).max() == pytest.approx(150, abs=4)
     assert ticks(robot)[-1] == pytest.approx(1000 * (0.5 - 0.15 - 0.2), abs=4)
     # A restarted robot has lost its last command.
-    alone = Robot("reboot=0.05", rack=True)
-    alone.command(q=STANDING, kp=60, kd=5)
-    assert abs(alone.run(1.0)["motor_state"]["tau_est"]).max() == 0
+    restarted = Robot("reboot=0.05", rack=True)
+    restarted.command(q=STANDING, kp=60, kd=5)
+    assert abs(restarted.run(1.0)["motor_state"]["tau_est"]).max() == 0
 
 
 def test_faults_of_motors_and_wiring_act_on_joint_commands() -> None:
