@@ -47,7 +47,7 @@ class CompiledFirmware(FirmwareProcess):
         return MotorCommand(self.mode, self.motor_values) if self.armed else MotorCommand(Mode.DISARMED, zeros)
 
     @property
-    def watch(self) -> CompiledFirmware:
+    def link_monitor(self) -> CompiledFirmware:
         return self
 
 
@@ -110,7 +110,7 @@ class Bench:
     def put(self, data: bytes) -> None:
         """Send bytes to the robot."""
         if self.line is None:
-            self.firmware.receive(self.now, data) if self.in_c else self.firmware.watch.note_damage()
+            self.firmware.receive(self.now, data) if self.in_c else self.firmware.link_monitor.note_damage()
             return
         self.line.inbound.send(self.now, data)
         while self.line.next_arrival <= self.now:

@@ -161,7 +161,7 @@ def counted(**counts: int) -> Step:
 
     def step(bench: Bench) -> None:
         faults = sum(isinstance(packet.message, Fault) for packet in bench.sent)
-        seen = {"old_numbers": bench.firmware.watch.old_numbers, "stale": bench.firmware.stale, "faults": faults}
+        seen = {"old_numbers": bench.firmware.link_monitor.old_numbers, "stale": bench.firmware.stale, "faults": faults}
         assert {name: seen[name] for name in counts} == counts
 
     return step

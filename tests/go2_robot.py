@@ -170,7 +170,7 @@ class _Body:
         state["bms_state"]["cell_vol"][:CELLS] = now.cell
         state["power_v"] = 1e-3 * CELLS * now.cell
         if now.buttons or now.stick:
-            state["wireless_remote"] = low_level.Remote(now.buttons, now.stick, 0.0, 0.0, 0.0).encode()
+            state["wireless_remote"] = low_level.RemoteControl(now.buttons, now.stick, 0.0, 0.0, 0.0).encode()
         if now.not_finite:
             motors["q"][4] = np.nan
         data = low_level.encode(state)

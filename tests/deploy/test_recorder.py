@@ -50,9 +50,9 @@ def recorded(a_state):
     recorder = Recorder(LAYOUT, STEP, 10)
     recorder.begin(state(0), 100.0)
     for k in range(4):
-        recorder.close(k, state(k))
+        recorder.complete_rows(k, state(k))
         if k < 3:
-            recorder.open(*opened(k))
+            recorder.start_row(*opened(k))
     return recorder, state
 
 
@@ -70,8 +70,8 @@ def test_a_row_has_values_of_its_start_and_the_state_at_its_end(recorded):
 
 def test_missed_steps_repeat_the_target_that_servos_held(recorded):
     recorder, state = recorded
-    recorder.open(*opened(3))
-    recorder.close(6, state(6))
+    recorder.start_row(*opened(3))
+    recorder.complete_rows(6, state(6))
     assert recorder.steps == 6
     assert recorder.missed == [4, 5]
     columns = LAYOUT.columns(recorder.rows)
@@ -83,22 +83,22 @@ def test_missed_steps_repeat_the_target_that_servos_held(recorded):
 
 def test_a_state_that_is_not_finite_completes_no_row(recorded):
     recorder, state = recorded
-    recorder.open(*opened(3))
-    recorder.close(4, replace(state(4), motor_velocity=np.full(8, np.nan)))
+    recorder.start_row(*opened(3))
+    recorder.complete_rows(4, replace(state(4), motor_velocity=np.full(8, np.nan)))
     assert recorder.steps == 3
 
 
 def test_a_full_recorder_accepts_no_more_rows(recorded):
     recorder, state = recorded
-    recorder.open(*opened(3))
-    recorder.close(99, state(4))
+    recorder.start_row(*opened(3))
+    recorder.complete_rows(99, state(4))
     assert recorder.steps == 10
 
 
 def test_energy_after_a_counter_reset_is_not_counted(recorded):
     recorder, state = recorded
-    recorder.open(*opened(3))
-    recorder.close(4, state(0))
+    recorder.start_row(*opened(3))
+    recorder.complete_rows(4, state(0))
     assert LAYOUT.columns(recorder.rows)["energy"][3] == 0.0
 
 

@@ -234,9 +234,9 @@ class Deployment:
         def after(k: int, state: State, computed: bool) -> None:
             if k == 0:
                 recorder.begin(state, loop.pacer.due(0) - self.link.sync.offset)
-            recorder.close(k, state)
+            recorder.complete_rows(k, state)
             if computed:
-                recorder.open(
+                recorder.start_row(
                     controller.observation,
                     controller.feedback,
                     controller.target,

@@ -38,7 +38,7 @@ class Recorder:
         """Number of complete rows, and the indices of rows of missed steps."""
         self.start = math.nan
         """Start of the episode on the robot's clock [s]; not finite if unknown."""
-        self._open: tuple[Array, Array, Array, Array, Array | None] | None = None
+        self._row_start: tuple[Array, Array, Array, Array, Array | None] | None = None
         self._energy = 0.0
 
     @property
@@ -50,15 +50,15 @@ class Recorder:
         """Start with the state at the beginning of the episode, and its time on the robot's clock [s]."""
         self._energy, self.start = state.energy, robot_time
 
-    def close(self, until: int, state: State) -> None:
+    def complete_rows(self, until: int, state: State) -> None:
         """Complete all rows before control step `until`, which starts now; all but the first are missed steps.
 
         `state` is the latest state.
         """
         first, end = self.steps, min(until, self.max_steps)
-        if self._open is None or end <= first or not is_finite(state):
+        if self._row_start is None or end <= first or not is_finite(state):
             return
-        observation, feedback, target, command, heights = self._open
+        observation, feedback, target, command, heights = self._row_start
         self.missed += range(first + 1, end)
         columns = self.layout.columns(self._rows[first:end])
         columns["time"][:] = np.arange(first + 1, end + 1) * self.control_step
@@ -75,8 +75,8 @@ class Recorder:
         if self._on_rows is not None:
             self._on_rows(self._rows[first:end])
 
-    def open(
+    def start_row(
         self, observation: Array, feedback: Array, target: Array, command: Array, heights: Array | None = None
     ) -> None:
         """Start the row of a control step whose target was just sent, with its values from the start of the step."""
-        self._open = observation, feedback, target, command, heights
+        self._row_start = observation, feedback, target, command, heights

@@ -210,7 +210,7 @@ class Board(EmulatedBoard):
 
     def counts(self) -> list[str]:
         """Return statistics of the link, for the summary."""
-        return self._describe(self.link.statistics, self.firmware.watch.old_numbers, self.firmware.stale)
+        return self._describe(self.link.statistics, self.firmware.link_monitor.old_numbers, self.firmware.stale)
 
     def _start(self) -> None:
         self.firmware = Firmware(self._handshake, self.limits)

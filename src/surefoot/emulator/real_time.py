@@ -73,7 +73,7 @@ class Summary:
     processor_time: float = 0.0
     behind: int = 0
     """How often the physics fell behind real time by more than `REPORTED_LAG`."""
-    worst: float = 0.0
+    max_lag: float = 0.0
     """Maximum lag."""
     slips: int = 0
     slipped: float = 0.0
@@ -87,7 +87,7 @@ class Summary:
         parts = [
             f"{self.robot_time:.3f} s of robot time in {self.real_time:.1f} s",
             f"{100 * fraction:.0f} % of a processor",
-            f"behind {self.behind} times (by {1e3 * self.worst:.1f} ms at worst)",
+            f"behind {self.behind} times (by {1e3 * self.max_lag:.1f} ms at worst)",
             f"slipped {self.slips} times ({self.slipped:.3f} s)",
             *board.counts(),
         ]
@@ -129,7 +129,7 @@ class RealTimeLoop:
             while not summary.stop and board.now < end:
                 now = int((time.monotonic() - start) * 1e6)
                 lag = now - board.next_step
-                summary.worst = max(summary.worst, lag / 1e6)
+                summary.max_lag = max(summary.max_lag, lag / 1e6)
                 if lag > REPORTED_LAG:
                     summary.behind += not late
                     self._report(lag)

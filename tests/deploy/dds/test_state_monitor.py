@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from surefoot.deploy.board.signals import Vitals
-from surefoot.deploy.dds.low_level import LOW_STATE, Record, Remote, encode, new_record
+from surefoot.deploy.dds.low_level import LOW_STATE, Record, RemoteControl, encode, new_record
 from surefoot.deploy.dds.state_monitor import HAZARD_HOLD, MAX_LOST, MIN_POLLS, STATE_TIMEOUT, StateMonitor
 from surefoot.deploy.messages import Reason
 
@@ -46,7 +46,7 @@ class Bench:
             self.now += STEP
             self.state["tick"] += self.tick_step
             data = damage(encode(self.state))
-            self.monitor.take(self.now, [] if data is None else [data])
+            self.monitor.update(self.now, [] if data is None else [data])
         return self.monitor.vitals(self.now)
 
 
@@ -133,9 +133,9 @@ def test_a_delayed_monitor_polls_before_it_reports_late_states(bench: Bench) -> 
     bench.now += 5 * STATE_TIMEOUT
     for _ in range(MIN_POLLS - 1):
         bench.now += STEP
-        bench.monitor.take(bench.now, [])
+        bench.monitor.update(bench.now, [])
         assert bench.monitor.vitals(bench.now).hazard is None
-    bench.monitor.take(bench.now, [])
+    bench.monitor.update(bench.now, [])
     assert bench.monitor.vitals(bench.now).hazard is not None
 
 
@@ -152,7 +152,7 @@ def test_states_out_of_order_are_skipped(bench: Bench) -> None:
     bench.run(0.1)
     old = encode(bench.state)
     bench.run(0.01)
-    bench.monitor.take(bench.now, [old])
+    bench.monitor.update(bench.now, [old])
     assert bench.monitor.vitals(bench.now).hazard is None
     assert bench.monitor.tick == bench.state["tick"]
 
@@ -207,7 +207,7 @@ def test_occasional_lost_messages_of_a_motor_are_tolerated(bench: Bench) -> None
 
 def test_the_remote_control(bench: Bench) -> None:
     def press(*buttons: str, stick: float = 0.0) -> Vitals:
-        bench.state["wireless_remote"] = Remote(frozenset(buttons), 0.0, 0.0, stick, 0.0).encode()
+        bench.state["wireless_remote"] = RemoteControl(frozenset(buttons), 0.0, 0.0, stick, 0.0).encode()
         return bench.run(0.002)
 
     assert press("L2").hazard is None

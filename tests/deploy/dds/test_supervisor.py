@@ -315,7 +315,7 @@ def test_a_fault_damps_in_time(
 
 
 def test_a_stick_of_the_remote_control_asks_to_sit_and_does_not_damp(bench: Bench) -> None:
-    stick = low_level.Remote(frozenset(), 0.8, 0.0, 0.0, 0.0).encode()
+    stick = low_level.RemoteControl(frozenset(), 0.8, 0.0, 0.0, 0.0).encode()
     bench.at(EVENT, lambda: bench.state.__setitem__("wireless_remote", stick))
     bench.run(until=2 * EVENT)
     state = bench.received(State)[-1].message

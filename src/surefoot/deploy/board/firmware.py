@@ -29,7 +29,7 @@ from surefoot.deploy.messages import Handshake, Hello, Message, Mode, Packet, Po
 ARMED = (Mode.POSITION, Mode.PWM)
 
 
-class LinkWatch:
+class LinkMonitor:
     """Checks order, age and continuity of one operator's packets; a clean link has no gaps over `clean_gap`."""
 
     def __init__(self, clean_gap: int) -> None:
@@ -80,7 +80,7 @@ class Firmware:
 
     def __init__(self, handshake: Handshake, limits: Limits) -> None:
         self.handshake, self.limits = handshake, limits
-        self.watch = LinkWatch(microseconds(limits.clean_gap))
+        self.link_monitor = LinkMonitor(microseconds(limits.clean_gap))
         self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0
         self.period = 0
         self.next_state = math.inf
@@ -106,7 +106,7 @@ class Firmware:
 
     def has_operator(self, now: int) -> bool:
         """Return whether an operator uses the robot, so that others are rejected."""
-        silent = now - self.watch.last_received > microseconds(self.limits.owner_timeout)
+        silent = now - self.link_monitor.last_received > microseconds(self.limits.owner_timeout)
         return bool(self.owner) and (self.armed or not silent)
 
     def take(self) -> list[Packet]:
@@ -120,7 +120,7 @@ class Firmware:
 
     def reject_foreign(self, now: int, text: str) -> None:
         """Reject a packet of another version or schema of the protocol."""
-        self.watch.note_damage()
+        self.link_monitor.note_damage()
         self._reject(now, 0, Reason.SCHEMA, text)
 
     def announce(self, now: int, hazard: Hazard) -> None:
@@ -133,7 +133,7 @@ class Firmware:
         if isinstance(message, messages.Ping):
             # A ping has no session and changes nothing, so it is answered whatever its number.
             if self.owner:
-                self.watch.receive(now)
+                self.link_monitor.receive(now)
             self._send(now, messages.Pong(message.token))
             return
         session = getattr(message, "session", 0)
@@ -143,12 +143,12 @@ class Firmware:
         if not session or session != self.owner:
             self._reject(now, session, Reason.SESSION, f"session {session} is unknown")
             return
-        age = self.watch.age(now, microseconds(packet.time))
-        if not self.watch.is_next(packet.sequence):
+        age = self.link_monitor.age(now, microseconds(packet.time))
+        if not self.link_monitor.is_next(packet.sequence):
             if isinstance(message, Position | Pwm):
                 self._drop(now, "commands were repeated or out of order")
             return
-        self.watch.receive(now)
+        self.link_monitor.receive(now)
         if isinstance(message, Position | Pwm):
             self._take_command(now, packet.sequence, message, age)
         elif isinstance(message, Hello):
@@ -170,10 +170,10 @@ class Firmware:
             return
         self._disarm(now)
         self.owner = hello.session
-        self.watch.restart()
-        self.watch.is_next(packet.sequence)
-        self.watch.receive(now)
-        self.watch.age(now, microseconds(packet.time))
+        self.link_monitor.restart()
+        self.link_monitor.is_next(packet.sequence)
+        self.link_monitor.receive(now)
+        self.link_monitor.age(now, microseconds(packet.time))
         self._command = self._command_time = self._dropped = 0
         self._energy_start = None
         self._answer_hello(now, hello)
@@ -192,7 +192,9 @@ class Firmware:
         elif not (shortest <= arm.command_period <= longest and arm.report_after <= arm.command_period):
             text = f"command period is {arm.command_period:.3f} s; it must be {shortest:g} to {longest:g}"
             self._reject(now, self.owner, Reason.COMMAND, text)
-        elif not self.armed and self.reason and self.watch.clean_for(now) < microseconds(self.limits.rearm_after):
+        elif (
+            not self.armed and self.reason and self.link_monitor.clean_for(now) < microseconds(self.limits.rearm_after)
+        ):
             text = f"the link must be clean for {self.limits.rearm_after:g} s ({self.reason.name.lower()})"
             self._reject(now, self.owner, Reason.NOT_CLEAN, text)
         elif (hazard := self._hazard(now)) is not None:

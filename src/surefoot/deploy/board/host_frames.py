@@ -28,7 +28,7 @@ class HostFrames:
         damaged, foreign = statistics.damaged + statistics.unknown, statistics.foreign
         packets = self._decoder.feed(data)
         if statistics.damaged + statistics.unknown > damaged:
-            firmware.watch.note_damage()
+            firmware.link_monitor.note_damage()
         if statistics.foreign > foreign:
             firmware.reject_foreign(now, f"schema is {self.codec.schema:#010x}")
         for packet in packets:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.deploy.board.signals import Hazard, Sensors, Vitals
-from surefoot.deploy.dds.low_level import LOW_STATE, MOTOR_NAMES, SERVO, BadMessageError, Remote, unpack
+from surefoot.deploy.dds.low_level import LOW_STATE, MOTOR_NAMES, SERVO, BadMessageError, RemoteControl, unpack
 from surefoot.deploy.messages import Reason
 from surefoot.rotations import quat_rpy
 
@@ -72,7 +72,7 @@ _CELLS = _reader(_offsets("bms_state", {"cell_vol": "15H"}))
 class StateMonitor:
     """Latest state of a Go2, and hazards such as late, repeated or damaged states.
 
-    Call `take` once per cycle with the messages that have arrived; then read `vitals` and `sensors`.
+    Call `update` once per cycle with the messages that have arrived; then read `vitals` and `sensors`.
     """
 
     def __init__(self) -> None:
@@ -96,7 +96,7 @@ class StateMonitor:
         self._remote = _NO_REMOTE
         self._stop = self._stick = False
 
-    def take(self, now: int, messages: Sequence[bytes]) -> None:
+    def update(self, now: int, messages: Sequence[bytes]) -> None:
         """Process the messages that have arrived since the last call, oldest first."""
         self._polls += 1
         for data in reversed(messages):
@@ -154,7 +154,7 @@ class StateMonitor:
 
     def _read_remote(self, data: bytes) -> None:
         self._remote = data
-        remote = Remote.decode(np.frombuffer(data, np.uint8))
+        remote = RemoteControl.decode(np.frombuffer(data, np.uint8))
         self._stop = remote.buttons >= STOP_BUTTONS
         sticks = (remote.left_x, remote.left_y, remote.right_x, remote.right_y)
         self._stick = any(abs(stick) > STICK_THRESHOLD for stick in sticks)

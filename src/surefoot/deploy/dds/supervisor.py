@@ -192,7 +192,7 @@ class Supervisor:
         if now - self._exchanged > (_HEARTBEAT_CYCLES - 0.5) * PERIOD and self._watchdog.is_open:
             self._exchanged = now
             self._exchange_heartbeats()
-        self.states.take(now, self._state_reader.take())
+        self.states.update(now, self._state_reader.take())
         command = self.firmware.tick(now, self.states.vitals(now, self._external_hazard(now)))
         self._cycles += 1
         if self._active or self.firmware.armed:
@@ -209,7 +209,7 @@ class Supervisor:
         return self._frame
 
     def _read_sensors(self, now: int) -> Sensors:
-        self.states.take(now, self._state_reader.take())
+        self.states.update(now, self._state_reader.take())
         return self.states.sensors()
 
     def _answer(self, now: int) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.dds.low_level import STATE_PERIOD, Record, Remote, new_command
+from surefoot.deploy.dds.low_level import STATE_PERIOD, Record, RemoteControl, new_command
 from surefoot.emulator.dds.low_state import StateMessage
 from surefoot.emulator.faults import FaultInjector, flip_bits
 from surefoot.emulator.plant import JointCommand
@@ -17,8 +17,8 @@ _OMITTED_BYTES = 12
 """Bytes that the other layout omits at the end: `fan_frequency` and `reserve`."""
 _HEADER_BITS = 32
 """Size of the CDR header, which is never damaged [bits]."""
-_STOP = Remote(frozenset({"L2", "B"}), 0.0, 0.0, 0.0, 0.0)
-_STICK = Remote(frozenset(), 0.0, 0.8, 0.0, 0.0)
+_STOP = RemoteControl(frozenset({"L2", "B"}), 0.0, 0.0, 0.0, 0.0)
+_STICK = RemoteControl(frozenset(), 0.0, 0.8, 0.0, 0.0)
 _OTHER_GAINS = 5.0, 1.0
 """Gains of the other program, from the vendor's low-level example."""
 
