@@ -12,10 +12,10 @@ class BareLoop:
 
     _PROGRAM = """if True:
         import json, sys, threading, time
-        from surefoot.deploy.pacer import BOARD_PRIORITY, undisturbed
+        from surefoot.deploy.pacer import BOARD_PRIORITY, real_time_priority
         ended, gaps = threading.Event(), []
         threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
-        with undisturbed(BOARD_PRIORITY):
+        with real_time_priority(BOARD_PRIORITY):
             due = last = time.monotonic()
             while not ended.is_set():
                 due = max(due + 0.002, last)

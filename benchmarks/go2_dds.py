@@ -11,8 +11,8 @@ they were written, from the first to the last that was not damping; `bare` ones 
 nothing but wake every 2 ms. Loads are those of one core while the policy runs.
 
 A fault begins while the robot stands up, while the policy runs, or while it sits. `damped_ms` is how long after it the
-robot took a damping command and none with a gain any more. `loop`, `keeper` and `watcher` are killed; with `-hangs`
-they stand still for a second.
+robot took a damping command and none with a gain any more. `loop`, `keeper` (the supervisor) and `watcher` (its
+watchdog) are killed; with `-hangs` they stand still for a second.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from go2_runs import (
     watch,
 )
 
-from surefoot.deploy.motion_runner import UP
+from surefoot.deploy.motion_runner import STARTUP_TIME
 
 POLICY = "go2-steer"
 """Of rows that name none."""
@@ -52,7 +52,7 @@ SETTLED = 3.0
 PATIENCE = 60.0
 FAULT_RUN = 1.5
 """Duration [s] of the policy in a run that a fault ends."""
-PHASES = {"stand up": UP - 1.2, "run": UP + 0.8, "sit": UP + FAULT_RUN + 0.12}
+PHASES = {"stand up": STARTUP_TIME - 1.2, "run": STARTUP_TIME + 0.8, "sit": STARTUP_TIME + FAULT_RUN + 0.12}
 """When a fault begins [s after arming]."""
 PROCESSES = ("loop", "keeper", "watcher")
 KILLS = (*PROCESSES, "loop-hangs", "keeper-hangs")
@@ -86,7 +86,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
         steering = steer_forward(folder, speed)
         deploy = Deploy(domain, folder, "--duration", duration, "--commands", steering, policy=policy)
         try:
-            actions = [(UP + 0.5, read_loads), (UP + duration - 0.5, read_loads)]
+            actions = [(STARTUP_TIME + 0.5, read_loads), (STARTUP_TIME + duration - 0.5, read_loads)]
             watch(deploy, witness, actions, PATIENCE + duration)
             code, report, errors = deploy.result()
             _, commands, _ = robot.end()
@@ -104,7 +104,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
             row["speed"] = measure_capture(robot.capture_file, SETTLED)
         else:
             armed = commands["time"][commands["kp"] > 0]
-            began = float(armed[0]) + 1e9 * (UP + SETTLED) if len(armed) else np.nan
+            began = float(armed[0]) + 1e9 * (STARTUP_TIME + SETTLED) if len(armed) else np.nan
             walking = (commands["time"] > began) & (commands["time"] < began + 1e9 * (duration - SETTLED))
             row["speed"] = float(commands["forward"][walking].mean()) if walking.any() else float("nan")
         row |= command_figures(seen) | bare_figures

@@ -150,12 +150,12 @@ class Deploy:
         return self.process.wait(60), json.loads(output) if output else {}, self._errors.read_text()
 
     def helpers(self) -> dict[str, int]:
-        """Return process numbers of keeper and watcher."""
+        """Return the process numbers of supervisor and watchdog, by their names in the results."""
         return {
             name: pid
             for pid, words in descendants(self.process.pid).items()
-            for name in ("keeper", "watcher")
-            if f"surefoot.deploy.dds.{name}" in words
+            for name, module in (("keeper", "supervisor"), ("watcher", "watchdog"))
+            if f"surefoot.deploy.dds.{module}" in words
         }
 
     def kill(self) -> None:

@@ -1,4 +1,4 @@
-"""Robot and host for tests of the safety table, a cable between them that records, and runs in lockstep."""
+"""Robot and host for tests of the safety table, a recording cable between them, and runs in lockstep."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from surefoot.deploy.messages import (
     Reason,
     State,
 )
-from surefoot.deploy.motion_runner import UP
+from surefoot.deploy.motion_runner import STARTUP_TIME
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.errors import SurefootError
@@ -55,45 +55,45 @@ OTHER_SESSION = 8
 """Session of another operator."""
 PATIENCE = 120.0
 LONG = 60.0
-"""Duration [s] of a run that something else ends."""
-QUICK = {"FLAT": 0.1, "FOLD": 0.1, "PAUSE": 0.1, "RISE": 0.6, "HOLD": 0.2}
-"""Times [s] in which a robot that was just switched on, and still sits, stands up as well as in `motion`'s."""
+"""Duration of a run that ends early [s]."""
+QUICK = {"LAY_FLAT_TIME": 0.1, "FOLD_TIME": 0.1, "PAUSE_TIME": 0.1, "RISE_TIME": 0.6, "STAND_TIME": 0.2}
+"""Short durations of standing up, sufficient for a robot that was just switched on and still sits [s]."""
 QUICK_UP = sum(QUICK.values())
 RUNNING = QUICK_UP + 0.3
-"""Time [s] after arming when the policy has run for some dozen steps."""
+"""Time after arming at which the policy has run for a few dozen steps [s]."""
 
 
 @dataclass
 class Record:
-    """The packets of a cable, oldest first."""
+    """Packets on a cable, oldest first."""
 
     from_host: list[Packet] = field(default_factory=list)
     from_robot: list[Packet] = field(default_factory=list)
     armed: float | None = None
-    """Time of the host's first request to arm [s], on its own clock."""
+    """Time of the host's first request to arm, on its own clock [s]."""
 
     def host_packets(self, kind: type[Message], since: float = -1.0) -> list[Packet]:
-        """Return the host's packets of a kind, from a time [s] of its clock on."""
+        """Return the host's packets of a type, from a time on its clock on [s]."""
         return [frame for frame in self.from_host if isinstance(frame.message, kind) and frame.time >= since]
 
     def robot_packets(self, kind: type[Message], since: float = -1.0) -> list[Packet]:
-        """Return the robot's packets of a kind, from a time [s] of its clock on."""
+        """Return the robot's packets of a type, from a time on its clock on [s]."""
         return [frame for frame in self.from_robot if isinstance(frame.message, kind) and frame.time >= since]
 
     @property
     def reasons(self) -> list[Reason]:
-        """The reasons of the robot's faults."""
+        """Reasons of the robot's faults."""
         return reasons(self.from_robot)
 
     @property
     def final_mode(self) -> tuple[Mode, Reason]:
-        """The robot's last mode, and its reason."""
+        """Last mode of the robot, and its reason."""
         state = self.robot_packets(State)[-1].message
         return Mode(state.mode), Reason(state.reason)
 
     @property
     def clock_offset(self) -> float:
-        """Robot's clock less host's [s], in lockstep."""
+        """Robot's clock minus the host's in lockstep [s]."""
         return self.robot_packets(Handshake)[0].time - self.host_packets(Hello)[0].time
 
 
@@ -103,7 +103,7 @@ def reasons(frames: list[Packet]) -> list[Reason]:
 
 
 class Cable:
-    """A pseudo-terminal whose bytes go to the robot's and back, and that records each packet.
+    """A pseudo-terminal that forwards bytes to the robot's and back, and records each packet.
 
     Args:
         robot: path of the robot's port.
@@ -125,23 +125,23 @@ class Cable:
         self._thread.start()
 
     def after_arming(self, seconds: float, action: Callable[[], object]) -> None:
-        """Do something just before the host's first frame that is so much later [s] than its first Arm."""
+        """Schedule an action before the host's first frame that is later than its first Arm by a time [s]."""
         self._actions.append((seconds, action))
 
     def moment(self, seconds: float) -> threading.Event:
-        """Return an event that is set so long [s] after arming."""
+        """Return an event that is set at a time after arming [s]."""
         event = threading.Event()
         self.after_arming(seconds, event.set)
         return event
 
     def send(self, messages: Sequence[Message]) -> None:
-        """Send messages to the robot, beside the host's."""
+        """Send messages to the robot in addition to the host's."""
         now = self.record.from_host[-1].time
         for number, message in enumerate(messages, 1):
             self._others += encode_frame(CODEC, message, number, now)
 
     def pull(self) -> None:
-        """Lose all that both say from now on; it is still recorded."""
+        """Drop all later packets of both sides, but still record them."""
         self._pulled = True
 
     def close(self) -> None:
@@ -152,7 +152,7 @@ class Cable:
 
     def _carry(self) -> None:
         with contextlib.suppress(OSError, AttributeError):
-            # A cable does not wait for a processor.
+            # A cable does not compete for a processor.
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30))
         of_host, of_robot = Decoder(CODEC), Decoder(CODEC)
         while not self._over:
@@ -180,13 +180,13 @@ class Cable:
 
 
 def _read(file: int) -> bytes:
-    with contextlib.suppress(OSError):  # nothing there, or nobody at the other end any more
+    with contextlib.suppress(OSError):  # no data, or the other end is closed
         return os.read(file, 65_536)
     return b""
 
 
 def _write(file: int, data: bytes) -> None:
-    """Write what fits; the rest is lost, as on a line that nobody reads."""
+    """Write data that fit; the rest is lost, as on a line that is not read."""
     with contextlib.suppress(OSError):
         while data:
             data = data[os.write(file, data) :]
@@ -200,7 +200,7 @@ def _states_of_another_session(count: int) -> Iterator[bytes]:
 
 
 def deploy_words(port: str, folder: Path, *options: str, policy: str = "trot", lockstep: bool = True) -> list[str]:
-    """Words of a `surefoot deploy` after the program's name."""
+    """Return the arguments of `surefoot deploy`."""
     out = ("--out", str(folder / "traces"), "--json", *(["--lockstep"] if lockstep else []))
     return ["deploy", policy, "--port", port, *out, *options]
 
@@ -209,14 +209,14 @@ _HOST = f"""
 import sys
 from unittest import mock
 from surefoot.cli.main import main
-times = {QUICK!r} if sys.argv[1] else {{"UP": {UP!r}}}
+times = {QUICK!r} if sys.argv[1] else {{"STARTUP_TIME": {STARTUP_TIME!r}}}
 with mock.patch.multiple("surefoot.deploy.motion_runner", **times):
     sys.exit(main(sys.argv[2:]))
 """
 
 
 class Host:
-    """A `surefoot deploy` that runs in real time, in a process.
+    """A `surefoot deploy` in real time, in another process.
 
     Args:
         port: its port.
@@ -232,7 +232,7 @@ class Host:
             self.popen = subprocess.Popen(command, stdout=out, stderr=err)
 
     def end(self) -> DeployResult:
-        """Wait until it ends by itself."""
+        """Wait until the process exits."""
         try:
             code = self.popen.wait(PATIENCE)
         finally:
@@ -247,17 +247,17 @@ class DeployResult:
 
     code: int
     output: dict[str, Any]
-    """Its JSON object; empty, if it printed none."""
+    """JSON output; empty if there was none."""
     messages: list[str]
-    """Lines of its standard error."""
+    """Lines of standard error."""
     traces: Path
-    """Folder of its traces."""
+    """Folder of the traces."""
     trace: EpisodeTrace | None = None
     record: Record = field(default_factory=Record)
     summary: str = ""
-    """The emulator's last line."""
+    """Last line of the emulator."""
     refusal: str = ""
-    """The error of a second program."""
+    """Error of a second program."""
 
     @classmethod
     def read(cls, code: int, folder: Path) -> DeployResult:
@@ -269,7 +269,7 @@ class DeployResult:
 
     @property
     def run(self) -> dict[str, Any]:
-        """Its run's part of the JSON object."""
+        """The run in the JSON output."""
         assert self.output, f"it was refused: {self.messages}"
         (run,) = self.output["runs"]
         return run
@@ -281,24 +281,24 @@ class DeployResult:
 
     @property
     def saved_trace(self) -> EpisodeTrace:
-        """Its trace."""
+        """Saved trace."""
         assert self.trace is not None, "no trace was saved"
         return self.trace
 
 
 class Client:
-    """An operator in lockstep, for messages that `surefoot deploy` never sends; times are its own clock's [s]."""
+    """An operator in lockstep, for messages that `surefoot deploy` never sends; times are on its clock [s]."""
 
     def __init__(self, path: str, session: int) -> None:
         self.path, self.file = path, os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         self.session, self.now, self.number = session, 0.0, 0
         self.last = 0
-        """Number of the last message besides pings, which the robot does not count."""
+        """Number of the last message other than pings, which the robot does not count."""
         self.packets: list[Packet] = []
         self._decoder = Decoder(CODEC)
 
     def send(self, message: Message, number: int | None = None, at: float | None = None) -> None:
-        """Send a message; by default with the next number, and the time of now."""
+        """Send a message; number and time default to the next number and the present."""
         if number is None:
             self.number = number = self.number + 1
             if not isinstance(message, Ping):
@@ -306,7 +306,7 @@ class Client:
         os.write(self.file, encode_frame(CODEC, message, number, self.now if at is None else at))
 
     def pass_time(self, seconds: float) -> list[Packet]:
-        """Let time pass in silence; return the robot's packets."""
+        """Advance time without messages; return the robot's packets."""
         self.now += seconds
         before, token = len(self.packets), 1 + len(self.packets)
         self.send(Ping(token))
@@ -319,7 +319,7 @@ class Client:
         raise AssertionError("the robot does not answer")
 
     def talk(self, seconds: float) -> list[Packet]:
-        """Let time pass with pings, as on a clean link; return the robot's packets."""
+        """Advance time with pings, as on a clean link; return the robot's packets."""
         return [frame for _ in range(round(seconds / 0.02)) for frame in self.pass_time(0.02)]
 
     def arm(self) -> list[Reason]:
@@ -347,27 +347,27 @@ class Scenario:
     """Faults and events of a run of `surefoot deploy` in lockstep."""
 
     faults: tuple[str, ...] = ()
-    """The emulator's."""
+    """Faults of the emulator."""
     policy: str = "trot"
     """Name of a policy, or of a file in the folder of policies."""
     duration: float = 0.3
-    """Of the policy's part [s]."""
+    """Duration of the policy [s]."""
     signals: tuple[tuple[float, int], ...] = ()
-    """Signals that the host gets: when [s], after arming, and which."""
+    """Signals to the host: time after arming [s], and number."""
     raises: bool = False
-    """Whether the policy's runtime raises an exception when the body pitches faster than .5 rad/s."""
+    """Whether the policy's runtime raises an exception when the body pitches faster than 0.5 rad/s."""
     disk: int = 0
-    """Limit of a file's size [bytes]; 0: none."""
+    """Limit of file sizes [bytes]; 0: no limit."""
     terminal: bool = False
-    """Whether it runs, as a process, in a terminal that closes when the policy runs."""
+    """Whether it runs as a process in a terminal that is closed while the policy runs."""
     second: bool = False
-    """Whether a second program opens the port when `RUNNING`; then the first one gets Ctrl-C."""
+    """Whether a second program opens the port at `RUNNING`, before the first one gets Ctrl-C."""
     stranger: bool = False
-    """Whether another operator sends messages to the robot when `RUNNING`."""
+    """Whether another operator sends messages to the robot at `RUNNING`."""
     chatter: bool = False
     """Whether the robot is in the middle of a frame when the host connects."""
     sunk: float = 0.0
-    """How long the robot has been sinking onto its belly [s]; after 1 s its legs are folded beside it."""
+    """Time for which the robot has sunk onto its belly [s]; after 1 s its legs are folded next to it."""
     quick: bool = True
     """Whether the robot stands up in `QUICK` times."""
 
@@ -429,7 +429,7 @@ def play(
     options: Sequence[str] = (),
     observe: Callable[[Any], object] | None = None,
 ) -> DeployResult:
-    """Run a policy on a robot that was just switched on, in this process where the scenario does not need another one.
+    """Run a policy on a robot that was just switched on, in this process unless the scenario needs another one.
 
     Args:
         scenario: what happens.
@@ -462,7 +462,7 @@ def play(
         if scenario.second:
             cable.after_arming(RUNNING, open_port_twice)
         if scenario.disk:
-            # In lockstep a run may be over before the disk has been asked for the first time.
+            # In lockstep a run may be over before the first write to the disk.
             cable.after_arming(RUNNING, lambda: time.sleep(0.3))
         options = ("--duration", str(scenario.duration))
         if scenario.terminal:
@@ -482,13 +482,13 @@ def play(
 
 
 def _signal(number: int) -> None:
-    """Send a signal to the host in this process, and let it arrive."""
+    """Send a signal to the host in this process, and wait until it arrives."""
     signal.pthread_kill(threading.main_thread().ident or 0, number)
     time.sleep(0.02)
 
 
 def in_this_process(words: list[str], folder: Path, scenario: Scenario | None = None) -> DeployResult:
-    """Run a command with a scenario's faults of the host."""
+    """Run a command with the host's faults of a scenario."""
     scenario = scenario or Scenario()
     feedback, limits = PolicyRuntime.feedback, resource.getrlimit(resource.RLIMIT_FSIZE)
 
@@ -497,13 +497,14 @@ def in_this_process(words: list[str], folder: Path, scenario: Scenario | None = 
             raise RuntimeError("index out of data bounds")
         return feedback(self, observation)
 
+    times = QUICK if scenario.quick else {"STARTUP_TIME": STARTUP_TIME}
     with (
         (folder / "stdout").open("w") as out,
         (folder / "stderr").open("w") as err,
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
         mock.patch.object(PolicyRuntime, "feedback", breaking),
-        mock.patch.multiple("surefoot.deploy.motion_runner", **(QUICK if scenario.quick else {"UP": UP})),
+        mock.patch.multiple("surefoot.deploy.motion_runner", **times),
     ):
         resource.setrlimit(resource.RLIMIT_FSIZE, (scenario.disk or limits[0], limits[1]))
         try:
@@ -524,8 +525,8 @@ def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> DeployResult:
         shell.communicate()
         os.close(window)
 
-    # Nobody reads the terminal, which must not hold up the run.
-    cable.after_arming(UP + 0.3, leave)
+    # The terminal is not read, which must not delay the run.
+    cable.after_arming(STARTUP_TIME + 0.3, leave)
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end and not (code.exists() and code.read_text()):
         time.sleep(0.05)

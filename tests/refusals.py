@@ -450,13 +450,13 @@ REFUSALS = [
         {
             "--world gazebo": "world 'gazebo' does not exist; choices: mujoco, bullet",
             "--robot cat": "robot 'cat': no such robot",
-            "--fault melt": "'melt' is no fault; choices: corrupt, drop",
+            "--fault melt": "'melt' is not a fault; choices: corrupt, drop",
             "--fault drop=0.1 --fault drop": "fault drop is given twice",
             "--fault slow-servo=0.0025": "fault slow-servo is 0.0025; it must be whole servo steps of 0.001 s",
             "--fault remote-stop": (
-                "fault remote-stop acts on the remote control; --link serial does not have that, give --link dds"
+                "fault remote-stop acts on the remote control, which --link serial does not have; give --link dds"
             ),
-            "--lockstep --fault overload": "it does not go with --lockstep",
+            "--lockstep --fault overload": "it cannot be used with --lockstep",
             "--rack --fault tilt": "it does not go with --rack",
             "--terrain stairs:9": "terrain stairs: size is 9 m; it must be 0.01 to 0.4",
             "--link dds": "link dds needs the network interface of the topics; give --interface, such as lo",
@@ -466,7 +466,7 @@ REFUSALS = [
             f"{DDS} --domain 233": "domain is 233; it must be 232 or less",
             f"{DDS} --lockstep": "lockstep is about the serial link; it does not go with --link dds",
             f"{DDS} --fault garbage": (
-                "fault garbage acts on bytes between messages; --link dds does not have that, give --link serial"
+                "fault garbage acts on bytes between messages, which --link dds does not have; give --link serial"
             ),
             "--duration 0": "duration is 0; it must be over 0",
             "--duration 1e30": "duration is 1e+30; it must be 10000000 or less",
@@ -495,7 +495,7 @@ REFUSALS = [
             "trot --port x --duration -1": "duration is -1; it must be over 0",
             "trot --port x --episodes 0": "episodes is 0; it must be 1 or more",
             "trot --port x --out /dev/null": "out is /dev/null; it must be a folder",
-            "trot --port x --height-map 5556": "--height-map is given; policy 'trot' sees no map",
+            "trot --port x --height-map 5556": "--height-map is given; policy 'trot' uses no height map",
             "go2-steer --link dds": "--interface is missing; it names the network interface",
             "go2-steer --link can": "--link is 'can'",
             "go2-steer --port x --release": "--release is given; it goes with --link dds",
@@ -523,7 +523,7 @@ REFUSALS = [
             f"go2-steer {DDS} --port x": "--port and --link dds don't go together",
             f"go2-steer {DDS} --lockstep": "--lockstep and --link dds don't go together",
             f"go2-steer {DDS} --domain 231": "domain is 231; it must be",
-            f"trot {DDS}": "a link over DDS speaks with a Unitree Go2; minitaur must have",
+            f"trot {DDS}": "a DDS link needs a Unitree Go2; minitaur must have",
         },
         "cyclonedds",
     ),

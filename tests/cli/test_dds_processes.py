@@ -32,7 +32,7 @@ from unittest import mock
 from surefoot.cli.main import main
 with (
     mock.patch.multiple("surefoot.deploy.motion_runner", **{QUICK!r}),
-    mock.patch.multiple("surefoot.deploy.deployment", PUNCTUAL=20),
+    mock.patch.multiple("surefoot.deploy.deployment", TIMING_STEPS=20),
 ):
     sys.exit(main(sys.argv[1:]))
 """
@@ -121,12 +121,12 @@ def test_messages_of_another_robots_type_are_refused(tmp_path: Path) -> None:
     done = run_surefoot("deploy", "go2-steer", *link(EMPTY))
     del writer
     other.close()  # a process has one domain
-    refused(done, "rt/lowstate is of type", "unitree_hg", types.GO_LOW_STATE)
+    refused(done, "rt/lowstate has type", "unitree_hg", types.GO_LOW_STATE)
 
 
 def test_messages_of_another_length_are_refused(body: Go2) -> None:
     body.set(short=True)
-    refused(run_surefoot("deploy", "go2-steer", *link(DOMAIN)), "no state of a Go2 comes on rt/lowstate", "bytes")
+    refused(run_surefoot("deploy", "go2-steer", *link(DOMAIN)), "no state of a Go2 arrives on rt/lowstate", "bytes")
     assert body.read() == []
     body.reset()
 

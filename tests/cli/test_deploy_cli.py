@@ -59,7 +59,7 @@ def deploy(port: str, *options: object, cwd: Path | None = None) -> subprocess.C
 
 def test_the_trot_goes_as_far_as_in_simulation(emulate, tmp_path, repository):
     capture, robot = tmp_path / "capture.csv", emulate("--ideal-sensors")
-    robot.board.on_step.append(CaptureWriter(capture, robot.board.plant).see)
+    robot.board.on_step.append(CaptureWriter(capture, robot.board.plant).update)
     done = deploy(robot.port, "--out", str(tmp_path / "out"), "--motion-capture", str(capture), "--json")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
@@ -94,7 +94,7 @@ def test_a_policy_over_foot_trajectories_goes_as_far_as_in_simulation(emulate, t
     assert (PolicyRuntime.load(policy).contract.reference or {})["kind"] == "foot"
     simulated = json.loads(surefoot("evaluate", policy, "--episodes", "3", "--json").stdout)
     robot = emulate("--ideal-sensors")
-    robot.board.on_step.append(CaptureWriter(tmp_path / "capture.csv", robot.board.plant).see)
+    robot.board.on_step.append(CaptureWriter(tmp_path / "capture.csv", robot.board.plant).update)
     words = ("--lockstep", "--out", tmp_path / "out", "--motion-capture", tmp_path / "capture.csv", "--json")
     done = surefoot("deploy", policy, "--port", robot.port, *words)
     assert done.returncode == 0, done.stderr
@@ -105,7 +105,7 @@ def test_a_policy_over_foot_trajectories_goes_as_far_as_in_simulation(emulate, t
 
 def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
     robot = emulate("--robot", "go2", "--ideal-sensors", "--set", "servo_kp=40", "servo_kd=1")
-    robot.board.on_step.append(CaptureWriter(tmp_path / "capture.csv", robot.board.plant).see)
+    robot.board.on_step.append(CaptureWriter(tmp_path / "capture.csv", robot.board.plant).update)
     rows = ("time,forward,sideways,yaw_rate", "0.5,0.5,0,0", "2.5,0,0,0", "3.3,0,0,0.6", "5.3,0,0,0", "5.9,0,0,9")
     (tmp_path / "way.csv").write_text("\n".join(rows))
     words = ("deploy", "go2-steer", "--port", robot.port, "--lockstep", "--out", tmp_path / "out")
@@ -164,7 +164,7 @@ def test_a_policy_sees_the_step_that_an_emulated_robot_stands_before(seeing: Pat
     ground = ("--terrain", tmp_path / "step.npz", "--height-map", port, *exact, "--out", capture)
     with emulators() as start:
         words = ("deploy", seeing, "--port", start(*robot, *ground).port, "--lockstep", "--out", tmp_path / "out")
-        refused(surefoot(*words), "policy 'seeing' sees the ground; give --height-map PORT")
+        refused(surefoot(*words), "policy 'seeing' needs a height map; give --height-map PORT")
         done = surefoot(*words, "--height-map", port, "--duration", "0.5", "--json")
     assert done.returncode == 0, done.stderr
     (run,) = json.loads(done.stdout)["runs"]

@@ -88,7 +88,7 @@ def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator], t
 @pytest.mark.parametrize(
     ("fault", "check", "why"),
     [
-        ("other-robot", "robot", "it is 'not-minitaur', the data sheet is of 'minitaur'"),
+        ("other-robot", "robot", "it is 'not-minitaur'; the data sheet is for 'minitaur'"),
         ("other-order", "motors", "motor 0 is 'front_left_1_motor' (robot), 'front_left_2_motor' (data sheet)"),
         ("other-gains", "servo gains", "the robot's servos have kp 1.5 and kd 0.0225"),
         ("slow-servo", "servo period", "2 ms; the data sheet says 1 ms"),

@@ -221,7 +221,7 @@ def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDe
     signs = np.array(message.motor_signs, float)
     signs[3] *= -1
     for other, why in (
-        (replace(message, robot="cat"), "robot: it is 'cat', the data sheet is of 'minitaur'"),
+        (replace(message, robot="cat"), "robot: it is 'cat'; the data sheet is for 'minitaur'"),
         (replace(message, motor_names=message.motor_names[::-1]), "motors: motor 0 is '"),
         (replace(message, servo_period=0.002), "servo period: 2 ms; the data sheet says 1 ms"),
         (replace(message, motor_signs=signs), f"motor signs: {robot.motor_names[3]} has "),

@@ -23,7 +23,7 @@ def test_a_robots_firmware_is_written_and_compiles_and_runs_the_emulated_robot(t
     assert main(["emulate", "--robot", "solo8", *words]) == 0
     assert "frames received 0" in capsys.readouterr().err
     assert main(["emulate", "--robot", "go2", *words]) == 2
-    assert "is not one of robot go2" in capsys.readouterr().err
+    assert "is not for robot go2" in capsys.readouterr().err
     assert main(["robot", "firmware", "new", "solo8", "--out", str(folder)]) == 2
     assert "fw exists; give another name" in capsys.readouterr().err
 

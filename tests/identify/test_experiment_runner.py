@@ -131,7 +131,7 @@ def test_a_damped_robot_ends_the_experiment(healthy: Any, robot: RobotDescriptio
     link.close()
     assert (
         recording.meta["ended"]
-        == "the robot has damped its motors (host): the operator asked for it (in phase 'sweep')"
+        == "the robot has damped its motors (host): the operator requested it (in phase 'sweep')"
     )
 
 

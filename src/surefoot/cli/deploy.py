@@ -97,7 +97,7 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.display import open_display
     from surefoot.deploy.loop import RunMonitor
     from surefoot.deploy.map_channel import MapChannel
-    from surefoot.deploy.pacer import undisturbed
+    from surefoot.deploy.pacer import real_time_priority
     from surefoot.stop_signals import StopSignals
 
     policy, robot = open_policy(find_policy(command.policy))
@@ -143,7 +143,7 @@ def main(argv: list[str]) -> int:
         deployment = Deployment(link, controller, stop, monitor, command.dry_run, commands, maps)
         stack.callback(deployment.close)
         if not command.lockstep:
-            stack.enter_context(undisturbed())
+            stack.enter_context(real_time_priority())
         deployment.connect(check)
         results, code = _runs(command, deployment)
     return _report(command, deployment, results, code)
@@ -152,9 +152,9 @@ def main(argv: list[str]) -> int:
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; return the report of each, and the exit code."""
     from surefoot.deploy.command_sources import FileCommands
-    from surefoot.deploy.motion_runner import DOWN, UP
+    from surefoot.deploy.motion_runner import SHUTDOWN_TIME, STARTUP_TIME
     from surefoot.deploy.pacer import LoopTiming
-    from surefoot.deploy.run_saver import RunSaver, next_free
+    from surefoot.deploy.run_saver import RunSaver, next_free_path
 
     contract = deployment.contract
     step = contract.control_step
@@ -167,9 +167,9 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     results: list[dict[str, Any]] = []
     code = 0
     for run in range(command.episodes):
-        path = None if command.dry_run and command.out is None else next_free(command.out or Path("deploy"))
+        path = None if command.dry_run and command.out is None else next_free_path(command.out or Path("deploy"))
         saver = RunSaver(deployment, path, steps, command.world_name, run)
-        timing = LoopTiming(steps + round((UP + DOWN) / step) + 16)
+        timing = LoopTiming(steps + round((STARTUP_TIME + SHUTDOWN_TIME) / step) + 16)
         saver.begin()
         outcome = deployment.run(saver.recorder, timing)
         saved = saver.finish(outcome, timing, command.motion_capture)
@@ -197,7 +197,7 @@ def _result(outcome: RunOutcome, timing: LoopTiming, saved: SavedRun, steps: int
         "distance": distance,
         "speed": speed,
         "notes": saved.notes,
-        "timing": timing.figures(),
+        "timing": timing.metrics(),
     }
 
 
@@ -227,19 +227,19 @@ def _report(command: DeployCommand, deployment: Deployment, results: list[dict[s
 
 
 def _print_result(result: dict[str, Any]) -> None:
-    figures = result["timing"]
+    metrics = result["timing"]
     parts = [
         f"{result['ended']}: {result['what']}" if result["ended"] != "time" else str(result["what"]),
         f"{result['steps']} steps",
     ]
     if result["distance"] is not None:
         parts.append(f"{result['distance']:.2f} m at {result['speed']:.2f} m/s")
-    if figures["lateness_median_ms"] is not None:
-        late = "/".join(f"{figures[f'lateness_{key}_ms']:.2f}" for key in ("median", "p99_9", "max"))
+    if metrics["lateness_median_ms"] is not None:
+        late = "/".join(f"{metrics[f'lateness_{key}_ms']:.2f}" for key in ("median", "p99_9", "max"))
         parts.append(f"lateness {late} ms (median/99.9 %/max)")
-    if figures["inference_median_ms"] is not None:
-        parts.append(f"inference {figures['inference_median_ms']:.2f} ms")
-    parts += [f"{figures['missed']} missed", *result["notes"]]
+    if metrics["inference_median_ms"] is not None:
+        parts.append(f"inference {metrics['inference_median_ms']:.2f} ms")
+    parts += [f"{metrics['missed']} missed", *result["notes"]]
     if result["trace"] is not None:
         parts.append(f"wrote {result['trace']}")
     print("; ".join(parts), flush=True)

@@ -138,7 +138,7 @@ class _ExperimentRunner:
             if loop.target is not None:
                 self._sent.append((self.link.next_number - 1, self.link.clock.now(), index, loop.target))
 
-        verdict = loop.follow(phase.name, loop.steps_of(phase.duration), target, after)
+        verdict = loop.run_phase(phase.name, loop.num_steps(phase.duration), target, after)
         self._target = loop.target
         if verdict.act is Act.SIT:
             loop.damp()

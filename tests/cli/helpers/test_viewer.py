@@ -80,7 +80,7 @@ def test_emulate_viewer_shows_the_present_pose(monkeypatch: pytest.MonkeyPatch):
     # Every 33 ms of the robot's time, not at each servo step.
     for now in (0, 10_000, 32_000, 33_000):
         place[0] += 1.0
-        shown.see(now)
+        shown.update(now)
         window = Window(1)
         monkeypatch.setattr(viewer, "launch_passive", window)
         started[0].run()

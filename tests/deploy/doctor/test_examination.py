@@ -26,7 +26,7 @@ from surefoot.deploy.doctor.step_response import fit_response
 from surefoot.deploy.doctor.tilt_check import TiltReading, check_tilts, read_tilt
 from surefoot.deploy.messages import Mode, Packet, Pong, State
 from surefoot.deploy.poses import sitting_pose
-from surefoot.deploy.robot_link import Arrival, RobotLink
+from surefoot.deploy.robot_link import ReceivedPacket, RobotLink
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -135,8 +135,8 @@ class Gathering:
     def __init__(self) -> None:
         self.clock, self.time = self, 0.0
         self.statistics = SimpleNamespace(damaged=0, missing=0, unsent=0)
-        self.pongs: dict[int, Arrival] = {}
-        self._sent: dict[int, Arrival] = {}
+        self.pongs: dict[int, ReceivedPacket] = {}
+        self._sent: dict[int, ReceivedPacket] = {}
 
     def now(self) -> float:
         return self.time
@@ -144,7 +144,7 @@ class Gathering:
     def ping(self) -> int:
         token = len(self._sent) + 1
         handed_on = self.every * np.ceil(self.time / self.every + 1e-9)
-        self._sent[token] = Arrival(Packet(Pong(token), token, self.time), handed_on)
+        self._sent[token] = ReceivedPacket(Packet(Pong(token), token, self.time), handed_on)
         return token
 
     def wait(self, seconds: float) -> None:

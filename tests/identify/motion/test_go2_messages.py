@@ -233,7 +233,7 @@ def test_a_bag_that_is_no_log_is_refused(
     wrong = state(2)[:-4] + bytes(4)
     for name, messages, error in [
         ("commands", log(command()), r"has no topic of a Go2's states .* topics: /lowcmd \(unitree_go/msg/LowCmd\)"),
-        ("wrong", log(wrong), "the checksum is 0; of these bytes it is [0-9]*; --any-checksum reads such messages"),
+        ("wrong", log(wrong), "the checksum is 0; it must be [0-9]*; --any-checksum reads such messages"),
         ("short", log(state(2)[:-1]), "the message has 1179 bytes; it must have 1180"),
     ]:
         with pytest.raises(SurefootError, match=error):

@@ -64,8 +64,8 @@ def try_duty(
 
     runner.arm()
     try:
-        steps = runner.loop.steps_of(duration)
-        verdict = runner.loop.follow(name, steps + runner.loop.steps_of(_REST), compute)
+        steps = runner.loop.num_steps(duration)
+        verdict = runner.loop.run_phase(name, steps + runner.loop.num_steps(_REST), compute)
     finally:
         runner.release(damp=True)
     if verdict.act is not Act.GO:

@@ -15,7 +15,7 @@ from surefoot.deploy.clock import MonotonicClock
 from surefoot.deploy.doctor import rack_check, tilt_check
 from surefoot.deploy.doctor.link_check import PINGS, check_link, measure_link
 from surefoot.deploy.doctor.rest_check import check_rest, record_states
-from surefoot.deploy.pacer import Pacer, undisturbed
+from surefoot.deploy.pacer import Pacer, real_time_priority
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.errors import SurefootError, choices
@@ -83,7 +83,7 @@ def examine(
         else:
             inference = time_inference(policy, steps)
             yield from note_failures(check_computer(inference, *time_loop(policy, link, steps), contract.control_step))
-        if link.hears_others:
+        if link.detects_other_programs:
             link.listen()
             yield from note_failures([check_foreign_commands(link)])
         tilt_robot = partial(tilt_check.tilt_robot, at_rest=at_rest)
@@ -98,7 +98,7 @@ def examine(
             if failed:
                 yield from skipped(names, f"nothing moves while a check fails ({choices(failed)})")
                 continue
-            with undisturbed(), StopSignals() as operator:
+            with real_time_priority(), StopSignals() as operator:
                 try:
                     results = motion(link, contract, robot, operator)
                 except SurefootError as error:
@@ -126,7 +126,7 @@ def time_inference(policy: PolicyRuntime, count: int) -> Array:
     width = policy.contract.width
     observations = np.random.default_rng(0).normal(scale=0.3, size=(64, 1, width)).astype(np.float32)
     times = np.empty(count + _WARM_UP)
-    with undisturbed():
+    with real_time_priority():
         for index in range(count + _WARM_UP):
             start = time.perf_counter()
             policy.feedback(observations[index % 64])
@@ -145,7 +145,7 @@ def time_loop(policy: PolicyRuntime, link: RobotLink, steps: int) -> tuple[Array
     observation = np.zeros((1, policy.contract.width), np.float32)
     late: list[float] = []
     missed = 0
-    with undisturbed():
+    with real_time_priority():
         pacer = Pacer(MonotonicClock(), policy.contract.control_step)
         while pacer.index < steps - 1:
             tick = pacer.next()

@@ -29,7 +29,7 @@ from surefoot.deploy.dds.low_level import (
     BadMessageError,
     decode,
 )
-from surefoot.deploy.dds.state_monitor import MOTORS, QUATERNION_ERROR, RESTART
+from surefoot.deploy.dds.state_monitor import MAX_QUATERNION_ERROR, MOTORS, TICK_RESTART
 from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors
 from surefoot.files import check_readable
 from surefoot.identify.motion.column_table import FILE_BYTES, ColumnTable, is_bag, open_bag, read_csv
@@ -207,7 +207,7 @@ def _motion(rows: NDArray[Any], damaged: int, name: str) -> RecordedMotion:
         notes.append("no row has a target: a log to replay has /lowcmd too")
     quaternion = rows["quaternion"].copy()
     with np.errstate(invalid="ignore", over="ignore"):
-        wrong = ~(np.abs(np.linalg.norm(quaternion, axis=1) - 1) <= QUATERNION_ERROR)
+        wrong = ~(np.abs(np.linalg.norm(quaternion, axis=1) - 1) <= MAX_QUATERNION_ERROR)
     quaternion[wrong] = np.nan
     return RecordedMotion(
         name,
@@ -238,7 +238,7 @@ def _times(tick: Array) -> tuple[NDArray[np.int64], Array, list[str]]:
         rise = (value - now + _TICKS // 2) % _TICKS - _TICKS // 2
         if not parts[-1] or rise > 0:
             pass
-        elif rise > -RESTART:
+        elif rise > -TICK_RESTART:
             continue  # a repeated state, or one that comes late
         else:
             parts.append([])
