@@ -105,10 +105,10 @@ def ended(healthy: Any, robot: RobotDescription, tmp_path: Path) -> Callable[...
 @pytest.mark.parametrize(
     ("limits", "why"),
     [
-        (ExperimentLimits(torque=2.8, angle_room=-0.28), "beyond the plan's angles; at most -0.28"),
-        (ExperimentLimits(torque=0.1, angle_room=2.0, torque_time=0.02), "gave more than 0.1 N m for 0.02 s"),
-        (ExperimentLimits(torque=2.8, angle_room=2.0, temperature=15.0), "degC; at most 15"),
-        (ExperimentLimits(torque=2.8, angle_room=2.0, duration=1.7), "it took more than 1.7 s"),
+        (ExperimentLimits(torque=2.8, angle_margin=-0.28), "beyond the plan's angles; at most -0.28"),
+        (ExperimentLimits(torque=0.1, angle_margin=2.0, torque_time=0.02), "gave more than 0.1 N m for 0.02 s"),
+        (ExperimentLimits(torque=2.8, angle_margin=2.0, temperature=15.0), "degC; at most 15"),
+        (ExperimentLimits(torque=2.8, angle_margin=2.0, duration=1.7), "it took more than 1.7 s"),
     ],
     ids=["angle", "torque", "temperature", "time"],
 )

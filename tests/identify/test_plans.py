@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.deploy.messages import Mode
 from surefoot.deploy.poses import sitting_pose
-from surefoot.identify.ground.plans import DRAG, ends, rocking, sides, standing_up
+from surefoot.identify.ground.plans import DRAG, extension_chirp, fore_aft_signs, lateral_signs, stand_up_phases
 from surefoot.identify.plan import FADE, Phase, Plan, chirps, go_to, hold, steps, sweep
 from surefoot.identify.rack.plans import PULSE, SPIKE_PERIOD, latency_plan, motor_plan
 from surefoot.identify.registry import EXPERIMENTS
@@ -22,7 +22,7 @@ LARGEST = 0.4
 """Largest jump of a target anywhere else [rad]."""
 
 
-FIVE_BAR = [name for name, experiment in EXPERIMENTS.items() if not experiment.joints]
+FIVE_BAR = [name for name, experiment in EXPERIMENTS.items() if not experiment.for_joint_actuators]
 
 
 @pytest.fixture(scope="module")
@@ -119,12 +119,12 @@ def test_a_spike_is_one_command(robot: RobotDescription):
 
 def test_legs_have_ends_and_sides(robot: RobotDescription):
     # Order: front left, back left, front right, back right.
-    assert ends(robot).tolist() == [1, -1, 1, -1]
-    assert sides(robot).tolist() == [1, 1, -1, -1]
+    assert fore_aft_signs(robot).tolist() == [1, -1, 1, -1]
+    assert lateral_signs(robot).tolist() == [1, 1, -1, -1]
 
 
 def test_rocking_is_around_standing(robot: RobotDescription):
-    signal = rocking(robot, ends(robot), 0.12, 1.0, 4.0, 2.0)
+    signal = extension_chirp(robot, fore_aft_signs(robot), 0.12, 1.0, 4.0, 2.0)
     nobody, stand = np.zeros(8), robot.pose_angles(0.0, robot.experiments.stance)
     np.testing.assert_allclose(signal(0.0, nobody), stand)
     np.testing.assert_allclose(signal(2.0, nobody), stand, atol=1e-12)
@@ -133,7 +133,9 @@ def test_rocking_is_around_standing(robot: RobotDescription):
         np.testing.assert_allclose(swing, 0.0, atol=1e-12)
         # Front legs are longer by as much as back legs are shorter.
         np.testing.assert_allclose(
-            extension - robot.experiments.stance, (extension[0] - robot.experiments.stance) * ends(robot), atol=1e-12
+            extension - robot.experiments.stance,
+            (extension[0] - robot.experiments.stance) * fore_aft_signs(robot),
+            atol=1e-12,
         )
         assert abs(extension[0] - robot.experiments.stance) <= 0.12 + 1e-12
 
@@ -152,7 +154,7 @@ def test_a_sweep_of_one_frequency_is_a_sine():
 
 
 def test_legs_that_slid_out_are_drawn_in_from_their_side(robot: RobotDescription):
-    out, unfold, draw_in = standing_up(robot)[:3]
+    out, unfold, draw_in = stand_up_phases(robot)[:3]
     start = robot.pose_angles([1.0, -0.9, 0.1, 0.0], 0.4)
     swing, extension = robot.to_pose(out.signal(1.0, start))
     np.testing.assert_allclose(swing, [1.2, -1.2, 0.1, 0.0], atol=1e-12)

@@ -23,18 +23,18 @@ from surefoot.identify.recording import (
     RecordedPhase,
     Recording,
     RecordingMeta,
-    digest_of,
+    digest_arrays,
 )
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
-PERIOD = 0.002
+COMMAND_PERIOD = 0.002
 """Time between two commands, and between two states [s]: at 921,600 baud a state takes 1.7 ms."""
-REST = 1.0
+REST_TIME = 1.0
 """Time at rest before the robot is armed [s]."""
-LATE = 0.05
+MAX_STATE_AGE = 0.05
 """Age of the newest state [s], and time without a command, that end an experiment: the robot damps itself then."""
-BATTERY_ROOM = 0.3
+BATTERY_MARGIN = 0.3
 """Voltage [V] above the robot's own limit at which an experiment ends, if it stays there for a second."""
 
 
@@ -52,12 +52,12 @@ class _ExperimentRunner:
             raise SurefootError("the robot is not connected")
         self.link, self.plan, self.robot, self.operator = link, plan, robot, operator
         self.handshake: Handshake = link.handshake
-        self.period = min(max(PERIOD, self.handshake.command_period_min), self.handshake.command_period_max)
+        self.period = min(max(COMMAND_PERIOD, self.handshake.command_period_min), self.handshake.command_period_max)
         # Commands that come a little early must not put off a state that is due.
         self.lead = 0.0 if link.lockstep else self.period / 4
-        steps = LATE / self.period
+        steps = MAX_STATE_AGE / self.period
         # Batteries sag under an experiment's load, and recover: only the robot's own limit counts.
-        low = self.handshake.voltage_min + BATTERY_ROOM
+        low = self.handshake.voltage_min + BATTERY_MARGIN
         limits = SafetyLimits.from_robot(robot)
         self._limits = replace(limits, state_age=steps, missed_steps=int(steps) - 1, battery_low=low)
         self._monitor = monitor
@@ -77,7 +77,7 @@ class _ExperimentRunner:
         link.on_state = lambda *received: self._states.append(received)
         self._started = link.clock.now()
         try:
-            self._runner(self.plan.phases[0].mode).ping_until(lambda: False, REST)
+            self._runner(self.plan.phases[0].mode).ping_until(lambda: False, REST_TIME)
             resting = len(self._states)
             # Legs on a rack hang down, and fold when a robot lies: the first transition starts there.
             angle = link.last_state().motor_angle
@@ -151,10 +151,10 @@ class _ExperimentRunner:
         low, high = (self._low, self._high) if phase.use == "transition" else (plan.angle_low, plan.angle_high)
         beyond = np.maximum(low - state.motor_angle, state.motor_angle - high)
         worst = int(np.argmax(beyond))
-        if self._sent and beyond[worst] > limits.angle_room:
+        if self._sent and beyond[worst] > limits.angle_margin:
             return (
                 f"{names[worst]} is at {state.motor_angle[worst]:.2f} rad, {beyond[worst]:.2f} beyond the plan's "
-                f"angles; at most {limits.angle_room:g}"
+                f"angles; at most {limits.angle_margin:g}"
             )
         overloaded = np.abs(state.motor_torque) > limits.torque
         self._overload_time = np.where(overloaded, self._overload_time + self.period, 0.0)
@@ -198,7 +198,7 @@ class _ExperimentRunner:
             resting_states=resting,
             frames=RecordedFrames(len(states), **frames),
             date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            digest=digest_of(arrays),
+            digest=digest_arrays(arrays),
         )
         return Recording(**arrays, meta=to_mapping(meta), robot_archive=self.robot.archive)
 

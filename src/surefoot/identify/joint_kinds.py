@@ -21,7 +21,9 @@ def kinds_of_joints(robot: RobotDescription, prior: PhysicalParams, name: str) -
 
 def kind_of_joint(robot: RobotDescription, place: int) -> str:
     """Return the name of the joints at a place of every leg: what their motors' names have in common at the end."""
-    ends = [robot.motor_names[motor][::-1] for motor in robot.leg_motor_index[:, place]]
-    common = next((k for k in range(min(map(len, ends))) if len({end[: k + 1] for end in ends}) > 1), len(ends[0]))
-    word = ends[0][:common][::-1].strip("_-. ").removesuffix("joint").removesuffix("Motor").strip("_-. ")
+    endings = [robot.motor_names[motor][::-1] for motor in robot.leg_motor_index[:, place]]
+    common = next(
+        (k for k in range(min(map(len, endings))) if len({end[: k + 1] for end in endings}) > 1), len(endings[0])
+    )
+    word = endings[0][:common][::-1].strip("_-. ").removesuffix("joint").removesuffix("Motor").strip("_-. ")
     return f"{word} joints" if word else f"joints {place + 1} of legs"

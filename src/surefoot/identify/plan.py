@@ -25,8 +25,8 @@ class Phase:
     """A part of an experiment with one kind of command."""
 
     name: str
-    what: str
-    """Motion of the robot, for people beside it."""
+    description: str
+    """Motion of the robot, in words for the operator."""
     duration: float
     """Length [s]."""
     signal: Signal
@@ -42,7 +42,7 @@ class ExperimentLimits:
 
     torque: float
     """Torque [N m] that a motor may exceed for `torque_time`."""
-    angle_room: float = 0.7
+    angle_margin: float = 0.7
     """Distance [rad] of a motor from the plan's angles."""
     torque_time: float = 0.4
     """[s]"""
@@ -79,9 +79,9 @@ def go_to(target: Array, duration: float) -> Signal:
     return lambda t, start: minimum_jerk(start, target, t / duration)
 
 
-def transition(name: str, what: str, duration: float, target: Array, motion: float | None = None) -> Phase:
+def transition(name: str, description: str, duration: float, target: Array, motion: float | None = None) -> Phase:
     """Return a phase that leads to `target` (M,) [rad], within the time `motion` [s] if it is not the whole phase."""
-    return Phase(name, what, duration, go_to(target, motion or duration), use="transition")
+    return Phase(name, description, duration, go_to(target, motion or duration), use="transition")
 
 
 def hold(target: Array) -> Signal:

@@ -148,8 +148,8 @@ def _check_readings(recording: Recording, robot: RobotDescription) -> None:
         share = stuck.sum() / max(moved[:, motor].sum(), 1)
         if share > MAX_STUCK:
             at = float(np.median(angle[stuck]))
-            ends = {", at its greatest,": angle[fitted].max(), ", at its least,": angle[fitted].min()}
-            end = next((text for text, value in ends.items() if np.isclose(at, value)), "")
+            extremes = {", at its greatest,": angle[fitted].max(), ", at its least,": angle[fitted].min()}
+            end = next((text for text, value in extremes.items() if np.isclose(at, value)), "")
             raise _error(
                 f"the angle of {name} stands still{end} at {at:.3f} rad for {share:.0%} of the time in which it is "
                 f"moved; at most {MAX_STUCK:.0%}: encoder, or something in the way"

@@ -198,12 +198,12 @@ class Recording:
         return path
 
 
-def read_at(moments: Array, times: Array, values: Array) -> Array:
+def interpolate_columns(moments: Array, times: Array, values: Array) -> Array:
     """Interpolate the columns of values (T, n) of times (T,) linearly at other moments (K,); returns (K, n)."""
     return np.stack([np.interp(moments, times, column) for column in values.T], axis=1)
 
 
-def digest_of(arrays: dict[str, Array]) -> str:
+def digest_arrays(arrays: dict[str, Array]) -> str:
     """Return the SHA-256 over arrays, by name."""
     total = hashlib.sha256()
     for name in sorted(arrays):
@@ -246,7 +246,7 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
             raise SurefootError(f"is of experiment {meta['experiment']}, not {experiment}")
         sizes = {"C": arrays["sent_number"].size, "T": arrays["time"].size, "M": robot.num_motors}
         arrays = {name: declared.checked(name, arrays[name], sizes) for name, declared in columns.items()}
-        if digest_of(arrays) != meta["digest"]:
+        if digest_arrays(arrays) != meta["digest"]:
             raise SurefootError("was changed after it was made: its digest does not fit")
         if meta["ended"] != COMPLETE:
             raise SurefootError(f"did not come to its end: {meta['ended']}")

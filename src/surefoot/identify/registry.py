@@ -22,14 +22,14 @@ class Experiment:
     """An experiment on a robot. Its fit is imported when it runs: the robot's computer has no MuJoCo."""
 
     name: str
-    what: str
+    measures: str
     """What it measures, in a line."""
     plan: Callable[[RobotDescription], Plan]
     rack: bool
     """Whether the robot hangs in the air."""
-    before: tuple[str, ...] = ()
+    prerequisites: tuple[str, ...] = ()
     """Experiments whose results it needs."""
-    joints: bool = False
+    for_joint_actuators: bool = False
     """Whether it is for robots with joint actuators and serial legs; else for DC motors and five-bar legs."""
 
     def fit(
@@ -54,7 +54,7 @@ class Experiment:
         """
         notes = check_recording(recording, robot)
         folder = "rack" if self.rack else "ground"
-        module = import_module(f"surefoot.identify.{folder}.{'air_fit' if self.joints else 'fits'}")
+        module = import_module(f"surefoot.identify.{folder}.{'air_fit' if self.for_joint_actuators else 'fits'}")
         result: Identification = getattr(module, f"fit_{self.name}")(robot, recording, prior, sensors or {}, report)
         date = str(recording.meta["date"])
         return replace(result, notes=(*notes, *result.notes), digest=recording.digest, date=date)
@@ -68,7 +68,11 @@ EXPERIMENTS = {
         Experiment("mass", "mass, centre of mass and inertia of the base", mass_plan, False, ("motor",)),
         Experiment("contact", "friction, stiffness and damping of the feet", contact_plan, False, ("motor", "mass")),
         Experiment(
-            "air", "joint actuators, instead: friction, inertia, leg mass, latency", air_plan, True, joints=True
+            "air",
+            "joint actuators, instead: friction, inertia, leg mass, latency",
+            air_plan,
+            True,
+            for_joint_actuators=True,
         ),
     )
 }

@@ -135,8 +135,8 @@ def segment_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Segm
         start, velocity = _first_readings(motion)
     else:
         for motors in robot.leg_motor_index.T:
-            still = motors[~motion.moving[motors]]
-            for motor in motors[motion.moving[motors]]:
+            still = motors[~motion.moving_joints[motors]]
+            for motor in motors[motion.moving_joints[motors]]:
                 reading = motion.motor_angle[0, motor]
                 if len(still):
                     start[motor] = motion.command[0, still].mean()
@@ -158,7 +158,7 @@ def _first_readings(motion: RecordedMotion) -> tuple[Array, Array]:
     """Return angles [rad] and speeds [rad/s] (M,) at the first row: a parabola through those of `STARTING`."""
     first = motion.read_time <= motion.read_time[0] + STARTING
     angles, since = motion.motor_angle[first], (motion.read_time - motion.read_time[0])[first]
-    known = np.isfinite(angles).all(axis=1) & motion.fresh[first]
+    known = np.isfinite(angles).all(axis=1) & motion.has_new_reading[first]
     if known.sum() < MIN_STARTING:
         return motion.motor_angle[0].copy(), np.zeros(motion.motor_angle.shape[1])
     # A parabola: a motion that begins from rest has no speed at its first row.

@@ -30,18 +30,18 @@ MEMORY_RANGE = 1e6
 
 
 @dataclass(frozen=True)
-class Stated:
+class ContractField:
     """Mark of a task's field that is the policy's interface: the contract states it itself, or some keys of it."""
 
     keys: tuple[str, ...] = ()
     """Keys of the table that are stated; none: the whole field is."""
 
 
-def stated_fields(kind: type) -> set[str]:
-    """Return the dotted names of a dataclass's fields, and of keys in them, that are marked as `Stated`."""
+def contract_fields(kind: type) -> set[str]:
+    """Return the dotted names of a dataclass's fields, and of keys in them, that are marked as `ContractField`."""
     hints = typing.get_type_hints(kind, include_extras=True)
     marks = [(name, mark) for name, hint in hints.items() for mark in getattr(hint, "__metadata__", ())]
-    stated = [(name, mark.keys) for name, mark in marks if isinstance(mark, Stated)]
+    stated = [(name, mark.keys) for name, mark in marks if isinstance(mark, ContractField)]
     return {part for name, keys in stated for part in ([f"{name}.{key}" for key in keys] or [name])}
 
 
@@ -60,16 +60,16 @@ class ObservationPart:
     frame: str
 
 
-Place = Annotated[float, Within(-10, 10)]
+GridCoordinate = Annotated[float, Within(-10, 10)]
 
 
 @dataclass(frozen=True)
 class HeightMap:
     """The grid of the map of heights, in the heading frame at the base's origin: x forward, y left, z up."""
 
-    ahead: tuple[Place, ...]
+    ahead: tuple[GridCoordinate, ...]
     """Places of its points ahead [m], rising."""
-    left: tuple[Place, ...]
+    left: tuple[GridCoordinate, ...]
     """Places of its points to the left [m], rising. Heights have an order: by `ahead`, then by `left`."""
     age: Latency
     """Nominal age of the heights in training [s]."""
@@ -158,7 +158,7 @@ class Contract:
     def __post_init__(self) -> None:
         """Refuse numbers out of bounds; keep only what JSON can hold."""
         for name in ("task", "figures", "reference"):
-            object.__setattr__(self, name, plain(getattr(self, name)))
+            object.__setattr__(self, name, to_json_value(getattr(self, name)))
         for k, name in enumerate(self.action_names):
             if not name.startswith(f"{MEMORY}."):
                 for end in ("low", "high"):
@@ -230,14 +230,14 @@ def _whole(text: str) -> int:
     return int(text)
 
 
-def plain(value: Any) -> Any:
+def to_json_value(value: Any) -> Any:
     """Return tables, lists, text and numbers as JSON values; a number that is not finite becomes None."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json_value(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return to_json_value(value.tolist())
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json_value(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
@@ -245,5 +245,5 @@ def plain(value: Any) -> Any:
 
 def config_hash(config: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a configuration as canonical JSON: keys sorted, no blanks."""
-    text = json.dumps(plain(config), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    text = json.dumps(to_json_value(config), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -24,14 +24,14 @@ from dataclasses import dataclass
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.network import MAX_BYTES, OPSET
-from surefoot.policy.protobuf import BYTES, MANY, NUMBER, encode_field, read_message
+from surefoot.policy.protobuf import BYTES, BYTES_LIST, NUMBER, encode_field, read_message
 
 DIGEST_KEY = "surefoot-digest"
 """Property of the ONNX file that holds the digest, in hexadecimal."""
 ROBOT_KEY = "surefoot-robot"
 """Property that holds the archive of a robot that does not ship, in base64."""
 _GRAPH, _OPSET, _PROPERTIES, _KEY, _VALUE = 7, 8, 14, 1, 2
-_MODEL = {1: NUMBER, 2: BYTES, 3: BYTES, _GRAPH: BYTES, _OPSET: BYTES, _PROPERTIES: MANY}
+_MODEL = {1: NUMBER, 2: BYTES, 3: BYTES, _GRAPH: BYTES, _OPSET: BYTES, _PROPERTIES: BYTES_LIST}
 """Fields of a model: version of the format, its producer, and these."""
 
 

@@ -156,9 +156,9 @@ def test_targets_follow_the_vendors_law(tmp_path: Path) -> None:
     assert motion.meta["notes"] == [
         "7 of 11 rows have no target: no command, a motor without gain, or other gains",
     ]
-    assert motion.between(0.002, 0.004).command[:, 0].tolist() == pytest.approx([0.5, moved], abs=1e-6)
+    assert motion.crop(0.002, 0.004).command[:, 0].tolist() == pytest.approx([0.5, moved], abs=1e-6)
     with pytest.raises(SurefootError, match=r"--between 1 2 has 0 rows; the log is 0\.02 s long"):
-        motion.between(1.0, 2.0)
+        motion.crop(1.0, 2.0)
 
 
 def test_the_longest_part_with_commands_is_replayed(tmp_path: Path) -> None:

@@ -11,16 +11,16 @@ pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Fit
-from surefoot.identify.motion.foresight import foresee
-from surefoot.identify.motion.priors import default_names, gains_are_commanded, priors_of
+from surefoot.identify.motion.ambiguities import describe_ambiguities
+from surefoot.identify.motion.expected_accuracy import predict_accuracy
+from surefoot.identify.motion.priors import default_names, gains_are_commanded, robot_priors
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import replay_motion
 from surefoot.identify.motion.robot_fit import fit_robot
 from surefoot.identify.motion.robot_unknowns import CLOCK, considered_unknowns, robot_params, robot_unknowns
-from surefoot.identify.motion.words import describe_unknown
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import Identification
-from surefoot.identify.robot_params_file import check_new_logs, overlay, read_gains
+from surefoot.identify.robot_params_file import check_new_logs, merge_estimates, read_gains
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamsFile
 
@@ -74,7 +74,7 @@ def test_a_replay_on_a_rack_begins_at_the_first_reading(
     assert np.abs(errors[:20]).max() < 0.002
     assert np.abs(errors).max() < 0.004
     # A log that is cut while joints move begins at their speed.
-    cut = hanging.between(1.0, 4.0)
+    cut = hanging.crop(1.0, 4.0)
     first = replay_motion(cut, go2, truth, Replayer(go2, 1, torques=False)).motor_angle[:20]
     assert np.abs(first).max() < 0.01
 
@@ -94,7 +94,7 @@ def test_gains_that_nobody_knows_have_intervals_that_hold_them(unknown_gains: Id
 def test_what_logs_do_not_show_keeps_its_value_and_is_not_written(
     go2: RobotDescription, nominal: PhysicalParams, unknown_gains: Identification
 ):
-    file = overlay(ParamsFile(nominal, ()), unknown_gains, go2)
+    file = merge_estimates(ParamsFile(nominal, ()), unknown_gains, go2)
     # Torque limits and feet belong to motions that a robot in the air does not have; gains to whoever commands it.
     assert {"torque_limit", "contact_stiffness", "contact_shear_ratio", "servo_kp", "servo_kd"}.isdisjoint(file.names)
     assert "contact_stiffness" not in file.tables["intervals"]
@@ -110,7 +110,7 @@ def test_what_logs_do_not_show_keeps_its_value_and_is_not_written(
 
 def test_known_gains_are_kept(go2: RobotDescription, nominal: PhysicalParams, hanging: RecordedMotion):
     prior = nominal.with_values(go2, servo_kp=KP, servo_kd=KD)
-    short = hanging.until(2.0)
+    short = hanging.first_seconds(2.0)
     result = fit_robot(go2, [short], [hanging], None, prior, known=("servo_kp", "servo_kd"))
     assert {"servo_kp", "servo_kd"}.isdisjoint(item.name for item in result.estimates)
     assert result.gains == {"servo_kp": [KP] * 12, "servo_kd": [KD] * 12}
@@ -126,13 +126,13 @@ def test_known_gains_are_kept(go2: RobotDescription, nominal: PhysicalParams, ha
 def test_the_same_log_is_not_fitted_twice(
     go2: RobotDescription, nominal: PhysicalParams, unknown_gains: Identification, tmp_path
 ):
-    file = overlay(ParamsFile(nominal, ()), unknown_gains, go2)
+    file = merge_estimates(ParamsFile(nominal, ()), unknown_gains, go2)
     assert list(file.tables["identified"]["logs"]["logs"].values()) == ["hanging.npz"]
     with pytest.raises(SurefootError, match=r"b.toml was fitted to again.npz already; logs that count twice"):
         check_new_logs(tmp_path / "b.toml", file, {"again.npz": unknown_gains.parts["hanging.npz"]})
     check_new_logs(tmp_path / "b.toml", file, {"other.npz": "1" * 64})
     # A further log does not make the file forget the first one.
-    again = overlay(file, replace(unknown_gains, parts={"other.npz": "1" * 64}), go2)
+    again = merge_estimates(file, replace(unknown_gains, parts={"other.npz": "1" * 64}), go2)
     assert list(again.tables["identified"]["logs"]["logs"].values()) == ["hanging.npz", "other.npz"]
     # Files of before have one digest of all logs.
     old = replace(file, tables={"identified": {"logs": {"data": unknown_gains.digest}}})
@@ -141,7 +141,7 @@ def test_the_same_log_is_not_fitted_twice(
 
 
 def test_a_forgotten_rack_is_no_result(go2: RobotDescription, nominal: PhysicalParams, hanging: RecordedMotion):
-    standing = replace(hanging.until(1.5), rack=False)
+    standing = replace(hanging.first_seconds(1.5), rack=False)
     names = ("servo_kp", "servo_kd", "motor_friction")
     result = fit_robot(go2, [standing], [], names, nominal)
     reason, *hints = result.failure
@@ -153,14 +153,14 @@ def test_priors_belong_to_robots(go2: RobotDescription, pupper: RobotDescription
     assert gains_are_commanded(go2)
     assert not gains_are_commanded(pupper)
     # A Pupper's gains are on its own board, a Go2's may be anything.
-    assert (priors_of(pupper)["servo_kp"].deviation, priors_of(go2)["servo_kp"].deviation) == (0.1, 1.0)
+    assert (robot_priors(pupper)["servo_kp"].deviation, robot_priors(go2)["servo_kp"].deviation) == (0.1, 1.0)
     assert "damping_ratio" in default_names(pupper, False)
     assert "servo_kd" not in default_names(pupper, False)
     assert {"servo_kd", "viscous_ratio", "inertia_ratio"} <= set(default_names(go2, True))
     assert not {"contact_friction", "base_offset", "damping_ratio"} & set(default_names(go2, True))
     wrong = replace(go2, priors={"servo_kpp": 1.0})
     with pytest.raises(SurefootError, match=r"priors.servo_kpp of go2 is unknown; did you mean servo_kp"):
-        priors_of(wrong)
+        robot_priors(wrong)
 
 
 def test_kinds_of_joints_share_a_number_and_motors_have_ratios(go2: RobotDescription, nominal: PhysicalParams):
@@ -186,8 +186,8 @@ def test_computed_times_widen_the_intervals(go2: RobotDescription, nominal: Phys
 
 
 def test_foresight_tells_what_a_log_would_tell(go2: RobotDescription, truth: PhysicalParams, hanging: RecordedMotion):
-    short = hanging.until(2.0)
-    unknown, known = (foresee(go2, [short], truth, names) for names in ((), ("servo_kp", "servo_kd")))
+    short = hanging.first_seconds(2.0)
+    unknown, known = (predict_accuracy(go2, [short], truth, names) for names in ((), ("servo_kp", "servo_kd")))
     kd = next(item for item in unknown.estimates if item.name == "servo_kd")
     assert kd.interval[0] < KD < kd.interval[1]
     assert any("servo_kd and motor_viscous_friction are one number" in text for text in unknown.sentences)
@@ -199,7 +199,9 @@ def test_foresight_keeps_a_known_gain_that_a_sheet_has_by_its_ratio(pupper: Robo
     command = np.tile([0.0, 0.6, -1.2] * 4, (len(time), 1))
     command[:, 1] += 0.3 * np.sin(9 * time)
     motion = RecordedMotion("plan", time, command, time, rack=True)
-    unknown, known = (foresee(pupper, [motion], PhysicalParams.nominal(pupper), names) for names in ((), ("servo_kd",)))
+    unknown, known = (
+        predict_accuracy(pupper, [motion], PhysicalParams.nominal(pupper), names) for names in ((), ("servo_kd",))
+    )
     assert {"servo_kp", "servo_kd"} <= {item.name for item in unknown.estimates}
     names = {item.name for item in known.estimates}
     assert "servo_kp" in names
@@ -214,7 +216,7 @@ def test_exchanged_numbers_are_named_with_their_sum(go2: RobotDescription, nomin
     covariance = 0.09 * np.outer(direction, direction) + np.diag([1e-4, 0, 0, 0])
     fit = Fit(unknowns, values, covariance, np.zeros(1), np.zeros((1, 4)))
     params = robot_params(nominal, unknowns, values[None])
-    (text,) = describe_unknown(go2, fit, params)
+    (text,) = describe_ambiguities(go2, fit, params)
     assert text.startswith(
         "servo_kd and motor_viscous_friction are one number in these logs: their sum is 1.7 (1.68 to 1.72) N m s/rad"
     )
@@ -223,8 +225,8 @@ def test_exchanged_numbers_are_named_with_their_sum(go2: RobotDescription, nomin
     values, covariance = np.array([u.start for u in unknowns]), np.diag([1e-4] * 4)
     apart = Fit(unknowns, values, covariance, np.zeros(1), np.zeros((1, 4)))
     params = robot_params(nominal, unknowns, values[None])
-    assert describe_unknown(go2, apart, params) == ()
+    assert describe_ambiguities(go2, apart, params) == ()
     exchanged = covariance - 0.99e-4 * np.outer([1, 1, 1, 0], [0, 0, 0, 1]) * np.sqrt(1 / 3)
     exchanged[3] = exchanged[:, 3]
-    (text,) = describe_unknown(go2, replace(apart, covariance=exchanged), params)
+    (text,) = describe_ambiguities(go2, replace(apart, covariance=exchanged), params)
     assert text.startswith("rotor_inertia and control_latency are hardly told apart by these logs (correlation -0.99)")

@@ -35,7 +35,7 @@ def test_repeated_readings_have_the_time_of_the_first():
     log = RecordedMotion("log", time, np.arange(6.0)[:, None], motor_angle=angle)
     # New in rows 0, 1, 4 and 5, and so 1, 3 and 2 s apart: half of the row's step before it, of 2 s at most.
     np.testing.assert_allclose(log.read_time, [0.0, 0.5, 0.5, 0.5, 3.5, 5.0])
-    assert log.fresh.tolist() == [True, True, False, False, True, True]
+    assert log.has_new_reading.tolist() == [True, True, False, False, True, True]
     timing = log.timing()
     assert timing["repeated_readings"] == pytest.approx(2 / 6)
     assert (timing["least_step"], timing["greatest_step"]) == (1.0, 2.0)
@@ -58,11 +58,11 @@ def test_channels_that_nobody_recorded_are_missing():
     assert motion.imu.shape == (51, 4)
     assert np.isnan(motion.imu).all()
     assert motion.control_step == pytest.approx(0.01)
-    part = motion.between(0.095, 0.205)
+    part = motion.crop(0.095, 0.205)
     assert part.time.tolist() == pytest.approx((0.01 * np.arange(11, 22)).tolist())
     assert part.motor_torque.shape == (11, 12)
     with pytest.raises(SurefootError, match=r"--between 2 3 has 0 rows; the log is 0\.5 s long"):
-        motion.between(2.0, 3.0)
+        motion.crop(2.0, 3.0)
 
 
 def test_a_log_is_the_same_as_a_trace_and_back(pupper: RobotDescription):
@@ -92,7 +92,7 @@ def test_a_deployment_sends_the_command_of_a_row_a_row_before(pupper: RobotDescr
 
 def test_the_published_logs_are_read(pupper: RobotDescription):
     log = read_motion(DATA / "right_side_1khz.npz", pupper)
-    assert np.flatnonzero(log.moving).tolist() == [1, 2, 7, 8]
+    assert np.flatnonzero(log.moving_joints).tolist() == [1, 2, 7, 8]
     assert log.timing()["repeated_readings"] == pytest.approx(0.547, abs=0.001)
 
 

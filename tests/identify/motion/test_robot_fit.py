@@ -74,7 +74,7 @@ def test_search_reduces_the_cost_over_shared_unknowns(pupper: RobotDescription, 
     initial, progress = PhysicalParams.nominal(pupper), []
     model = robot_model(
         pupper,
-        [hanging.until(0.5)],
+        [hanging.first_seconds(0.5)],
         robot_unknowns(pupper, initial, ["servo_kp", "motor_offset"]),
         initial,
     )
@@ -94,7 +94,7 @@ def test_search_reduces_the_cost_over_shared_unknowns(pupper: RobotDescription, 
 
 def test_yaw_of_the_imu_is_identified(pupper: RobotDescription, hanging: RecordedMotion):
     nominal = PhysicalParams.nominal(pupper)
-    truth, first = nominal.rows(np.zeros(1, np.int64)), hanging.until(0.5)
+    truth, first = nominal.rows(np.zeros(1, np.int64)), hanging.first_seconds(0.5)
     truth.imu_mount[0, 2] = np.pi
     # Its left legs bend: it rolls and pitches, and the IMU reports both with the other sign.
     command = first.command.copy()

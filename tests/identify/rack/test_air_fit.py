@@ -62,7 +62,7 @@ def test_a_replay_repeats_the_recording(go2: RobotDescription, recording: Record
     motion = motion_of_phases(recording, use)
     assert motion.rack
     assert np.ptp(motion.time) == pytest.approx(2.0, abs=0.1)
-    assert motion.moving.all()
+    assert motion.moving_joints.all()
     errors = replay_motion(motion, go2, PhysicalParams.nominal(go2), Replayer(go2, 1, torques=False))
     # At up to 9 rad/s, the servo step in which a command arrives counts.
     assert errors.rms < 2e-3

@@ -7,7 +7,7 @@ import pytest
 
 from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
-from surefoot.identify.motion.foresight import planned_motion
+from surefoot.identify.motion.expected_accuracy import planned_motion
 from surefoot.identify.plan import Plan
 from surefoot.identify.rack.air_plan import BAND, LIMIT_ROOM, SPEED_SHARE, TORQUE_SHARE, air_plan
 from surefoot.identify.registry import EXPERIMENTS

@@ -24,10 +24,10 @@ from surefoot.identify.ground.motion import (
     ground_motion,
     regress,
 )
-from surefoot.identify.ground.plans import ends, sides
+from surefoot.identify.ground.plans import fore_aft_signs, lateral_signs
 from surefoot.identify.model import GAIN_DEVIATION
 from surefoot.identify.recording import Recording
-from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, with_floor
+from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, add_model_error
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 STILL = ("stand still", "squat slowly")
@@ -78,9 +78,9 @@ def fit_mass(
     # Moments are in proportion to forces, and the legs' inertia acts with the base's.
     inertia_spread = inertia * float(np.hypot(np.sqrt(variance), 2 * accuracy))
     identifiable = inertia_spread < MAX_INERTIA_DEVIATION * inertia
-    inertia_spread = with_floor("base_inertia_ratio", inertia, inertia_spread)
+    inertia_spread = add_model_error("base_inertia_ratio", inertia, inertia_spread)
     ratio = float(params.base_mass_ratio[0])
-    ratio_spread = with_floor("base_mass_ratio", ratio, mass_spread / base * ratio)
+    ratio_spread = add_model_error("base_mass_ratio", ratio, mass_spread / base * ratio)
     if identifiable:
         notes.append("base_inertia_ratio is identified from turns about y alone, and taken for all axes")
     else:
@@ -93,7 +93,7 @@ def fit_mass(
             ParameterEstimate.within_bounds(
                 robot, "base_inertia_ratio", inertia, inertia_spread, identifiable=identifiable
             ),
-            ParameterEstimate("total_mass", total, with_floor("total_mass", total, mass_spread), "kg", low=0.0),
+            ParameterEstimate("total_mass", total, add_model_error("total_mass", total, mass_spread), "kg", low=0.0),
             *_centre_of_mass(robot, standing, forces, still, accuracy),
         ),
         notes=tuple(notes),
@@ -220,7 +220,7 @@ def _dragged_legs(robot: RobotDescription, standing: GroundMotion) -> NDArray[np
     """Return the legs (T, L) that are dragged: one diagonal in the first phase of the name, the other in the second."""
     phases = [k for k, name in enumerate(standing.names) if name == "drag"]
     diagonal = np.where(standing.phase == phases[0], 1.0, np.where(standing.phase == phases[-1], -1.0, 0.0))
-    return np.asarray(diagonal[:, None] == ends(robot) * sides(robot))
+    return np.asarray(diagonal[:, None] == fore_aft_signs(robot) * lateral_signs(robot))
 
 
 def _sliding_speed(robot: RobotDescription, standing: GroundMotion, forces: Forces) -> Array:
@@ -248,7 +248,7 @@ def _compliance(
     height = -np.sin(pitch)[:, None] * forces.foot[:, :, 0] + np.cos(pitch)[:, None] * (
         np.sin(roll)[:, None] * across + np.cos(roll)[:, None] * lift
     )
-    front = ends(robot) > 0
+    front = fore_aft_signs(robot) > 0
     deeper = height[:, ~front].mean(axis=1) - height[:, front].mean(axis=1)
     more = forces.force[:, front, 1].mean(axis=1) - forces.force[:, ~front, 1].mean(axis=1)
     step = STEP * SUBSAMPLE_STRIDE

@@ -14,7 +14,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.ground.inverse_dynamics import Forces, InverseDynamics, Motion
 from surefoot.identify.plan import Use
-from surefoot.identify.recording import CLOCK_RESOLUTION, Recording, read_at
+from surefoot.identify.recording import CLOCK_RESOLUTION, Recording, interpolate_columns
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 STEP = 0.002
@@ -68,7 +68,7 @@ def ground_motion(
     grid = np.arange(max(first, times[0]), min(last, times[-1] - age - STEP), STEP)
 
     def at(values: Array, shift: float = age) -> Array:
-        return read_at(grid + shift, times, values)
+        return interpolate_columns(grid + shift, times, values)
 
     gains = 1 + np.asarray(sensors.get("torque_gain", np.zeros(robot.num_motors)))
     velocity = at(recording.motor_velocity)
@@ -126,14 +126,14 @@ def _torque_excess(robot: RobotDescription, recording: Recording, params: Physic
         read = begins - params.servo_latency[0] + age
         duty = servo_duty(
             recording.sent_value[order],
-            read_at(read, times, recording.motor_angle),
-            read_at(read, times, recording.motor_velocity),
+            interpolate_columns(read, times, recording.motor_angle),
+            interpolate_columns(read, times, recording.motor_velocity),
             params.servo_kp[0],
             params.servo_kd[0],
         )
         current = motor_current(
             duty,
-            read_at(begins + age, times, recording.motor_velocity),
+            interpolate_columns(begins + age, times, recording.motor_velocity),
             recording.voltage[:, None],
             params.torque_constant[0],
             params.resistance[0],

@@ -97,7 +97,7 @@ _ABSOLUTE = {"load_friction": 0.1, "speed_filter": 0.005, "torque_lag": 0.005, "
 """The same of others, in their units."""
 
 
-def priors_of(robot: RobotDescription) -> dict[str, Prior]:
+def robot_priors(robot: RobotDescription) -> dict[str, Prior]:
     """Return the priors of a robot: `PRIORS`, with the deviations of its sheet.
 
     Raises:
@@ -119,10 +119,10 @@ def gains_are_commanded(robot: RobotDescription) -> bool:
 
 def default_names(robot: RobotDescription, rack: bool) -> tuple[str, ...]:
     """Return what logs of a robot identify by default; `rack`: none of them is of a robot on the ground."""
-    return tuple(name for name, prior in priors_of(robot).items() if prior.usual and not (rack and prior.contact))
+    return tuple(name for name, prior in robot_priors(robot).items() if prior.usual and not (rack and prior.contact))
 
 
-def without_known(names: Sequence[str], known: Sequence[str]) -> list[str]:
+def drop_known(names: Sequence[str], known: Sequence[str]) -> list[str]:
     """Return the names that known parameters do not fix."""
     fixed = {*known, DAMPING_RATIO} if "servo_kd" in known else set(known)
     return [name for name in names if RATIOS.get(name, name) not in fixed]

@@ -93,17 +93,17 @@ class RecordedMotion:
         return np.concatenate([self.roll_pitch_yaw[:, :2], self.angular_velocity_base[:, :2]], axis=1)
 
     @property
-    def moving(self) -> NDArray[np.bool_]:
+    def moving_joints(self) -> NDArray[np.bool_]:
         """Joints (M,) whose commands move."""
         return np.asarray(np.ptp(self.command, axis=0) > MIN_MOTION)
 
     @property
-    def counted(self) -> NDArray[np.bool_]:
+    def evaluated_rows(self) -> NDArray[np.bool_]:
         """Rows (T,) whose errors count."""
         return self.time >= self.time[0] + SKIPPED
 
     @property
-    def fresh(self) -> NDArray[np.bool_]:
+    def has_new_reading(self) -> NDArray[np.bool_]:
         """Rows (T,) that do not repeat the reading before."""
         return np.diff(self.read_time, prepend=-np.inf) > 0
 
@@ -141,12 +141,12 @@ class RecordedMotion:
             "median_step": float(np.median(steps)),
             "greatest_step": float(steps.max()),
             "repeated_times": float(np.mean(steps == 0.0)),
-            "repeated_readings": float(np.mean(~self.fresh)),
+            "repeated_readings": float(np.mean(~self.has_new_reading)),
         }
 
-    def until(self, seconds: float) -> RecordedMotion:
+    def first_seconds(self, seconds: float) -> RecordedMotion:
         """Return the rows of the first seconds, which must be commands to replay."""
-        return self.rows(self.time <= self.time[0] + seconds).checked()
+        return self.rows(self.time <= self.time[0] + seconds).require_replayable()
 
     def rows(self, rows: NDArray[np.bool_] | slice) -> RecordedMotion:
         """Return some of the rows."""
@@ -155,7 +155,7 @@ class RecordedMotion:
         }
         return replace(self, **arrays)
 
-    def between(self, start: float, end: float) -> RecordedMotion:
+    def crop(self, start: float, end: float) -> RecordedMotion:
         """Return the rows from `start` to `end` [s] after the first row.
 
         Raises:
@@ -167,7 +167,7 @@ class RecordedMotion:
             raise SurefootError(f"--between {start:g} {end:g} has {count} rows; the log is {after[-1]:g} s long")
         return replace(self.rows(rows), meta={**self.meta, "control_step": self.control_step})
 
-    def checked(self) -> RecordedMotion:
+    def require_replayable(self) -> RecordedMotion:
         """Return the motion itself, once its commands are found to be ones that can be replayed.
 
         Raises:
@@ -183,7 +183,7 @@ class RecordedMotion:
             raise SurefootError(f"is {self.time[-1] - self.time[0]:g} s long; at most {_MAX_LENGTH:g} s are replayed")
         if (most := float(np.abs(self.command).max())) > _MAX_ANGLE:
             raise SurefootError(f"has a command of {most:g} rad; angles are within {_MAX_ANGLE:g} rad")
-        if not self.moving.any():
+        if not self.moving_joints.any():
             raise SurefootError(f"its commands never move: no joint by {MIN_MOTION:g} rad; there is nothing to compare")
         return self
 

@@ -9,7 +9,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.motion.recorded import IMU, SKIPPED, RecordedMotion
-from surefoot.identify.recording import read_at
+from surefoot.identify.recording import interpolate_columns
 from surefoot.identify.replay import ReplayedReadings, Replayer, segment_from_motion
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -27,17 +27,17 @@ class ReplayErrors:
     @property
     def rms(self) -> float:
         """Root mean square over all moving joints and counted rows [rad]."""
-        return _rms(self.motor_angle[self.motion.counted][:, self.motion.moving])
+        return _rms(self.motor_angle[self.motion.evaluated_rows][:, self.motion.moving_joints])
 
     @property
     def by_motor(self) -> Array:
         """Root mean square of each motor (M,) [rad]; NaN where nothing was read."""
-        return np.array([_rms(column) for column in self.motor_angle[self.motion.counted].T])
+        return np.array([_rms(column) for column in self.motor_angle[self.motion.evaluated_rows].T])
 
     @property
     def by_imu(self) -> dict[str, float]:
         """Root mean square of each channel of the IMU [rad, rad/s]; NaN where nothing was read."""
-        return {name: _rms(column) for name, column in zip(IMU, self.imu[self.motion.counted].T, strict=True)}
+        return {name: _rms(column) for name, column in zip(IMU, self.imu[self.motion.evaluated_rows].T, strict=True)}
 
 
 def _rms(errors: Array) -> float:
@@ -58,7 +58,7 @@ def replay_motion(
     Raises:
         SurefootError: a log that ends before errors count, or a robot that diverges.
     """
-    if not motion.counted.any():
+    if not motion.evaluated_rows.any():
         raise SurefootError(f"log {motion.name} is {np.ptp(motion.time):.2f} s long; errors count after {SKIPPED:g} s")
     readings = replayer.run(segment_from_motion(motion, robot), params)
     if not np.isfinite(readings.motor_angle).all():
@@ -72,7 +72,7 @@ def compare_motions(motion: RecordedMotion, other: RecordedMotion) -> ReplayErro
     The other's readings are interpolated linearly.
     """
     times = other.time - other.time[0]
-    part = motion.until(float(times[-1]))
+    part = motion.first_seconds(float(times[-1]))
     moments = part.time - part.time[0]
-    angle, imu = (read_at(moments, times, values) for values in (other.motor_angle, other.imu))
+    angle, imu = (interpolate_columns(moments, times, values) for values in (other.motor_angle, other.imu))
     return ReplayErrors(part, angle - part.motor_angle, imu - part.imu)

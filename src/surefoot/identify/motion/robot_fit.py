@@ -17,16 +17,16 @@ import numpy as np
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Fit, fit_least_squares, hold_unidentifiable
 from surefoot.identify.model import ReplayModel
+from surefoot.identify.motion.ambiguities import describe_ambiguities
+from surefoot.identify.motion.fit_diagnosis import diagnose_fit
 from surefoot.identify.motion.motion_digest import all_digest, motion_digest
-from surefoot.identify.motion.priors import GAINS, default_names, gains_are_commanded, without_known
+from surefoot.identify.motion.priors import GAINS, default_names, drop_known, gains_are_commanded
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import imu_channels, replay_motion
 from surefoot.identify.motion.robot_estimates import robot_estimates
-from surefoot.identify.motion.robot_model import SECONDS, correlated_noise, fitted_part, robot_model
+from surefoot.identify.motion.robot_model import GROUND_SECONDS, correlated_noise, fitted_part, robot_model
 from surefoot.identify.motion.robot_unknowns import considered_unknowns, robot_params, robot_unknowns
 from surefoot.identify.motion.start_search import find_gains, search_start
-from surefoot.identify.motion.verdict import judge_fit
-from surefoot.identify.motion.words import describe_unknown
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, ignore_progress
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -82,7 +82,7 @@ def fit_robot(
     yaw = find_imu_yaw(robot, motions, prior)
     if yaw is not None:
         prior.imu_mount[0, 2] = yaw
-    wanted = without_known(default_names(robot, rack) if names is None else names, known)
+    wanted = drop_known(default_names(robot, rack) if names is None else names, known)
     fit = _fit(robot, motions, wanted, prior, rack, seconds, (search, seed), report)
     params = robot_params(prior, fit.unknowns, fit.values[None])
     estimates = robot_estimates(robot, prior, params, fit)
@@ -96,13 +96,13 @@ def fit_robot(
         robot.name,
         tuple(estimates),
         checks,
-        notes=(*describe_unknown(robot, fit, params), *_notes(fit)),
+        notes=(*describe_ambiguities(robot, fit, params), *_notes(fit)),
         series=series,
         digest=all_digest([*motions, *held_out]),
         parts=parts,
         gains=_gains(params, [*wanted, *known]) if gains_are_commanded(robot) else {},
         stated_gains=tuple(stated),
-        failure=judge_fit(robot, [fitted_part(one, seconds) for one in motions], params),
+        failure=diagnose_fit(robot, [fitted_part(one, seconds) for one in motions], params),
     )
 
 
@@ -157,7 +157,9 @@ def find_imu_yaw(robot: RobotDescription, motions: Sequence[RecordedMotion], pri
     """Return the yaw of `MOUNTS` that fits the IMU's roll and pitch best; None if no log on the ground has them."""
     low, high = robot.allowed["imu_mount"]
     yaws = [yaw for yaw in MOUNTS if low <= yaw <= high]
-    standing = [one.until(SECONDS) for one in motions if not one.rack and np.isfinite(one.imu[:, :2]).all()]
+    standing = [
+        one.first_seconds(GROUND_SECONDS) for one in motions if not one.rack and np.isfinite(one.imu[:, :2]).all()
+    ]
     if not standing or len(yaws) < 2:
         return None
     candidates = prior.rows(np.zeros(len(yaws), np.int64))
@@ -189,8 +191,8 @@ def _checks(
         whole = float(np.ptp(motion.time))
         what = f"{motion.name}, " + (f"fitted: {used:.1f} of {whole:.1f} s" if number < fitted else "held out")
         checks.append(Check(what, before.rms, after.rms, "rad", fitted=number < fitted))
-        motor = int(np.argmax(np.where(motion.moving, after.by_motor, -1.0)))
-        shown = motion.until(_SHOWN)
+        motor = int(np.argmax(np.where(motion.moving_joints, after.by_motor, -1.0)))
+        shown = motion.first_seconds(_SHOWN)
         rows, angles = slice(0, len(shown.time)), shown.motor_angle[:, motor]
         was, now = (angles + one.motor_angle[rows, motor] for one in (before, after))
         labels = f"{robot.motor_names[motor]}, {what}", "time [s]", "angle [rad]"

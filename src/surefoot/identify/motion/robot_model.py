@@ -31,7 +31,7 @@ START_NOISE = 2.0
 """Factor of all noise in the first `SKIPPED` seconds."""
 SPACING = 0.011
 """Least time between rows that are compared [s]."""
-SECONDS = 2.3
+GROUND_SECONDS = 2.3
 """Length of each log of a robot on the ground that is fitted [s], from its start; longer replays go astray."""
 RACK_SECONDS = 24.0
 """The same of a robot that hangs."""
@@ -90,7 +90,7 @@ def correlated_noise(model: ReplayModel, residuals: Array, noise: Sequence[float
 
 def fitted_part(motion: RecordedMotion, seconds: float | None) -> RecordedMotion:
     """Return the part of a log that is fitted: its first seconds, or by default as much as replays well."""
-    return motion.until(seconds or (RACK_SECONDS if motion.rack else SECONDS))
+    return motion.first_seconds(seconds or (RACK_SECONDS if motion.rack else GROUND_SECONDS))
 
 
 def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Replayer, noise: float) -> Observations:
@@ -113,8 +113,8 @@ def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Rep
 
     # Readings of joints that hang still do not depend on the parameters.
     still, tilt = (np.inf, np.inf) if motion.rack else (STILL_NOISE, TILT_NOISE)
-    sizes = np.concatenate([np.where(motion.moving, noise, still), [tilt, tilt]])
-    early = ~motion.counted[rows]
+    sizes = np.concatenate([np.where(motion.moving_joints, noise, still), [tilt, tilt]])
+    early = ~motion.evaluated_rows[rows]
     sizes = np.where(early[:, None], START_NOISE, 1.0) * sizes
     leg = np.full(robot.num_motors + 2, -1)
     for number, motors in enumerate(robot.leg_motor_index):
@@ -135,7 +135,7 @@ def _retimed(segment: Segment, scale: float, late: float, dt: float) -> Segment:
 def _spaced_rows(motion: RecordedMotion) -> NDArray[np.int64]:
     """Return rows of new readings that are `SPACING` or more apart."""
     kept, last = [], -np.inf
-    for row in np.flatnonzero(motion.fresh).tolist():
+    for row in np.flatnonzero(motion.has_new_reading).tolist():
         if motion.read_time[row] - last >= SPACING:
             kept.append(row)
             last = motion.read_time[row]

@@ -25,7 +25,7 @@ from surefoot.identify.motion.priors import (
     STRICTLY_POSITIVE,
     Prior,
     prior_scale,
-    priors_of,
+    robot_priors,
 )
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -44,7 +44,7 @@ CLOCK_DEVIATION = 0.02
 def robot_unknowns(
     robot: RobotDescription, prior: PhysicalParams, names: Sequence[str], rack: bool = False
 ) -> list[Unknown]:
-    """Return the unknowns of `names` of `priors_of`, around the parameters before (one row).
+    """Return the unknowns of `names` of `robot_priors`, around the parameters before (one row).
 
     Args:
         robot: its description.
@@ -55,7 +55,7 @@ def robot_unknowns(
     Raises:
         SurefootError: another name.
     """
-    priors = priors_of(robot)
+    priors = robot_priors(robot)
     if bad := [name for name in names if name not in priors]:
         raise SurefootError(f"logs can't identify '{bad[0]}'; {suggest(bad[0], priors)}")
     unknowns = []

@@ -40,7 +40,7 @@ def find_gains(
     if any(name not in at for name in GAINS):
         return None
     report("looking for gains", float("nan"))
-    short = [one.until(min(GAIN_SECONDS, float(np.ptp(one.time)))) for one in motions]
+    short = [one.first_seconds(min(GAIN_SECONDS, float(np.ptp(one.time)))) for one in motions]
     model = robot_model(robot, short, unknowns, prior, GAIN_SECONDS, [GAIN_NOISE] * len(short))
     kp, damping = (grid.ravel() for grid in np.meshgrid(GAIN_FACTORS, DAMPING_TIMES))
     candidates = np.tile([unknown.start for unknown in unknowns], (len(kp), 1))

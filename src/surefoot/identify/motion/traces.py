@@ -28,15 +28,15 @@ def motion_from_trace(name: str, trace: EpisodeTrace) -> RecordedMotion:
     """Return the motion of a trace, to be replayed; of an imported one the longest part with targets.
 
     Raises:
-        SurefootError: fewer than two rows in a row with targets, or what `RecordedMotion.checked` refuses.
+        SurefootError: fewer than two rows in a row with targets, or what `RecordedMotion.require_replayable` refuses.
     """
     if not trace.imported:
-        return deployed_motion(name, trace).checked()
+        return deployed_motion(name, trace).require_replayable()
     rows = _longest(np.asarray(np.isfinite(trace.target).all(axis=1)))
     if rows.stop - rows.start < 2:
         raise SurefootError("has no two rows in a row with commands; a log to replay or to identify from has commands")
     motion = _motion(name, trace, trace.time, trace.time if trace.meta.get("read_at_row") else np.empty(0))
-    return replace(motion.rows(rows), gains=param_table(trace.meta["params"], "meta.params")).checked()
+    return replace(motion.rows(rows), gains=param_table(trace.meta["params"], "meta.params")).require_replayable()
 
 
 def _motion(name: str, trace: EpisodeTrace, sent: Array, read: Array) -> RecordedMotion:
@@ -47,8 +47,8 @@ def _motion(name: str, trace: EpisodeTrace, sent: Array, read: Array) -> Recorde
 
 def _longest(rows: NDArray[np.bool_]) -> slice:
     """Return the longest run of rows (T,) that are true."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]]))).reshape(-1, 2)
-    first, last = max(ends.tolist(), key=lambda part: part[1] - part[0], default=(0, 0))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]]))).reshape(-1, 2)
+    first, last = max(edges.tolist(), key=lambda part: part[1] - part[0], default=(0, 0))
     return slice(first, last)
 
 
@@ -128,4 +128,4 @@ def _motion_from_arrays(name: str, arrays: dict[str, NDArray[Any]], robot: Robot
     columns["roll_pitch_yaw"], columns["angular_velocity_base"] = (
         np.pad(part, ((0, 0), (0, 1)), constant_values=np.nan) for part in np.split(columns.pop("imu"), 2, axis=1)
     )
-    return RecordedMotion(name, **columns).checked()
+    return RecordedMotion(name, **columns).require_replayable()

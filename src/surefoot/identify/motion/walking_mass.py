@@ -21,7 +21,7 @@ from surefoot.identify.ground.inverse_dynamics import InverseDynamics, Motion
 from surefoot.identify.model import GAIN_DEVIATION
 from surefoot.identify.motion.torque_model import MASS
 from surefoot.identify.motion.torque_rows import TorqueRows
-from surefoot.identify.recording import read_at
+from surefoot.identify.recording import interpolate_columns
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 MIN_WALK = 3.0
@@ -94,8 +94,8 @@ def _vertical_force(
     acceleration = (thin.state(-_DIFFERENCE, late)[1] - thin.state(_DIFFERENCE, late)[1]) / (2 * _DIFFERENCE)
     at, times = motion.read_time[thin.rows] - thin.timing.age, motion.read_time - late
     rates = motion.angular_velocity_base
-    tilt, rate = read_at(at, times, motion.roll_pitch_yaw[:, :2]), read_at(at, times, rates)
-    turning = read_at(at, times, np.gradient(rates, motion.read_time, axis=0))
+    tilt, rate = interpolate_columns(at, times, motion.roll_pitch_yaw[:, :2]), interpolate_columns(at, times, rates)
+    turning = interpolate_columns(at, times, np.gradient(rates, motion.read_time, axis=0))
     torque = thin.torque + motor_friction(speed, params.motor_friction[0], params.motor_viscous_friction[0])
     forces = dynamics.forces(Motion(angle, speed, acceleration, torque, tilt, rate, turning))
     forward, up = forces.force.sum(axis=1).T

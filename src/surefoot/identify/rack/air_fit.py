@@ -50,4 +50,4 @@ def motion_of_phases(recording: Recording, use: str) -> RecordedMotion:
         recording.motor_velocity[states],
         recording.motor_torque[states],
         rack=True,
-    ).checked()
+    ).require_replayable()

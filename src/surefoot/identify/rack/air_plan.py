@@ -69,7 +69,7 @@ def air_plan(robot: RobotDescription) -> Plan:
             use="check",
         ),
     ]
-    limits = ExperimentLimits(float(np.max(robot.actuator.torque_limit)), angle_room=0.5)
+    limits = ExperimentLimits(float(np.max(robot.actuator.torque_limit)), angle_margin=0.5)
     return Plan("air", True, tuple(phases), middle - amplitude, middle + amplitude, 0.0, limits)
 
 

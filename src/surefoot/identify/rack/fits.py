@@ -18,7 +18,7 @@ from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.model import GAIN_DEVIATION, TORQUE_GAIN
 from surefoot.identify.rack.model import fit_on_rack, moving_legs, rack_estimates, replay_errors
-from surefoot.identify.recording import Recording, read_at
+from surefoot.identify.recording import Recording, interpolate_columns
 from surefoot.identify.replay import Replayer, Segment, segment_from_recording
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -132,7 +132,7 @@ def _torque_curve(
     kept = segment.states[driven]
     # A state's speeds are older than its torques by the control latency.
     later = recording.time[kept] + float(params.control_latency[0])
-    speed = read_at(later, recording.time, recording.motor_velocity[:, motors])
+    speed = interpolate_columns(later, recording.time, recording.motor_velocity[:, motors])
     before = np.maximum(kept - 1, 0)
     current = motor_current(
         segment.order[order][driven][:, motors], speed, recording.voltage[before][:, None], params.torque_constant[0],

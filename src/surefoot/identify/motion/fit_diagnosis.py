@@ -29,7 +29,7 @@ CLEAR = 0.5
 """Correlation of an angle with a command from which they belong together."""
 
 
-def judge_fit(robot: RobotDescription, motions: Sequence[RecordedMotion], params: PhysicalParams) -> tuple[str, ...]:
+def diagnose_fit(robot: RobotDescription, motions: Sequence[RecordedMotion], params: PhysicalParams) -> tuple[str, ...]:
     """Return why a fit does not explain its logs, then what to try; nothing, if it explains them.
 
     Args:
@@ -58,9 +58,9 @@ def judge_fit(robot: RobotDescription, motions: Sequence[RecordedMotion], params
 
 def following_error(motion: RecordedMotion) -> float:
     """Return the error [rad] of motors that follow their commands after the delay that fits each of them best."""
-    time, rows = motion.time - motion.time[0], motion.counted
+    time, rows = motion.time - motion.time[0], motion.evaluated_rows
     best = np.full(motion.command.shape[1], np.nan)
-    for motor in np.flatnonzero(motion.moving):
+    for motor in np.flatnonzero(motion.moving_joints):
         angle, command = motion.motor_angle[:, motor], motion.command[:, motor]
         shifted = np.array([np.interp(time - delay, time, command) for delay in DELAYS])[:, rows]
         squares = (shifted - angle[rows]) ** 2
@@ -95,7 +95,7 @@ def _wrong_columns(robot: RobotDescription, motion: RecordedMotion) -> list[str]
     """Return doubts about signs and order of motors: angles that follow another command, or the negative of theirs."""
     hints = []
     similar = command_correlation(motion)
-    for motor in np.flatnonzero(motion.moving):
+    for motor in np.flatnonzero(motion.moving_joints):
         name, own = robot.motor_names[motor], similar[motor, motor]
         if own < -CLEAR:
             hints.append(f"the angle of {name} goes against its command: sign?")
