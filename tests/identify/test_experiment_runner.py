@@ -94,7 +94,7 @@ def ended(healthy: Any, robot: RobotDescription, tmp_path: Path) -> Callable[...
         link.wait_for(lambda: link.last_state().mode != Mode.POSITION, 0.1)
         assert link.last_state().mode in (Mode.FAULT, Mode.DISARMED)
         link.close()
-        with pytest.raises(SurefootError, match="did not come to its end"):
+        with pytest.raises(SurefootError, match="stopped early"):
             load_recording(recording.save(tmp_path / "recording.npz"), robot)
         assert "\n" not in recording.meta["ended"]
         return str(recording.meta["ended"])
@@ -106,7 +106,7 @@ def ended(healthy: Any, robot: RobotDescription, tmp_path: Path) -> Callable[...
     ("limits", "why"),
     [
         (ExperimentLimits(torque=2.8, angle_margin=-0.28), "beyond the plan's angles; at most -0.28"),
-        (ExperimentLimits(torque=0.1, angle_margin=2.0, torque_time=0.02), "gave more than 0.1 N m for 0.02 s"),
+        (ExperimentLimits(torque=0.1, angle_margin=2.0, torque_time=0.02), "exceeded 0.1 N m for 0.02 s"),
         (ExperimentLimits(torque=2.8, angle_margin=2.0, temperature=15.0), "degC; at most 15"),
         (ExperimentLimits(torque=2.8, angle_margin=2.0, duration=1.7), "it took more than 1.7 s"),
     ],

@@ -37,7 +37,7 @@ class Linear:
     def affected(self, k: int) -> NDArray[np.bool_] | None:
         return self.matrix[:, k] != 0
 
-    def holding(self, free: NDArray[np.bool_], values: Array) -> Linear:
+    def restrict(self, free: NDArray[np.bool_], values: Array) -> Linear:
         left = self.data - self.matrix[:, ~free] @ values[~free]
         some = [one for one, kept in zip(self.unknowns, free, strict=True) if kept]
         return Linear(self.matrix[:, free], left, some, self.blocks)
@@ -217,7 +217,7 @@ def test_a_converged_fit_ends():
 
 def test_fit_refuses_residuals_that_are_not_finite():
     model = Linear(np.ones((4, 1)), np.full(4, np.nan), [unknown()])
-    with pytest.raises(SurefootError, match="breaks down where the fit begins"):
+    with pytest.raises(SurefootError, match="diverges with the initial parameters"):
         fit_least_squares(model)
 
 
@@ -245,14 +245,14 @@ def test_considered_unknowns_widen_intervals_and_are_never_fitted():
     considered = unknown("c", 0.0, prior=0.3)
     data = 3.0 + draw.normal(0, 1, 400)
     model = Linear(matrix, data, [unknown("a", 0.0, prior=100.0), considered])
-    alone = model.holding(np.array([True, False]), np.zeros(2))
+    alone = model.restrict(np.array([True, False]), np.zeros(2))
     held = hold_unidentifiable(model, fit_least_squares(alone), [considered])
-    assert (held.considers, held.held.tolist()) == (True, [False, True])
+    assert (held.has_considered, held.held.tolist()) == (True, [False, True])
     assert held.values == pytest.approx([data.mean(), 0.0], abs=1e-3)
     # Half of what is not known of c, as residuals hardly show it: 0.5 x 0.3, beside 1 / sqrt(400).
     assert held.deviation[0] == pytest.approx(np.hypot(0.05, 0.15), rel=0.25)
     # Residuals that leave no room for it make it count less.
     sharp = Linear(100 * matrix, 300.0 + draw.normal(0, 1, 400), model.unknowns)
-    alone = sharp.holding(np.array([True, False]), np.zeros(2))
+    alone = sharp.restrict(np.array([True, False]), np.zeros(2))
     exact = hold_unidentifiable(sharp, fit_least_squares(alone), [considered])
     assert exact.deviation[0] < 0.01

@@ -93,7 +93,7 @@ def test_load_refuses_changed_data(recorded: Recording, robot: RobotDescription,
     torque = recorded.motor_torque.copy()
     torque[100, 3] += 0.001
     path = replace(recorded, motor_torque=torque).save(tmp_path / "recording.npz")
-    assert "was changed after it was made: its digest does not fit" in refused(path, robot)
+    assert "was changed after it was recorded: its digest does not match" in refused(path, robot)
     assert "is of experiment motor, not mass" in refused(recorded.save(path), robot, "mass")
 
 
@@ -103,7 +103,7 @@ def test_load_refuses_changed_data(recorded: Recording, robot: RobotDescription,
         ({"schema": 2}, "has schema 2; surefoot reads schema 1"),
         ({"robot": "cat"}, "is of robot 'cat', not of 'minitaur'"),
         ({"motor_names": ["m"]}, "not of 'minitaur' with its motors"),
-        ({"ended": "stopped by the operator"}, "did not come to its end: stopped by the operator"),
+        ({"ended": "stopped by the operator"}, "stopped early: stopped by the operator"),
         ({"phases": [[]]}, "meta.phases[0] is []; it must be a table with keys out of: name, mode, use, duration"),
         ({"phases": 3}, "meta.phases is 3; it must be a list of values, each a table"),
         ({"mode_changes": [0.1]}, "meta.mode_changes[0] is 0.1; it must be a list of 2 values, each a number"),

@@ -14,7 +14,7 @@ from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Plan
 from surefoot.identify.recording import Recording
-from surefoot.identify.replay import HELD, ReplayedReadings, Replayer, Segment, segment_from_recording
+from surefoot.identify.replay import HOLD, ReplayedReadings, Replayer, Segment, segment_from_recording
 from surefoot.robot import PhysicalParams, RobotDescription
 
 TRUTH = {
@@ -59,9 +59,9 @@ def test_segment_holds_commands_and_mode_changes(segment: Segment, ideal: Record
     # Sweep, steps and centre, then let go, armed for duties, let go, armed for servos that first hold what they find.
     changes = np.flatnonzero(np.diff(segment.kind, prepend=-9))
     position, pwm, off = int(Mode.POSITION), int(Mode.PWM), int(Mode.DISARMED)
-    assert segment.kind[changes].tolist()[:6] == [position, off, pwm, off, HELD, position]
-    assert segment.order_tick[0] == 0
-    assert np.all(np.diff(segment.order_tick) >= 0)
+    assert segment.kind[changes].tolist()[:6] == [position, off, pwm, off, HOLD, position]
+    assert segment.command_tick[0] == 0
+    assert np.all(np.diff(segment.command_tick) >= 0)
     np.testing.assert_array_equal(segment.voltage, 15.0)
     np.testing.assert_array_equal(segment.start, ideal.sent_value[ideal.sent_phase == 1][0])
     np.testing.assert_allclose(np.diff(segment.state_time), np.diff(ideal.time[segment.states]), atol=1e-12)

@@ -1,4 +1,4 @@
-"""Kinds of joints: hips, thighs and calves, by the place of a motor in its leg."""
+"""Kinds of joints (hips, thighs, calves), by the position of a motor within its leg."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from surefoot.robot.params import PARAMETERS
 
 
 def kinds_of_joints(robot: RobotDescription, prior: PhysicalParams, name: str) -> dict[str, tuple[int, ...]]:
-    """Return the motors of each kind of joint by its name, where the prior has a number for each kind; else none."""
+    """Return the motors of each kind of joint by name, if the prior value of a parameter differs between kinds.
+
+    The result is empty if all kinds have the same value, or if the parameter has no value per motor.
+    """
     if name not in PARAMETERS or PARAMETERS[name].per != "motors":
         return {}
     values, places = getattr(prior, name)[0], robot.leg_motor_index.T
@@ -20,7 +23,7 @@ def kinds_of_joints(robot: RobotDescription, prior: PhysicalParams, name: str) -
 
 
 def kind_of_joint(robot: RobotDescription, place: int) -> str:
-    """Return the name of the joints at a place of every leg: what their motors' names have in common at the end."""
+    """Return the name of the joints at a position within the legs: the common ending of their motors' names."""
     endings = [robot.motor_names[motor][::-1] for motor in robot.leg_motor_index[:, place]]
     common = next(
         (k for k in range(min(map(len, endings))) if len({end[: k + 1] for end in endings}) > 1), len(endings[0])

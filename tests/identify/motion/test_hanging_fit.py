@@ -118,7 +118,7 @@ def test_known_gains_are_kept(go2: RobotDescription, nominal: PhysicalParams, ha
     fitted, held_out = result.checks
     assert (fitted.what, fitted.fitted) == ("hanging.npz, fitted: 2.0 of 2.0 s", True)
     assert (held_out.what, held_out.fitted) == ("hanging.npz, held out", False)
-    assert result.checks_title == "RMS error of replayed logs, fitted ones and held-out ones"
+    assert result.checks_title == "RMS error of replayed logs, fitted and held out"
     assert held_out.after < 0.004
     assert not result.failure
 
@@ -128,16 +128,16 @@ def test_the_same_log_is_not_fitted_twice(
 ):
     file = merge_estimates(ParamsFile(nominal, ()), unknown_gains, go2)
     assert list(file.tables["identified"]["logs"]["logs"].values()) == ["hanging.npz"]
-    with pytest.raises(SurefootError, match=r"b.toml was fitted to again.npz already; logs that count twice"):
-        check_new_logs(tmp_path / "b.toml", file, {"again.npz": unknown_gains.parts["hanging.npz"]})
+    with pytest.raises(SurefootError, match=r"b.toml was already fitted to again.npz; logs that count twice"):
+        check_new_logs(tmp_path / "b.toml", file, {"again.npz": unknown_gains.log_digests["hanging.npz"]})
     check_new_logs(tmp_path / "b.toml", file, {"other.npz": "1" * 64})
     # A further log does not make the file forget the first one.
-    again = merge_estimates(file, replace(unknown_gains, parts={"other.npz": "1" * 64}), go2)
+    again = merge_estimates(file, replace(unknown_gains, log_digests={"other.npz": "1" * 64}), go2)
     assert list(again.tables["identified"]["logs"]["logs"].values()) == ["hanging.npz", "other.npz"]
     # Files of before have one digest of all logs.
     old = replace(file, tables={"identified": {"logs": {"data": unknown_gains.digest}}})
     with pytest.raises(SurefootError, match=r"was fitted to hanging.npz already"):
-        check_new_logs(tmp_path / "b.toml", old, dict(unknown_gains.parts), unknown_gains.digest)
+        check_new_logs(tmp_path / "b.toml", old, dict(unknown_gains.log_digests), unknown_gains.digest)
 
 
 def test_a_forgotten_rack_is_no_result(go2: RobotDescription, nominal: PhysicalParams, hanging: RecordedMotion):

@@ -105,7 +105,7 @@ def _describe_exchange(exchange: _Exchange, fit: Fit, params: PhysicalParams) ->
     else:
         value = one ** exchange.powers[0] * two ** exchange.powers[1]
         slope = value * (exchange.powers[0] * slopes[0] / one + exchange.powers[1] * slopes[1] / two)
-    floor = MODEL_ACCURACY[exchange.names[0]] * value if fit.considers else 0.0
+    floor = MODEL_ACCURACY[exchange.names[0]] * value if fit.has_considered else 0.0
     reach = NORMAL_95 * float(np.sqrt(slope @ fit.covariance @ slope + floor**2))
     return (
         f"{who} are one number in these logs: {exchange.text} is {value:.3g} ({value - reach:.3g} to "
@@ -121,6 +121,6 @@ def _held_labels(fit: Fit) -> list[str]:
     """Return the labels of held unknowns; a name with many of its motors once, with their number."""
     by_name: dict[str, list[str]] = {}
     for unknown, free in zip(fit.unknowns, fit.free.tolist(), strict=True):
-        if not free and unknown.name not in (CLOCK, COMMAND_SHIFT, *(CONSIDERED if fit.considers else ())):
+        if not free and unknown.name not in (CLOCK, COMMAND_SHIFT, *(CONSIDERED if fit.has_considered else ())):
             by_name.setdefault(unknown.name, []).append(unknown.label)
     return [labels[0] if len(labels) == 1 else f"{name} (of {len(labels)})" for name, labels in by_name.items()]

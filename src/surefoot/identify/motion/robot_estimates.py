@@ -56,7 +56,7 @@ def robot_estimates(
         indices: Sequence[int | None] = [None] if len(values) == 1 or same else range(_count(name, values))
         for index in indices:
             number, deviation = float(values[index or 0]), float(np.sqrt(variances[index or 0]))
-            if fit.considers:
+            if fit.has_considered:
                 size = max(abs(number), abs(float(np.atleast_1d(getattr(prior, name)[0])[index or 0])))
                 size = abs(number) if name in GAINS else size
                 floor = MODEL_ACCURACY.get(name, 0.0) * size

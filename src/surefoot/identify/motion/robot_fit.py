@@ -90,7 +90,7 @@ def fit_robot(
         estimates.append(ParameterEstimate.within_bounds(robot, "imu_mount", yaw, _MOUNT_DEVIATION, 2))
     checks, series = _checks(robot, [*motions, *held_out], len(motions), prior, params, seconds)
     stated = {name: np.unique(getattr(prior, name)[0]).tolist() for name in GAINS if name in known}
-    parts = {one.name: motion_digest(one) for one in [*motions, *held_out]}
+    log_digests = {one.name: motion_digest(one) for one in [*motions, *held_out]}
     return Identification(
         "logs",
         robot.name,
@@ -99,7 +99,7 @@ def fit_robot(
         notes=(*describe_ambiguities(robot, fit, params), *_notes(fit)),
         series=series,
         digest=all_digest([*motions, *held_out]),
-        parts=parts,
+        log_digests=log_digests,
         gains=_gains(params, [*wanted, *known]) if gains_are_commanded(robot) else {},
         stated_gains=tuple(stated),
         failure=diagnose_fit(robot, [fitted_part(one, seconds) for one in motions], params),
@@ -150,7 +150,7 @@ def _without(model: ReplayModel, last: int) -> ReplayModel:
     """Return the model with its last unknowns held."""
     free = np.ones(len(model.unknowns), np.bool_)
     free[len(free) - last :] = False
-    return model.holding(free, np.array([unknown.start for unknown in model.unknowns]))
+    return model.restrict(free, np.array([unknown.start for unknown in model.unknowns]))
 
 
 def find_imu_yaw(robot: RobotDescription, motions: Sequence[RecordedMotion], prior: PhysicalParams) -> float | None:

@@ -125,11 +125,11 @@ def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Rep
 
 def _retimed(segment: Segment, scale: float, late: float, dt: float) -> Segment:
     """Return a segment with another clock: a second takes `scale` seconds, commands are sent `late` [s] later."""
-    segment = segment if scale == 1.0 else segment.stretched(scale, dt)
+    segment = segment if scale == 1.0 else segment.with_clock_scale(scale, dt)
     if late == 0.0:
         return segment
-    ticks = np.maximum(segment.order_tick + round(late / dt), 0)
-    return replace(segment, order_tick=np.concatenate([[0], ticks[1:]]))
+    ticks = np.maximum(segment.command_tick + round(late / dt), 0)
+    return replace(segment, command_tick=np.concatenate([[0], ticks[1:]]))
 
 
 def _spaced_rows(motion: RecordedMotion) -> NDArray[np.int64]:

@@ -127,15 +127,15 @@ def _torque_curve(
 ) -> Series:
     """Return torque over current: reports of motors under PWM, over their strength, beside the data sheet's curve."""
     motors = moving_legs(robot, recording)
-    order = np.searchsorted(segment.order_tick * robot.timing.servo_step, segment.state_time - 1e-4) - 1
-    driven = segment.kind[order] == Mode.PWM
+    index = np.searchsorted(segment.command_tick * robot.timing.servo_step, segment.state_time - 1e-4) - 1
+    driven = segment.kind[index] == Mode.PWM
     kept = segment.states[driven]
     # A state's speeds are older than its torques by the control latency.
     later = recording.time[kept] + float(params.control_latency[0])
     speed = interpolate_columns(later, recording.time, recording.motor_velocity[:, motors])
     before = np.maximum(kept - 1, 0)
     current = motor_current(
-        segment.order[order][driven][:, motors], speed, recording.voltage[before][:, None], params.torque_constant[0],
+        segment.command[index][driven][:, motors], speed, recording.voltage[before][:, None], params.torque_constant[0],
         params.resistance[0], robot.dc_motor.voltage_clip,
     )  # fmt: skip
     torque = np.abs(recording.motor_torque[kept][:, motors]) / (params.motor_strength[0] * (1 + gains))[motors]
