@@ -231,7 +231,7 @@ def test_friction_of_feet_that_do_not_slide_is_not_identifiable(
     assert not friction.identifiable
     assert friction.value == nominal.contact_friction[0]
     assert friction.interval == (0.05, 3.0)
-    assert "feet that were dragged did not slide: their friction is not identifiable" in result.notes
+    assert "the dragged feet did not slide: friction is not identifiable" in result.notes
     assert set(result.identified_names()) == {"contact_stiffness"}
 
 
@@ -242,7 +242,7 @@ def test_friction_of_feet_that_do_not_slide_is_not_identifiable(
         (
             "roll_pitch_yaw",
             lambda x: x + np.array([1.4, 0, 0]),
-            r"tilts by 1\.\d\d rad; one that stands stays within 0\.3",
+            r"tilts by 1\.\d\d rad; at most 0\.3 while it stands",
         ),
         # Its belly lies on something: its motors carry nothing.
         ("motor_torque", lambda x: 0.02 * x, "feet carry"),

@@ -11,7 +11,7 @@ from surefoot.deploy.messages import Mode
 from surefoot.deploy.poses import sitting_pose
 from surefoot.identify.ground.plans import DRAG, extension_chirp, fore_aft_signs, lateral_signs, stand_up_phases
 from surefoot.identify.plan import FADE, Phase, Plan, chirps, go_to, hold, steps, sweep
-from surefoot.identify.rack.plans import PULSE, SPIKE_PERIOD, latency_plan, motor_plan
+from surefoot.identify.rack.plans import PULSE_TIME, SPIKE_PERIOD, latency_plan, motor_plan
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import RobotDescription
 
@@ -101,7 +101,7 @@ def test_plans_are_deterministic(name: str, plans: dict[str, Plan], robot: Robot
 def test_pulses_return_a_motor_to_its_start(robot: RobotDescription):
     phase = next(p for p in motor_plan(robot).phases if p.name == "PWM pulses")
     nobody = np.zeros(robot.num_motors)
-    values = [phase.signal((k + 0.5) * PULSE, nobody) for k in range(6)]
+    values = [phase.signal((k + 0.5) * PULSE_TIME, nobody) for k in range(6)]
     assert np.all(np.abs(values[0]) > 0)
     # A unit there, two back, one there: a free motor ends at rest where it began. Then it runs out.
     for value, factor in zip(values, (1, -1, -1, 1, 0, 0), strict=True):

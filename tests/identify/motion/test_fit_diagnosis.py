@@ -45,13 +45,13 @@ def test_wrong_signs_and_orders_are_named(pupper: RobotDescription, log: Recorde
     angles = log.motor_angle.copy()
     angles[:, 1] *= -1
     (hint,) = _wrong_columns(pupper, replace(log, motor_angle=angles))
-    assert hint == "the angle of rightFrontUpperLegMotor goes against its command: sign?"
+    assert hint == "the angle of rightFrontUpperLegMotor moves against its command: is its sign right?"
     angles = log.motor_angle.copy()
     angles[:, [1, 4]] = angles[:, [4, 1]]
     first, second = _wrong_columns(pupper, replace(log, motor_angle=angles))
     names = "rightFrontUpperLegMotor", "leftFrontUpperLegMotor"
-    assert first == "the angle of {} follows the command of {}: order of joints?".format(*names)
-    assert second == "the angle of {1} follows the command of {0}: order of joints?".format(*names)
+    assert first == "the angle of {} follows the command of {}: is the order of joints right?".format(*names)
+    assert second == "the angle of {1} follows the command of {0}: is the order of joints right?".format(*names)
     reason, *hints = diagnose_fit(pupper, [replace(log, motor_angle=angles)], PhysicalParams.nominal(pupper))
-    assert reason.startswith("the fitted robot does not repeat these logs")
+    assert reason.startswith("the fitted robot does not reproduce these logs")
     assert first in hints

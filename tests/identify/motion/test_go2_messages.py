@@ -129,8 +129,8 @@ def test_csv_of_states_without_names_and_with(tmp_path: Path) -> None:
     np.testing.assert_allclose(trace.motor_angle[1], recorded("low_state")["motor_state"]["q"][:12], atol=1e-6)
     np.testing.assert_allclose(trace.roll_pitch_yaw[1], recorded("low_state")["imu_state"]["rpy"], atol=1e-3)
     assert np.isnan(trace.target).all()
-    assert trace.meta["notes"] == ["no row has a target: a log to replay has /lowcmd too"]
-    with pytest.raises(SurefootError, match="no two rows in a row with commands; a log to replay"):
+    assert trace.meta["notes"] == ["no row has a target: replay also needs /lowcmd"]
+    with pytest.raises(SurefootError, match="no two consecutive rows with commands; replay and"):
         motion_from_trace("log", trace)
     # As a tool for plots writes it: topics before names, a row for each message of either.
     names = ["time", "/lowstate/tick"]
@@ -184,8 +184,8 @@ def test_ticks_are_the_clock(tmp_path: Path) -> None:
     np.testing.assert_allclose(trace.time, [0, 0.002, 0.004, 0.008, 0.108, 0.110, 0.112], atol=1e-9)
     assert np.isnan(trace.target[:, 0]).tolist() == [True, False, False, False, True, False, False]
     assert trace.meta["notes"][:2] == [
-        "2 states were left out: they repeat a tick, or came late",
-        "the robot's tick started anew 1 times: the longest part is kept",
+        "2 states were left out: they repeat a tick or arrived late",
+        "the robot's tick restarted 1 times: only the longest part is used",
     ]
 
 
@@ -197,7 +197,7 @@ def test_damaged_messages_are_left_out(tmp_path: Path) -> None:
     bad["motor_state"]["q"][0] = np.inf
     messages = log(2, good, bytes(flipped), good[:-4] + bytes(4), state(8)[:-2], command()[:-1], encode(bad))
     trace = imported(tmp_path, messages)
-    assert trace.meta["notes"][0] == "4 messages were left out: of another length, or with a wrong checksum"
+    assert trace.meta["notes"][0] == "4 messages were left out: wrong length or wrong checksum"
     assert np.isnan(trace.roll_pitch_yaw[-1]).all()
     assert np.isnan(trace.motor_angle[-1]).tolist() == [True] + [False] * 11
     (tmp_path / "all").mkdir()
@@ -210,14 +210,14 @@ NAMES = ["tick", *(f"motor_state[{k}].q" for k in range(12))]
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ([["1"] * 100] * 2, "has no names, and 100 numbers a line; a Go2's state has 349"),
+        ([["1"] * 100] * 2, "has no column names, and 100 numbers per line; a Go2 state has 349"),
         ([["1"] * 250] * 2, "holds commands, which have no time: record /lowstate and /lowcmd in a bag"),
-        ([NAMES[1:], ["1"] * 12], "has no column of tick; columns: motor_state"),
-        ([NAMES[:-1], ["1"] * 12], r"has no column of motor_state\[11\]\.q"),
-        ([[*NAMES, "other/tick"], ["1"] * 14], "has 2 columns of tick: tick, other/tick; keep those of one topic"),
+        ([NAMES[1:], ["1"] * 12], "has no column for tick; columns: motor_state"),
+        ([NAMES[:-1], ["1"] * 12], r"has no column for motor_state\[11\]\.q"),
+        ([[*NAMES, "other/tick"], ["1"] * 14], "has 2 columns for tick: tick, other/tick; keep one topic"),
         ([NAMES, ["x"] * 13], "has no row with a tick"),
         ([NAMES, ["1"] * 13], "has 1 states, but no two with rising ticks"),
-        ([NAMES, ["-1"] * 13], "state 0 has tick -1; ticks are 0 to 4294967295, in ms"),
+        ([NAMES, ["-1"] * 13], "state 0 has tick -1; ticks must be 0 to 4294967295 ms"),
         ([NAMES, ["1e300"] * 13], "state 0 has tick 1e.300; ticks are"),
     ],
 )
@@ -232,8 +232,8 @@ def test_a_bag_that_is_no_log_is_refused(
 ) -> None:
     wrong = state(2)[:-4] + bytes(4)
     for name, messages, error in [
-        ("commands", log(command()), r"has no topic of a Go2's states .* topics: /lowcmd \(unitree_go/msg/LowCmd\)"),
-        ("wrong", log(wrong), "the checksum is 0; of these bytes it is [0-9]*; --any-checksum reads such messages"),
+        ("commands", log(command()), r"has no topic of Go2 states .* topics: /lowcmd \(unitree_go/msg/LowCmd\)"),
+        ("wrong", log(wrong), "the checksum is 0; of these bytes it is [0-9]*; --any-checksum accepts such messages"),
         ("short", log(state(2)[:-1]), "the message has 1179 bytes; it must have 1180"),
     ]:
         with pytest.raises(SurefootError, match=error):

@@ -86,7 +86,7 @@ def test_gains_that_nobody_knows_have_intervals_that_hold_them(unknown_gains: Id
         assert item.interval[1] - item.interval[0] < 1.2 * value, name
         assert not item.of_robot
     assert any(
-        "servo_kd and motor_viscous_friction are one number in these logs: their sum is 1." in note
+        "these logs do not separate servo_kd and motor_viscous_friction: their sum is 1." in note
         for note in unknown_gains.notes
     )
 
@@ -145,8 +145,8 @@ def test_a_forgotten_rack_is_no_result(go2: RobotDescription, nominal: PhysicalP
     names = ("servo_kp", "servo_kd", "motor_friction")
     result = fit_robot(go2, [standing], [], names, nominal)
     reason, *hints = result.failure
-    assert "the fitted robot does not repeat these logs: its error is 0." in reason
-    assert "did the robot hang? --rack hanging" in hints
+    assert "the fitted robot does not reproduce these logs: its error is 0." in reason
+    assert "did the robot hang? add --rack hanging" in hints
 
 
 def test_priors_belong_to_robots(go2: RobotDescription, pupper: RobotDescription):
@@ -190,7 +190,7 @@ def test_foresight_tells_what_a_log_would_tell(go2: RobotDescription, truth: Phy
     unknown, known = (predict_accuracy(go2, [short], truth, names) for names in ((), ("servo_kp", "servo_kd")))
     kd = next(item for item in unknown.estimates if item.name == "servo_kd")
     assert kd.interval[0] < KD < kd.interval[1]
-    assert any("servo_kd and motor_viscous_friction are one number" in text for text in unknown.sentences)
+    assert any("do not separate servo_kd and motor_viscous_friction" in text for text in unknown.sentences)
     assert not any("servo_kd" in text for text in known.sentences)
 
 
@@ -218,7 +218,7 @@ def test_exchanged_numbers_are_named_with_their_sum(go2: RobotDescription, nomin
     params = robot_params(nominal, unknowns, values[None])
     (text,) = describe_ambiguities(go2, fit, params)
     assert text.startswith(
-        "servo_kd and motor_viscous_friction are one number in these logs: their sum is 1.7 (1.68 to 1.72) N m s/rad"
+        "these logs do not separate servo_kd and motor_viscous_friction: their sum is 1.7 (1.68 to 1.72) N m s/rad"
     )
     # Other pairs are exchanged if their errors are.
     unknowns = tuple(robot_unknowns(go2, nominal, ["rotor_inertia", "control_latency"], rack=True))
@@ -229,4 +229,6 @@ def test_exchanged_numbers_are_named_with_their_sum(go2: RobotDescription, nomin
     exchanged = covariance - 0.99e-4 * np.outer([1, 1, 1, 0], [0, 0, 0, 1]) * np.sqrt(1 / 3)
     exchanged[3] = exchanged[:, 3]
     (text,) = describe_ambiguities(go2, replace(apart, covariance=exchanged), params)
-    assert text.startswith("rotor_inertia and control_latency are hardly told apart by these logs (correlation -0.99)")
+    assert text.startswith(
+        "rotor_inertia and control_latency are hardly distinguishable from these logs (correlation -0.99)"
+    )

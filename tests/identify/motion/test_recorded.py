@@ -103,7 +103,7 @@ def test_the_published_logs_are_read(pupper: RobotDescription):
         ({"time": 0.01 * np.arange(50)[::-1]}, "time goes backwards in row 1, from 0.49 to 0.48 s"),
         ({"command": np.full((50, 12), 0.3)}, "commands never move: no joint by 0.02 rad"),
         ({"time": np.full(50, np.nan)}, "time has values that are not finite"),
-        ({"imu": np.zeros((49, 4))}, r"imu has shape \(49, 4\).*a row for each time"),
+        ({"imu": np.zeros((49, 4))}, r"imu has shape \(49, 4\).*one row per time"),
         ({"command": np.full((50, 12), "a")}, "command holds <U1; it must hold numbers"),
         ({"motor_angle": np.array([{}] * 50, object)}, "no file of arrays"),
     ],

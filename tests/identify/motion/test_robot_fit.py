@@ -88,7 +88,7 @@ def test_search_reduces_the_cost_over_shared_unknowns(pupper: RobotDescription, 
     assert [step for step, _ in progress] == ["search, generation 1", "search, generation 2"]
     assert progress[1][1] <= progress[0][1]
     assert np.array_equal(result, search_start(model, 2, 1, lambda *_: None))
-    with pytest.raises(SurefootError, match="a search is over numbers that all motors share"):
+    with pytest.raises(SurefootError, match="--generations searches over parameters that all motors share"):
         fit_robot(pupper, [hanging], [], ["motor_offset"], initial, search=2)
 
 

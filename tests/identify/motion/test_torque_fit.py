@@ -232,7 +232,7 @@ def test_a_motor_at_its_limit_identifies_its_strength_alone() -> None:
     target, torque = trace.target.copy(), trace.motor_torque.copy()
     target[:, 0], torque[:, 0] = 9.0, 3.5 * 1.1
     result = fit_torques(ROBOT, [replace(trace, target=target, motor_torque=torque)], BATTERY_KNOWN, AT_15_V)
-    assert any(f"{ROBOT.motor_names[0]} gives its greatest torque in 100 %" in note for note in result.notes)
+    assert any(f"{ROBOT.motor_names[0]} is at its maximum torque in 100 %" in note for note in result.notes)
     assert sum("greatest torque" in note for note in result.notes) == 1
     assert max(map(abs, errors_of(result).values())) < 0.01
 
@@ -262,7 +262,7 @@ def test_rows_around_gaps_are_left_out_and_noted() -> None:
         ({}, ("motor_strength", "imu_bias"), "traces can't identify .imu_bias.; choices: motor_strength"),
         ({}, (), "no parameter is to be identified; choices: "),
         ({"robot": "other"}, None, "trace 1 of 1: is of robot 'other', not of 'minitaur'"),
-        ({"dry_run": True}, None, "trace 1 of 1: is of a dry run"),
+        ({"dry_run": True}, None, "trace 1 of 1: is a dry run"),
         ({"actuator": "constraint"}, None, "motors of kind 'constraint'; only DC motors"),
     ],
 )
@@ -277,7 +277,7 @@ def test_fit_refuses_unknown_names_and_foreign_traces(
 def test_fit_refuses_short_traces_and_motors_at_rest() -> None:
     with pytest.raises(SurefootError, match="there are no traces"):
         fit_torques(ROBOT, [], None, NOMINAL)
-    with pytest.raises(SurefootError, match=r"1\.\d+ s without gaps, of 1\.98 s; 2 s or more"):
+    with pytest.raises(SurefootError, match=r"1\.\d+ s without gaps, out of 1\.98 s; at least 2 s"):
         fit_torques(ROBOT, [cut(clean(), slice(330))], None, NOMINAL)
     with pytest.raises(SurefootError, match=r"0\.00 s without gaps"):
         fit_torques(ROBOT, [cut(clean(), slice(2))], None, NOMINAL)

@@ -71,8 +71,8 @@ def answered(age: float, speed: float = 5.0, moving: int = MOTORS, noise: float 
 @pytest.mark.parametrize("age", [0.0003, 0.020, 0.0355])
 def test_spikes_give_the_true_age(age: float):
     spikes = measure_spikes(answered(age))
-    assert spikes.tried == SPIKES * MOTORS
-    assert len(spikes.age) > 0.9 * spikes.tried
+    assert spikes.total == SPIKES * MOTORS
+    assert len(spikes.age) > 0.9 * spikes.total
     assert np.median(spikes.age) == pytest.approx(age, abs=1e-4)
     assert np.abs(spikes.age - age).max() < 1e-3
     # At the host: way there, until the servo's next step begins, the age, and way back.
@@ -83,18 +83,18 @@ def test_spikes_give_the_true_age(age: float):
 
 def test_spikes_without_motion_are_left_out():
     spikes = measure_spikes(answered(0.02, moving=3))
-    assert spikes.tried == SPIKES * MOTORS
+    assert spikes.total == SPIKES * MOTORS
     assert 0.9 * 3 * SPIKES < len(spikes.age) <= 3 * SPIKES
     assert np.median(spikes.age) == pytest.approx(0.02, abs=1e-4)
     none = measure_spikes(answered(0.02, speed=0.0))
-    assert (len(none.age), none.tried) == (0, SPIKES * MOTORS)
+    assert (len(none.age), none.total) == (0, SPIKES * MOTORS)
 
 
 def test_a_recording_without_spikes():
     recording = answered(0.02)
     recording.meta["phases"][0]["name"] = "hold"
     spikes = measure_spikes(recording)
-    assert (len(spikes.age), spikes.tried) == (0, 0)
+    assert (len(spikes.age), spikes.total) == (0, 0)
 
 
 def still(roll: float, pitch: float, noise: float, count: int = 20_000) -> SimpleNamespace:

@@ -1,7 +1,7 @@
-"""Verdict on a fit to logs: whether the simulated robot repeats them at all, and what to try if not.
+"""Diagnosis of a fit to logs: whether the fitted robot reproduces the logs, and suggestions if it does not.
 
-A fit explains logs if its error is clearly less than that of a motor that knows no physics: one that follows its
-command after the delay that fits best. A stiff drive hides nothing else: fits of wrong models end at it, or beyond.
+A fit explains the logs if its error is clearly smaller than the error of a baseline without physics: a motor that
+follows its command after the best fitting delay. Fits of wrong models are no better than this baseline.
 """
 
 from __future__ import annotations
@@ -17,47 +17,48 @@ from surefoot.identify.motion.replay_errors import replay_motion
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
 
-EXPLAINED = 0.7
-"""Greatest error of a fit, over that of a motor that follows its command."""
+MAX_ERROR_RATIO = 0.7
+"""Maximum error of a fit that explains its logs, relative to the baseline of a delayed command."""
 SMALL_ERROR = 0.003
-"""Error [rad] that needs no explanation: so small that the comparison is one of noise."""
+"""Error [rad] below which a fit is always accepted, because the comparison would only compare noise."""
 DELAYS = np.arange(0.0, 0.3, 0.01)
-"""Delays of such a motor [s]."""
-BETTER = 0.6
-"""Error with another place of the base, over that of the fit, from which it is suggested."""
-CLEAR = 0.5
-"""Correlation of an angle with a command from which they belong together."""
+"""Candidate delays of the baseline [s]."""
+SUGGESTION_RATIO = 0.6
+"""Error with the base on the rack instead of the ground, or vice versa, relative to the fit, below which this is
+suggested."""
+MIN_CORRELATION = 0.5
+"""Correlation between an angle and a command above which they belong to the same motor."""
 
 
 def diagnose_fit(robot: RobotDescription, motions: Sequence[RecordedMotion], params: PhysicalParams) -> tuple[str, ...]:
-    """Return why a fit does not explain its logs, then what to try; nothing, if it explains them.
+    """Return why a fit does not explain its logs, followed by suggestions; empty if it does.
 
     Args:
-        robot: its description.
-        motions: the fitted parts of logs.
-        params: the estimates, one row.
+        robot: robot description.
+        motions: fitted parts of the logs.
+        params: estimates, one row.
     """
     replayers = {rack: Replayer(robot, 1, rack, torques=False) for rack in {one.rack for one in motions}}
-    ours, stiff, worst = [], [], None
+    fit_errors, baseline_errors, worst = [], [], None
     for motion in motions:
         error = replay_motion(motion, robot, params, replayers[motion.rack]).rms
-        plain = following_error(motion)
-        ours.append(error)
-        stiff.append(plain)
-        if worst is None or error / plain > worst[1]:
-            worst = motion, error / plain
-    error, plain = (float(np.sqrt(np.mean(np.square(values)))) for values in (ours, stiff))
-    if worst is None or not np.isfinite(error) or error < max(EXPLAINED * plain, SMALL_ERROR):
+        baseline = following_error(motion)
+        fit_errors.append(error)
+        baseline_errors.append(baseline)
+        if worst is None or error / baseline > worst[1]:
+            worst = motion, error / baseline
+    error, baseline = (float(np.sqrt(np.mean(np.square(values)))) for values in (fit_errors, baseline_errors))
+    if worst is None or not np.isfinite(error) or error < max(MAX_ERROR_RATIO * baseline, SMALL_ERROR):
         return ()
     failure = (
-        f"the fitted robot does not repeat these logs: its error is {error:.4f} rad, and a motor that only follows its "
-        f"command after a delay has {plain:.4f} rad"
+        f"the fitted robot does not reproduce these logs: its error is {error:.4f} rad, but motors that just follow "
+        f"their commands after a delay would have {baseline:.4f} rad"
     )
     return (failure, *_suggestions(robot, worst[0], error, params))
 
 
 def following_error(motion: RecordedMotion) -> float:
-    """Return the error [rad] of motors that follow their commands after the delay that fits each of them best."""
+    """Return the RMS error [rad] of the baseline: each motor follows its command after its best fitting delay."""
     time, rows = motion.time - motion.time[0], motion.evaluated_rows
     best = np.full(motion.command.shape[1], np.nan)
     for motor in np.flatnonzero(motion.moving_joints):
@@ -72,42 +73,44 @@ def following_error(motion: RecordedMotion) -> float:
 def _suggestions(
     robot: RobotDescription, motion: RecordedMotion, error: float, params: PhysicalParams
 ) -> tuple[str, ...]:
-    """Return what may be wrong with a log: its base, signs, order of joints, units."""
-    return (*_other_place(robot, motion, error, params), *_wrong_columns(robot, motion), *unit_notes(motion, robot))
+    """Return possible mistakes in a log: rack or ground, signs or order of joints, units."""
+    return (*_rack_hints(robot, motion, error, params), *_column_hints(robot, motion), *unit_notes(motion, robot))
 
 
-def _other_place(robot: RobotDescription, motion: RecordedMotion, error: float, params: PhysicalParams) -> list[str]:
+def _rack_hints(robot: RobotDescription, motion: RecordedMotion, error: float, params: PhysicalParams) -> list[str]:
+    """Suggest that the robot hung instead of stood, or vice versa, if a replay of that is much better."""
     name = motion.name.removesuffix(".npz")
     replayer = Replayer(robot, 1, not motion.rack, torques=False)
     try:
         nominal = PhysicalParams.nominal(robot).with_values(robot, **motion.gains)
-        there = min(replay_motion(motion, robot, one, replayer).rms for one in (nominal, params))
+        other_error = min(replay_motion(motion, robot, one, replayer).rms for one in (nominal, params))
     except ValueError:
         return []
     if motion.rack:
-        return [f"did the robot stand? leave out --rack {name}"] if there < BETTER * error else []
-    if there < BETTER * error or not np.isfinite(motion.imu).any():
-        return [f"did the robot hang? --rack {name}"]
+        return [f"did the robot stand? leave out --rack {name}"] if other_error < SUGGESTION_RATIO * error else []
+    if other_error < SUGGESTION_RATIO * error or not np.isfinite(motion.imu).any():
+        return [f"did the robot hang? add --rack {name}"]
     return []
 
 
-def _wrong_columns(robot: RobotDescription, motion: RecordedMotion) -> list[str]:
-    """Return doubts about signs and order of motors: angles that follow another command, or the negative of theirs."""
+def _column_hints(robot: RobotDescription, motion: RecordedMotion) -> list[str]:
+    """Suggest wrong signs or order of motors: angles that follow another command, or the negative of their own."""
     hints = []
-    similar = command_correlation(motion)
+    correlation = command_correlation(motion)
     for motor in np.flatnonzero(motion.moving_joints):
-        name, own = robot.motor_names[motor], similar[motor, motor]
-        if own < -CLEAR:
-            hints.append(f"the angle of {name} goes against its command: sign?")
-        elif own < CLEAR:
-            other = int(np.nanargmax(np.abs(similar[motor]))) if np.isfinite(similar[motor]).any() else motor
-            if other != motor and abs(similar[motor, other]) > CLEAR:
-                hints.append(f"the angle of {name} follows the command of {robot.motor_names[other]}: order of joints?")
+        name, own = robot.motor_names[motor], correlation[motor, motor]
+        if own < -MIN_CORRELATION:
+            hints.append(f"the angle of {name} moves against its command: is its sign right?")
+        elif own < MIN_CORRELATION:
+            other = int(np.nanargmax(np.abs(correlation[motor]))) if np.isfinite(correlation[motor]).any() else motor
+            if other != motor and abs(correlation[motor, other]) > MIN_CORRELATION:
+                followed = robot.motor_names[other]
+                hints.append(f"the angle of {name} follows the command of {followed}: is the order of joints right?")
     return hints
 
 
 def command_correlation(motion: RecordedMotion) -> Array:
-    """Return the correlation of every angle with every command that moves (M, M); NaN where there is none."""
+    """Return the correlation of each angle with each command (M, M); NaN for constant angles or commands."""
     both = np.concatenate([motion.motor_angle, motion.command], axis=1)
     both = both[np.isfinite(both).all(axis=1)]
     motors = motion.command.shape[1]

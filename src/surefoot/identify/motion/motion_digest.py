@@ -1,4 +1,4 @@
-"""Digests of logs, by what they say and not by what their files are called."""
+"""Digests of logs by their contents, independent of file names."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _COLUMNS = ("time", "command", "motor_angle")
 
 
 def motion_digest(motion: RecordedMotion) -> str:
-    """Return the SHA-256 of a log's times, commands and angles."""
+    """Return the SHA-256 of the times, commands and motor angles of a log."""
     return digest_arrays({name: getattr(motion, name) for name in _COLUMNS})
 
 
 def all_digest(motions: Sequence[RecordedMotion]) -> str:
-    """Return the SHA-256 of logs in their order."""
+    """Return the SHA-256 of several logs in the given order."""
     return digest_arrays({f"{k:03d} {name}": getattr(one, name) for k, one in enumerate(motions) for name in _COLUMNS})
