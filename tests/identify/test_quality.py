@@ -104,7 +104,7 @@ WRONG: dict[str, tuple[Callable[[Recording], Recording], str]] = {
     "host's clock, sent": (lambda r: jump(r, "sent_time", -0.3), "the host's clock goes back by 0.298 s"),
     "shifted clocks": (
         lambda r: jump(r, "host_time", 0.2),
-        "the offset between the clocks of robot and host changes by 0.2",
+        "offset between the clocks of robot and host changes by 0.2",
     ),
     "a jump": (lambda r: jump(r, "host_time", 0.2), "with a jump of +0.200 s at"),
     "angle": (lambda r: not_finite(r, "motor_angle"), "motor_angle of {3} has values that are not finite"),

@@ -175,13 +175,13 @@ def test_an_export_that_does_not_fit_is_refused(learner: PpoLearner, tmp_path: P
     contract, network = make_contract(learner.env), nn.Linear(4, 8)
     for module, fitting, name, message in (
         (network, replace(contract, history=2), "p.onnx", r"can't take observations \(N, 8\)"),
-        (nn.Linear(4, 7), contract, "p.onnx", r"the network gives \(N, 7\) for \(N, 4\); its contract says \(N, 8\)"),
+        (nn.Linear(4, 7), contract, "p.onnx", r"the network returns \(N, 7\) for \(N, 4\); its contract says \(N, 8\)"),
         (network, contract, "p.pt", "must end in .onnx"),
         (nn.Sequential(network, nn.GELU()), contract, "p.onnx", "operator gelu, .*allowed are linear layers, ELU"),
         (nn.Sequential(nn.LayerNorm(4, eps=1e-3), network), contract, "p.onnx", "operator native_layer_norm"),
         (Decides(), contract, "p.onnx", "can't take observations .*control flow"),
         (nn.Sequential(network, MixesRows()), contract, "p.onnx", "operator mean"),
-        (Changes(), contract, "p.onnx", "would give other actions than the network"),
+        (Changes(), contract, "p.onnx", "would return other actions than the network"),
     ):
         with pytest.raises(SurefootError, match=message):
             export_policy(module, fitting, tmp_path / name)

@@ -74,21 +74,24 @@ COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
     [
         (loop, "operator 'Loop'; allowed are Sub, Div"),
         (add(make_node("ConstantOfShape", ["shape"], ["large"])), "operator 'ConstantOfShape'; allowed are Sub, Div"),
-        (add(COLUMN, ROW, make_node("Add", ["column", "row"], ["x"])), "a Add that surefoot could not have written"),
+        (
+            add(COLUMN, ROW, make_node("Add", ["column", "row"], ["x"])),
+            "a Add with inputs that surefoot could not have",
+        ),
         (
             add(COLUMN, make_node("Add", ["observation", "column"], ["x"])),
             "Add of 'column', which has more than one row",
         ),
         (
             add(constant("deep", (1, 1, 1))),
-            r"constant 'deep' has shape \(1, 1, 1\); at most 2 dimensions of 1 to 16384",
+            r"constant 'deep' has shape \(1, 1, 1\); at most 2 dimensions of size 1 to 16384",
         ),
         (wide, "constant 'wide' has shape"),
         (in_another_file, "its constant has a field 13.2"),
-        (add(constant("whole", kind=np.int32)), "constant 'whole' does not hold 32-bit numbers"),
+        (add(constant("whole", kind=np.int32)), "constant 'whole' does not hold 32-bit floats"),
         (
             lambda graph: setattr(graph.initializer[0], "raw_data", b""),
-            "constant 'constant_0' does not hold 32-bit numbers",
+            "constant 'constant_0' does not hold 32-bit floats",
         ),
         (not_finite, "constant 'constant_2' holds numbers that are not finite"),
         (
@@ -98,7 +101,7 @@ COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
         (add(*[make_node("Relu", ["feedback"], ["x"])] * 2000), "field 1 more than 1024 times"),
         (
             add(make_node("Gemm", ["observation", "observation", "constant_3"], ["square"], transB=1)),
-            "Gemm of 'observation', which is not a value that it can take",
+            "Gemm of 'observation', which is not an allowed input",
         ),
         (lambda graph: setattr(graph.node[2].attribute[0], "name", "transA"), "Gemm with other attributes"),
         (
@@ -106,7 +109,7 @@ COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
             "its attribute has a field 2.5",
         ),
         (lambda graph: setattr(graph.node[3], "domain", "com.microsoft"), "its node has a field 7.2"),
-        (lambda graph: graph.node[-1].input.pop(), "a Add that surefoot could not have written"),
+        (lambda graph: graph.node[-1].input.pop(), "a Add with inputs that surefoot could not have"),
         (add(make_node("Relu", ["feedback"], ["feedback"])), "value 'feedback' twice"),
         (lambda graph: graph.initializer.append(graph.initializer[0]), "constant 'constant_0' twice"),
         (lambda graph: graph.sparse_initializer.append(onnx.SparseTensorProto()), "its graph has a field 15.2"),
