@@ -63,7 +63,7 @@ def test_estimate_is_selected_by_name_and_index():
 
 
 def test_deviations_include_the_simulators_accuracy():
-    # 3-4-5: .5 % of 6 is .03.
+    # 3-4-5: 0.5 % of 6 is 0.03.
     assert add_model_error("resistance", 6.0, 0.04) == pytest.approx(0.05)
     assert add_model_error("torque_constant", 3.0, 0.04) == pytest.approx(0.05)
     assert add_model_error("motor_friction", 0.0, 0.0) == pytest.approx(2e-4)

@@ -1,4 +1,4 @@
-"""Overlays: identified parameters are written into a parameter file, which keeps all else."""
+"""Merging of identified parameters into a parameter file, which keeps all other entries."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ deep = [[1, 2], [3]]
 
 
 def motor(strength: float = 0.9, missing: int = 3) -> Identification:
-    """All motors but one and the voltage are identifiable; the resistance is not."""
+    """Return a result in which the resistance and the strength of motor `missing` are not identifiable."""
     estimates = [
         ParameterEstimate("motor_strength", strength + 0.01 * i, 0.005, "1", i, i != missing, low=0.0) for i in range(8)
     ]
@@ -50,12 +50,12 @@ def test_prior_without_a_file_is_nominal(robot: RobotDescription, tmp_path: Path
         assert missing_experiments(prior, ("motor", "mass")) == ("motor", "mass")
 
 
-def test_overlay_is_read_as_written(robot: RobotDescription, tmp_path: Path):
+def test_merged_parameters_are_read_as_written(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "folder" / "robot.toml"
     after = merge_estimates(read_prior(path, robot), motor(), robot, "recording.npz")
     write_robot_params(path, robot, after)
     again = read_prior(path, robot)
-    # Parameters stand in the order of `PhysicalParams`; what was not identifiable is not there.
+    # Parameters are in the order of `PhysicalParams`, without unidentifiable ones.
     assert again.names == ("motor_friction", "motor_strength", "voltage")
     assert again.tables == {"robot": "minitaur", **after.tables}
     np.testing.assert_array_equal(again.params.motor_strength, after.params.motor_strength)
@@ -80,7 +80,7 @@ def test_intervals_are_written_for_numbers_and_for_motors(robot: RobotDescriptio
     # Only the first motor's friction was identifiable, and friction is not negative.
     assert tables["intervals"]["motor_friction"][0][0] == 0.0
     assert tables["intervals"]["motor_friction"][1:] == [[-math.inf, math.inf]] * 7
-    # Quantities that no simulator models are reported too, but are not parameters.
+    # Quantities that no simulator models are also reported, but are not parameters.
     assert tables["intervals"]["base_height"] == [pytest.approx([0.01804, 0.02196], abs=1e-5)]
     assert "resistance" not in tables["intervals"]
     assert tables["identified_by"] == dict.fromkeys(
@@ -88,7 +88,7 @@ def test_intervals_are_written_for_numbers_and_for_motors(robot: RobotDescriptio
     )
 
 
-def test_overlay_keeps_all_else_in_the_file(robot: RobotDescription, tmp_path: Path):
+def test_merging_keeps_all_other_entries_of_the_file(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "robot.toml"
     path.write_text(TEXT)
     write_robot_params(path, robot, merge_estimates(read_prior(path, robot), motor(), robot, "a.npz"))
@@ -117,7 +117,7 @@ def test_a_repeated_experiment_replaces_its_results(robot: RobotDescription, tmp
     write_robot_params(path, robot, merge_estimates(read_prior(path, robot), motor(0.8, missing=5), robot, "b.npz"))
     prior = read_prior(path, robot)
     assert prior.params.motor_strength[0, 3] == pytest.approx(0.83)
-    # Of the motor that is not identifiable this time the former interval is still the best there is.
+    # A motor that is not identifiable this time keeps its previous interval.
     assert prior.params.motor_strength[0, 5] == pytest.approx(0.95)
     assert prior.tables["intervals"]["motor_strength"][5][0] == pytest.approx(0.95 - NORMAL_95 * 0.005)
     assert prior.tables["identified"]["motor"]["file"] == "b.npz"
@@ -131,7 +131,7 @@ def test_a_repeated_experiment_replaces_its_results(robot: RobotDescription, tmp
         ('robot = "cat"\n[params]', "has parameters of robot 'cat', not of 'minitaur'"),
     ],
 )
-def test_prior_refuses_another_robot_and_malformed_tables(
+def test_prior_rejects_another_robot_and_malformed_tables(
     robot: RobotDescription, tmp_path: Path, text: str, message: str
 ):
     path = tmp_path / "robot.toml"

@@ -1,4 +1,4 @@
-"""Networks that surefoot could not have written are refused before onnxruntime reads them."""
+"""Networks that surefoot could not have written are rejected before onnxruntime reads them."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def constant(name: str, shape: tuple[int, ...] = (1,), kind: type = np.float32) 
 
 
 COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
-"""Two constants of 64 kB each whose sum has a gigabyte."""
+"""Two constants of 64 kB each whose broadcast sum has a gigabyte."""
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
     ],
 )
 @pytest.mark.usefixtures("never_run")
-def test_a_hostile_network_is_refused_before_it_is_run(edit: Callable[[Any], object], message: str, tmp_path: Path):
+def test_a_hostile_network_is_rejected_before_it_is_run(edit: Callable[[Any], object], message: str, tmp_path: Path):
     with pytest.raises(SurefootError, match=message) as caught:
         PolicyRuntime.load(edited_policy(tmp_path / "hostile.onnx", policy="trot", graph=edit))
     assert str(caught.value).startswith(f"policy file {tmp_path / 'hostile.onnx'}: ")
@@ -124,7 +124,7 @@ def test_a_hostile_network_is_refused_before_it_is_run(edit: Callable[[Any], obj
 
 
 @pytest.mark.usefixtures("never_run")
-def test_a_stale_file_is_refused_before_it_is_run(tmp_path: Path):
+def test_a_stale_file_is_rejected_before_it_is_run(tmp_path: Path):
     path = tmp_path / "stale.onnx"
     path.write_bytes(find_policy("trot").read_bytes().replace(b"constant_4", b"constant_Z"))
     with pytest.raises(SurefootError, match="its digest does not match"):
@@ -132,7 +132,7 @@ def test_a_stale_file_is_refused_before_it_is_run(tmp_path: Path):
 
 
 def test_a_file_of_onnxruntimes_own_format_inside_is_read_as_onnx(tmp_path: Path):
-    """Bytes 4 to 8 would make onnxruntime read another model than the one that was checked."""
+    """Bytes 4 to 8 would make onnxruntime read another model than the checked one."""
     data, producer = find_policy("trot").read_bytes(), b"\x12\x08surefoot"
     path = tmp_path / "both.onnx"
     path.write_bytes(encode_field(2, b"..ORTM") + data.replace(producer, b"", 1))
@@ -140,7 +140,7 @@ def test_a_file_of_onnxruntimes_own_format_inside_is_read_as_onnx(tmp_path: Path
     assert PolicyRuntime.load(path).contract == PolicyRuntime.load(find_policy("trot")).contract
 
 
-def test_a_file_that_is_too_large_is_refused(tmp_path: Path):
+def test_a_file_that_is_too_large_is_rejected(tmp_path: Path):
     path = tmp_path / "large.onnx"
     with path.open("wb") as file:
         file.truncate(MAX_BYTES + 1)
@@ -163,7 +163,7 @@ TROT = read_parts(find_policy("trot").read_bytes())
         ),
     ],
 )
-def test_a_contract_that_does_not_fit_its_reader_is_refused(contract: bytes, message: str, tmp_path: Path):
+def test_a_contract_that_does_not_fit_its_reader_is_rejected(contract: bytes, message: str, tmp_path: Path):
     path = tmp_path / "p.onnx"
     entry = encode_field(14, encode_field(1, b"surefoot") + encode_field(2, contract))
     path.write_bytes(add_digest(encode_field(7, TROT.graph) + encode_field(8, b"\x10\x11") + entry))
@@ -190,7 +190,7 @@ onnxruntime.InferenceSession = session
 
 
 def test_what_onnxruntime_prints_never_gets_to_stdout(tmp_path: Path):
-    """On processors and devices that it does not know it prints warnings, with --json into the middle of an object."""
+    """It prints warnings on unknown processors and devices, which with --json would end up within a JSON object."""
     (tmp_path / "onnxruntime.py").write_text(CHATTY)
     script = f"""
 import sys

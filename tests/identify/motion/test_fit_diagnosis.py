@@ -1,4 +1,4 @@
-"""A fit that does no better than a motor that follows its command explains nothing."""
+"""A fit that is no better than the baseline of a delayed command does not explain its log."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_the_true_robot_explains_its_log(pupper: RobotDescription, log: Recorded
     assert diagnose_fit(pupper, [log], PhysicalParams.nominal(pupper)) == ()
 
 
-def test_a_following_motor_has_the_error_that_no_delay_removes():
+def test_the_baseline_has_the_error_that_no_delay_removes():
     time = 0.01 * np.arange(400)
     command = np.sin(3 * time)[:, None]
     late = np.interp(time - 0.1, time, command[:, 0])[:, None]

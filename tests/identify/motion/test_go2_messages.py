@@ -1,4 +1,4 @@
-"""Recorded messages of a Go2 become traces: bags and CSV files, damaged and hostile ones too."""
+"""Import of recorded Go2 messages from bags and CSV files, including damaged and hostile files."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def command(**fields: Any) -> bytes:
 
 
 def log(*rows: bytes | int) -> Messages:
-    """Return messages 1 ms apart; a number stands for a state with this tick."""
+    """Return messages 1 ms apart; a number means a state with this tick."""
     data = [state(row) if isinstance(row, int) else row for row in rows]
     return [("/lowcmd" if len(one) < 1000 else "/lowstate", 10**6 * k, one) for k, one in enumerate(data, 1)]
 
@@ -75,7 +75,7 @@ def imported(folder: Path, messages: Messages, **options: Any) -> EpisodeTrace:
 
 @pytest.fixture(scope="module")
 def run() -> tuple[Messages, np.ndarray]:
-    """Return the messages of a robot on a rack that moves its legs, and the angles that it was commanded."""
+    """Return the messages of a robot on a rack that moves its legs, and the commanded angles."""
     robot, messages, targets = Robot(rack=True), [], []
     robot.run(0.002)
     for step in range(500):
@@ -110,7 +110,7 @@ def test_a_log_replays_exactly_on_the_robot_that_recorded_it(
     bag, trace = write_bag(tmp_path / "bag", run[0]), tmp_path / "trace.npz"
     assert main(["identify", "import", str(bag), "--robot", "go2", "--out", str(trace)]) == 0
     assert "500 rows, 1.00 s; steps of 2.00 to 2.00 ms" in capsys.readouterr().out
-    # Its readings are ideal: not delayed. Gains come with the commands.
+    # Its readings have no delay. Gains are sent with the commands.
     assert main(["identify", "replay", str(trace), "--rack", "--set", "control_latency=0", "--json"]) == 0
     exact = json.loads(capsys.readouterr().out)
     assert exact["rms"] < 2e-3
@@ -132,7 +132,7 @@ def test_csv_of_states_without_names_and_with(tmp_path: Path) -> None:
     assert trace.meta["notes"] == ["no row has a target: replay also needs /lowcmd"]
     with pytest.raises(SurefootError, match="no two consecutive rows with commands; replay and"):
         motion_from_trace("log", trace)
-    # As a tool for plots writes it: topics before names, a row for each message of either.
+    # As plotting tools write it: names with topics, and one row per message of either topic.
     names = ["time", "/lowstate/tick"]
     names += [f"/lowstate/motor_state[{k}]/q" for k in range(12)]
     names += [f"/lowcmd/motor_cmd[{k}]/{name}" for k in range(12) for name in ("q", "kp", "kd")]
@@ -178,7 +178,7 @@ def test_the_longest_part_with_commands_is_replayed(tmp_path: Path) -> None:
 
 
 def test_ticks_are_the_clock(tmp_path: Path) -> None:
-    # Repeated, late, wrapped; a gap over which commands are unknown; the robot restarts.
+    # Repeated, late and wrapped ticks, a gap in which commands are unknown, and a restart of the robot.
     ticks = [2**32 - 4, 2**32 - 2, 2**32 - 2, 0, 2**32 - 4, 4, 104, 106, 108, 2, 4]
     trace = imported(tmp_path, log(2**32 - 4, command(), *ticks[1:]))
     np.testing.assert_allclose(trace.time, [0, 0.002, 0.004, 0.008, 0.108, 0.110, 0.112], atol=1e-9)
@@ -221,13 +221,13 @@ NAMES = ["tick", *(f"motor_state[{k}].q" for k in range(12))]
         ([NAMES, ["1e300"] * 13], "state 0 has tick 1e.300; ticks are"),
     ],
 )
-def test_a_csv_that_is_no_log_is_refused(tmp_path: Path, lines: Sequence[Sequence[str]], message: str) -> None:
+def test_a_csv_that_is_not_a_log_is_rejected(tmp_path: Path, lines: Sequence[Sequence[str]], message: str) -> None:
     (tmp_path / "log.csv").write_text("\n".join(map(",".join, lines)))
     with pytest.raises(SurefootError, match=message):
         import_log(tmp_path / "log.csv", GO2)
 
 
-def test_a_bag_that_is_no_log_is_refused(
+def test_a_bag_that_is_not_a_log_is_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wrong = state(2)[:-4] + bytes(4)

@@ -1,4 +1,4 @@
-"""Logs of others become traces: columns, units, signs; what is missing stays missing."""
+"""Import of third-party logs: columns, units and signs; missing readings stay missing."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_import_applies_units_signs_and_offsets(tmp_path: Path, pupper: RobotDes
     np.testing.assert_allclose(trace.motor_angle[:, 0], 0.5 + degree * np.array([1, 2, 2, 4]))
     assert np.isnan(trace.motor_angle[:, 11]).all()
     assert motion.missing() == ["motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base"]
-    # It is a trace like others: it can be kept, and replayed.
+    # The result is an ordinary trace, which can be saved and replayed.
     again = EpisodeTrace.load(trace.save(tmp_path / "trace.npz"))
     np.testing.assert_array_equal(again.target, trace.target)
     assert motion_from_trace("log", again).timing()["repeated_times"] == pytest.approx(1 / 3)
@@ -68,12 +68,12 @@ def test_a_log_of_states_needs_no_commands(tmp_path: Path, pupper: RobotDescript
     motion = import_log(tmp_path / "log.npz", pupper, tmp_path / "m.yaml")
     assert np.isnan(motion.command).all()
     np.testing.assert_array_equal(motion.motor_angle, angles)
-    # It is a trace, which can be looked at and measured, but not replayed.
+    # The trace can be shown and evaluated, but not replayed.
     trace = EpisodeTrace.load(trace_from_motion(motion, pupper).save(tmp_path / "trace.npz"))
     np.testing.assert_array_equal(trace.motor_angle, angles)
     with pytest.raises(SurefootError, match="has no two consecutive rows with commands"):
         motion_from_trace("log", trace)
-    # Half of a mapping is a mistake of the mapping.
+    # A mapping with commands for some motors only is a mistake.
     lines[3] = lines[3].replace("{angle", "{command: 'q[3]', angle")
     (tmp_path / "m.yaml").write_text("\n".join(["time: {column: t}", "motors:", *lines]))
     with pytest.raises(SurefootError, match=r"m.yaml: motors.rightFrontLegMotor has no command, but other motors have"):
@@ -97,7 +97,7 @@ class Hostile:
         ("motors: {}\nunit: turns", "unit is 'turns'"),
     ],
 )
-def test_import_refuses_a_mapping_of_another_robot(tmp_path: Path, pupper: RobotDescription, text: str, message: str):
+def test_import_rejects_a_mapping_of_another_robot(tmp_path: Path, pupper: RobotDescription, text: str, message: str):
     (tmp_path / "m.yaml").write_text(text)
     with pytest.raises(SurefootError, match=message):
         import_log(tmp_path / "log.csv", pupper, tmp_path / "m.yaml")
@@ -112,7 +112,7 @@ def test_import_refuses_a_mapping_of_another_robot(tmp_path: Path, pupper: Robot
         ({"command": np.full((3, 12), np.nan)}, "row 0 has no command for rightFrontLegMotor"),
     ],
 )
-def test_import_refuses_a_log_of_another_shape(tmp_path: Path, pupper: RobotDescription, changes: dict, message: str):
+def test_import_rejects_a_log_of_another_shape(tmp_path: Path, pupper: RobotDescription, changes: dict, message: str):
     np.savez(tmp_path / "log.npz", **{"time": np.arange(3.0), "command": np.zeros((3, 12)), **changes})
     with pytest.raises(SurefootError, match=message):
         import_log(tmp_path / "log.npz", pupper)
@@ -144,7 +144,7 @@ def test_import_reads_a_ros_bag(tmp_path: Path, pupper: RobotDescription):
 
 
 def billion() -> list[object]:
-    """Return a thousand times a list of a thousand times a list and so on: 10^15 numbers in some kilobytes."""
+    """Return nested lists that repeat a list a thousand times per level: 10^15 numbers in some kilobytes."""
     made: list[object] = [1.0]
     for _ in range(5):
         made = [made] * 1000
@@ -152,7 +152,7 @@ def billion() -> list[object]:
 
 
 class Zeros:
-    """Asks for an array around so many bytes that nobody sent."""
+    """Pickles as an array with many more bytes than the file contains."""
 
     def __reduce__(self):
         return np.core.numeric._frombuffer, (1 << 40, np.dtype("f8"), (1 << 37,), "C")
@@ -181,7 +181,7 @@ BAD_TABLES = {
 
 
 @pytest.mark.parametrize("name", BAD_TABLES)
-def test_table_refuses_malformed_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str):
+def test_table_rejects_malformed_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str):
     kind, data, message = BAD_TABLES[name]
     path = tmp_path / f"log.{kind}"
     if kind == "npz":
@@ -199,13 +199,13 @@ def test_table_refuses_malformed_files(tmp_path: Path, monkeypatch: pytest.Monke
     ("name", "message"),
     [("log.xlsx", r"is of kind '.xlsx'; kinds: .npz"), ("log.csv", "No such file"), ("log.mcap", "does not exist")],
 )
-def test_table_refuses_missing_files_and_other_kinds(tmp_path: Path, name: str, message: str):
+def test_table_rejects_missing_files_and_other_kinds(tmp_path: Path, name: str, message: str):
     with pytest.raises(SurefootError, match=message):
         read_table(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["log.mcap", "log.bag"])
-def test_table_refuses_a_damaged_bag(tmp_path: Path, name: str):
+def test_table_rejects_a_damaged_bag(tmp_path: Path, name: str):
     pytest.importorskip("rosbags")
     (tmp_path / name).write_bytes(b"junk")
     with pytest.raises(SurefootError, match="is not a bag: File magic is invalid"):
@@ -232,7 +232,7 @@ def test_table_reads_all_numbers_that_numpy_pickles(tmp_path: Path):
     assert read_table(tmp_path / "log.pkl").columns["data"].tolist() == [1, 2, 3]
 
 
-def test_import_refuses_a_missing_or_broken_clock(tmp_path: Path, pupper: RobotDescription):
+def test_import_rejects_a_missing_or_broken_clock(tmp_path: Path, pupper: RobotDescription):
     np.savez(tmp_path / "log.npz", time=np.array([0.0, np.nan, 0.02]), command=np.zeros((3, 12)))
     with pytest.raises(SurefootError, match="time is not finite in row 1"):
         import_log(tmp_path / "log.npz", pupper)

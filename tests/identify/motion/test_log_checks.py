@@ -1,4 +1,4 @@
-"""Units, clocks and repeated commands that look wrong are said."""
+"""Notes on implausible units, computed clocks and repeated commands."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def log() -> RecordedMotion:
     return RecordedMotion("log", time, angle, time, angle)
 
 
-def test_a_usual_log_has_no_notes(log: RecordedMotion, go2: RobotDescription):
+def test_a_plausible_log_has_no_notes(log: RecordedMotion, go2: RobotDescription):
     assert check_log(log, go2) == []
 
 
-def test_angles_outside_of_limits_and_times_of_another_unit_are_doubted(log: RecordedMotion, go2: RobotDescription):
+def test_angles_outside_limits_and_times_in_another_unit_are_noted(log: RecordedMotion, go2: RobotDescription):
     (note,) = check_log(replace(log, motor_angle=np.radians(log.motor_angle)), go2)
     assert note.startswith("FR_calf_joint goes from -0.03 to -0.03 rad, outside its limits -2.72 to -0.84")
     (note,) = check_log(replace(log, time=1e-3 * log.time), go2)
@@ -40,9 +40,9 @@ def test_angles_outside_of_limits_and_times_of_another_unit_are_doubted(log: Rec
     assert note == "301 rows in 3e+03 s: is the unit of time right?"
 
 
-def test_computed_times_and_repeated_commands_are_said(log: RecordedMotion, go2: RobotDescription):
+def test_computed_times_and_repeated_commands_are_noted(log: RecordedMotion, go2: RobotDescription):
     assert check_log(replace(log, time=0.01 * np.arange(301)), go2) == [COMPUTED_CLOCK]
-    # A clock in single precision is a computed one too.
+    # Computed times in single precision also count as computed.
     assert check_log(replace(log, time=np.linspace(0, 3, 301, dtype=np.float32).astype(float)), go2) == [COMPUTED_CLOCK]
     repeated = np.repeat(log.command[::4], 4, axis=0)[:301]
     assert check_log(replace(log, command=repeated), go2) == ["75 % of the commands repeat the previous row"]

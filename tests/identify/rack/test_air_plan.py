@@ -1,4 +1,4 @@
-"""The experiment in the air: commands within limits of angle, speed and torque, that tell what slow motion does not."""
+"""The air experiment: commands within the limits of angle, speed and torque, from slow to fast."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_commands_stay_within_limits(serial: RobotDescription, plan: Plan):
     for phase in plan.phases:
         start, signal = last, phase.signal
         values = np.array([signal(k * PERIOD, start) for k in range(round(phase.duration / PERIOD) + 1)])
-        # No jump, from phase to phase neither.
+        # There are no jumps within or between phases.
         assert np.abs(np.diff(values, axis=0, prepend=start[None])).max() < 0.05, phase.name
         last = values[-1]
         if phase.use == "transition":
@@ -46,7 +46,7 @@ def test_commands_stay_within_limits(serial: RobotDescription, plan: Plan):
         speed = np.abs(np.diff(values, axis=0)) / PERIOD
         # The fade adds a little to the speed of the sine.
         assert np.all(speed.max(axis=0) < 1.2 * SPEED_FRACTION * np.minimum(speed_limit, 20.0)), phase.name
-    # At the fastest part of a chirp the servo asks for its gain times the command's amplitude at most.
+    # At the fastest part of a chirp the servo demands at most its gain times the amplitude of the command.
     fast = planned_motion(plan).command[-90:-40]
     torque = nominal.servo_kp[0] * np.ptp(fast, axis=0) / 2
     assert np.all(torque < 1.3 * TORQUE_FRACTION * nominal.torque_limit[0])
@@ -69,7 +69,7 @@ def test_kinds_of_joints_move_one_after_another_and_then_together(serial: RobotD
             moving[phase.name] = np.ptp(values, axis=0) > 0.05
     assert [int(moved.sum()) for moved in moving.values()] == [4, 4, 4, 12]
     assert np.all(np.sum(list(moving.values())[:3], axis=0) == 1)
-    # From slow to fast: the turns of a chirp get closer.
+    # From slow to fast: the reversals of a chirp get closer.
     chirp = plan.phases[1]
     times = np.arange(0, chirp.duration, PERIOD)
     angle = np.array([chirp.signal(t, serial.resting_angles)[serial.leg_motor_index[0, 0]] for t in times])
