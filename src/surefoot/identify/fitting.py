@@ -126,21 +126,21 @@ def fit_least_squares(
     middle, spread = starts[with_prior], np.array([unknowns[i].prior for i in with_prior], float)
     first = np.clip(starts if start is None else start, low, high)
 
-    def values_of(x: Array) -> Array:
+    def to_values(x: Array) -> Array:
         # The solver keeps bounds only up to rounding errors: without clipping, a friction of -1e-19 is possible.
         values: Array = np.clip(np.asarray(x).T * scale, low, high)
         return values
 
     def residual(x: Array) -> Array:
-        values = values_of(x)
+        values = to_values(x)
         r = np.concatenate([model.residuals(values), (values[:, with_prior] - middle) / spread], axis=1).T.copy()
-        if here:
+        if last_point:
             check_convergence(x, r)
         return r
 
     def check_convergence(x: Array, r: Array) -> None:
         """End the fit if the next step would hardly reduce the cost; the solver would try ever smaller steps."""
-        x_before, r_before, slopes = here[0]
+        x_before, r_before, slopes = last_point[0]
         change = slopes @ (x - x_before)
         before = float(np.sum(r_before**2))
         if -float(np.sum((2 * r_before + change) * change)) < MIN_COST_DECREASE * before:
@@ -148,14 +148,14 @@ def fit_least_squares(
             raise _ConvergedError
 
     def jacobian(x: Array, r: Array) -> Array:
-        values, count = values_of(x)[0], len(r) - len(with_prior)
-        whole = np.zeros((len(r), len(scale)))
-        whole[:count] = forward_jacobian(model, values, r[:count, 0])
-        whole[count + np.arange(len(with_prior)), with_prior] = 1 / spread
-        here[:] = [(x, r, whole * scale)]
-        return here[0][2]
+        values, count = to_values(x)[0], len(r) - len(with_prior)
+        full_jacobian = np.zeros((len(r), len(scale)))
+        full_jacobian[:count] = forward_jacobian(model, values, r[:count, 0])
+        full_jacobian[count + np.arange(len(with_prior)), with_prior] = 1 / spread
+        last_point[:] = [(x, r, full_jacobian * scale)]
+        return last_point[0][2]
 
-    here: list[tuple[Array, Array, Array]] = []
+    last_point: list[tuple[Array, Array, Array]] = []
     converged: list[Array] = []
     initial = residual((first / scale)[:, None])
     if not np.isfinite(initial).all():
@@ -178,8 +178,8 @@ def fit_least_squares(
         )
     except _ConvergedError:
         x = converged[0]
-    here.clear()
-    values = values_of(np.asarray(x).ravel())
+    last_point.clear()
+    values = to_values(np.asarray(x).ravel())
     final = residual((values / scale)[:, None])[:, 0]
     count = len(final) - len(with_prior)
     final_jacobian = forward_jacobian(model, values, final[:count])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
-from surefoot.identify.recording import STILL, Recording
+from surefoot.identify.recording import STILL_DEVIATION, Recording
 from surefoot.robot import RobotDescription
 
 Mask = NDArray[np.bool_]
@@ -21,7 +21,7 @@ MAX_LOSS = 0.05
 """Maximum fraction of states, or of frames, that may be lost."""
 NOTED_LOSS = 0.01
 """Fraction of lost states above which a note is returned."""
-GAP = 1.5
+MAX_GAP_PERIODS = 1.5
 """Number of periods between two states above which a state is counted as lost."""
 MAX_CLOCK_SHIFT = 0.1
 """Maximum deviation of the offset between the robot's and the host's clock from linear drift [s]."""
@@ -109,7 +109,7 @@ def _check_loss(recording: Recording) -> tuple[str, ...]:
     lost, states = 0, 0
     for k in recording.phases("fit", "check"):
         gaps = np.diff(recording.time[recording.phase_states(k)]) / recording.period
-        lost += int(np.sum(np.maximum(np.round(gaps[gaps > GAP]) - 1, 0)))
+        lost += int(np.sum(np.maximum(np.round(gaps[gaps > MAX_GAP_PERIODS]) - 1, 0)))
         states += len(gaps)
     loss = lost / max(states + lost, 1)
     message = f"{lost} states, {loss:.1%}, are missing between others"
@@ -121,10 +121,10 @@ def _check_loss(recording: Recording) -> tuple[str, ...]:
 def _check_motion(recording: Recording, robot: RobotDescription) -> tuple[str, ...]:
     still = sorted(recording.still_motors)
     if len(still) == recording.num_motors:
-        raise _error(f"no motor moves by more than {1e3 * STILL:g} mrad; are the motors powered?")
+        raise _error(f"no motor moves by more than {1e3 * STILL_DEVIATION:g} mrad; are the motors powered?")
     return tuple(
-        f"{robot.motor_names[motor]} never moves (its angle varies by less than {1e3 * STILL:g} mrad): its parameters "
-        "are not identifiable"
+        f"{robot.motor_names[motor]} never moves (its angle varies by less than {1e3 * STILL_DEVIATION:g} mrad): its "
+        "parameters are not identifiable"
         for motor in still
     )
 

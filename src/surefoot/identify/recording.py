@@ -19,7 +19,7 @@ from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
 from surefoot.robot import ROBOT, RobotDescription, carried_robot
 
 SCHEMA = 1
-STILL = 0.002
+STILL_DEVIATION = 0.002
 """Standard deviation of an angle [rad] below which a motor counts as still: a few encoder steps."""
 CLOCK_RESOLUTION = 2e-5
 """Twice the time resolution of states [s]."""
@@ -179,7 +179,7 @@ class Recording:
         for k in self.phases("fit"):
             driven[self.phase_states(k)] = True
         spread = self.motor_angle[driven].std(axis=0) if driven.any() else np.zeros(self.num_motors)
-        return frozenset(np.flatnonzero(spread < STILL).tolist())
+        return frozenset(np.flatnonzero(spread < STILL_DEVIATION).tolist())
 
     def phase_states(self, phase: int) -> slice:
         """Return the slice of states sent while commands of a phase were in effect."""

@@ -32,7 +32,7 @@ from surefoot.world.interface import WorldConfig
 from surefoot.world.registry import DEFAULT_WORLD, WORLDS
 from surefoot.world.sim_world import SimWorld
 
-SETTLE = 0.6
+SETTLE_TIME = 0.6
 """Time [s] for which simulated robots hold the first command before the segment begins."""
 INITIAL_WINDOW = 0.06
 """Time [s] at the start of a motion on a rack whose readings give the initial angles and speeds."""
@@ -254,15 +254,15 @@ class Replayer:
 
 def _simulate_segment(segment: Segment, world: SimWorld, params: PhysicalParams, torques: bool) -> tuple[Array, Array]:
     """Simulate a segment; return the state at each servo step and the torques of the step before (empty if unused)."""
-    rows, everyone = params.num_envs, np.arange(world.num_envs)
-    padded = params.rows(np.minimum(everyone, rows - 1))
-    world.set_params(everyone, padded)
+    rows, all_robots = params.num_envs, np.arange(world.num_envs)
+    padded = params.rows(np.minimum(all_robots, rows - 1))
+    world.set_params(all_robots, padded)
     world.reset()
     actuation, advance = world.actuation, world.engine.advance
-    active = np.where(everyone < rows, 1, 0)
+    active = np.where(all_robots < rows, 1, 0)
     actuation.voltage[:] = segment.voltage[0]
     if segment.start_velocity is None:
-        steps, begin = round(SETTLE / world.robot.timing.servo_step), actuation.target.copy()
+        steps, begin = round(SETTLE_TIME / world.robot.timing.servo_step), actuation.target.copy()
         for k in range(steps):
             actuation.target[:] = begin + (segment.start - begin) * min(2 * k / steps, 1.0)
             advance(active)

@@ -203,7 +203,7 @@ class Contract:
             SurefootError: the text is not JSON, not a contract, of another schema, or has invalid keys or values.
         """
         try:
-            data = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
+            data = json.loads(text, parse_constant=_parse_float, parse_float=_parse_float, parse_int=_parse_int)
         except ValueError as error:
             raise SurefootError(f"contract: is not JSON: {error}") from error
         if not isinstance(data, dict) or data.pop("kind", None) != KIND:
@@ -217,7 +217,7 @@ class Contract:
         return from_mapping(cls, data, "contract")
 
 
-def _finite(text: str) -> float:
+def _parse_float(text: str) -> float:
     """Parse a JSON number; NaN and numbers that are too large are errors."""
     value = float(text)
     if not math.isfinite(value):
@@ -225,9 +225,9 @@ def _finite(text: str) -> float:
     return value
 
 
-def _whole(text: str) -> int:
+def _parse_int(text: str) -> int:
     """Parse a JSON integer that fits into 64 bits."""
-    if abs(_finite(text)) >= 2.0**64:
+    if abs(_parse_float(text)) >= 2.0**64:
         raise ValueError(f"it holds {text:.40}; whole numbers must be below 2^64")
     return int(text)
 

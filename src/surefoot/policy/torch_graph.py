@@ -22,8 +22,8 @@ ALLOWED = (
 ROWS = 3
 """Number of rows of the example observations for tracing."""
 _SELU = (1.6732632423543772, 1.0507009873554805)
-_SHAPES = ("view", "_unsafe_view", "reshape", "squeeze", "unsqueeze", "expand", "slice", "select")
-_SAME = ("detach", "alias", "clone", "contiguous", "_to_copy", "lift_fresh_copy")
+_RESHAPE_OPERATORS = ("view", "_unsafe_view", "reshape", "squeeze", "unsqueeze", "expand", "slice", "select")
+_IDENTITY_OPERATORS = ("detach", "alias", "clone", "contiguous", "_to_copy", "lift_fresh_copy")
 
 
 def trace_module(module: nn.Module, graph: Graph, observation: str, width: int, outputs: int) -> Value:
@@ -106,7 +106,9 @@ def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
     shape = getattr(node.meta.get("val"), "shape", None)
     source = node.args[0]
     before = getattr(source.meta.get("val"), "shape", None) if isinstance(source, fx.Node) else None
-    if name in _SAME or (name in _SHAPES and _rows(shape) == _rows(before)):
+    if name in _IDENTITY_OPERATORS or (
+        name in _RESHAPE_OPERATORS and _squeezed_shape(shape) == _squeezed_shape(before)
+    ):
         return args[0]
     try:
         result = _OPERATORS[name](graph, *args, **kwargs)
@@ -120,12 +122,12 @@ def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
     return result if isinstance(result, Value) else Value(result, width)
 
 
-def _rows(shape: tuple[int, ...] | None) -> list[int] | None:
+def _squeezed_shape(shape: tuple[int, ...] | None) -> list[int] | None:
     """Return a shape without axes of length 1, which recurrent layers add around rows."""
     return None if shape is None else [size for size in shape if size != 1]
 
 
-def _row(graph: Graph, value: Any) -> str:
+def _operand_name(graph: Graph, value: Any) -> str:
     """Return the name of an operand: a value of the graph, a number, or a row of numbers."""
     if isinstance(value, Value):
         return value.name
@@ -149,13 +151,13 @@ def _binary(kind: str) -> Callable[..., str]:
         if alpha != 1.0:
             raise NotImplementedError
         if isinstance(first, Value):
-            return graph.apply(kind, first.name, _row(graph, second))
+            return graph.apply(kind, first.name, _operand_name(graph, second))
         if kind == "Div":
             raise NotImplementedError
         if kind == "Sub":
             negative = graph.apply("Mul", second.name, graph.constant(-1.0))
-            return graph.apply("Add", negative, _row(graph, first))
-        return graph.apply(kind, second.name, _row(graph, first))
+            return graph.apply("Add", negative, _operand_name(graph, first))
+        return graph.apply(kind, second.name, _operand_name(graph, first))
 
     return apply
 
@@ -185,24 +187,24 @@ def _clamp(graph: Graph, value: Value, low: float | None = None, high: float | N
     return graph.clip(value.name, -math.inf if low is None else low, math.inf if high is None else high)
 
 
-def _check_last(dim: int | list[int]) -> None:
+def _require_columns(dim: int | list[int]) -> None:
     """Reject operations along other axes than the columns."""
     if (dim[0] if isinstance(dim, list) and len(dim) == 1 else dim) not in (1, -1):
         raise NotImplementedError
 
 
 def _slice(graph: Graph, value: Value, dim: int = 0, start: Any = None, end: Any = None, step: int = 1) -> Value:
-    _check_last(dim)
+    _require_columns(dim)
     return graph.select(value, range(value.width)[start:end:step])
 
 
 def _split(graph: Graph, value: Value, size: int, dim: int = 0) -> list[Value]:
-    _check_last(dim)
+    _require_columns(dim)
     starts = range(0, value.width, size)
     return [graph.select(value, range(start, min(start + size, value.width))) for start in starts]
 
 
-def _single(graph: Graph, values: Any, dim: int = 0) -> Any:
+def _single_element(graph: Graph, values: Any, dim: int = 0) -> Any:
     """Unpack a stack of one element, or make one; larger stacks are not supported."""
     if dim != 0 or (isinstance(values, list) and len(values) != 1):
         raise NotImplementedError
@@ -217,14 +219,14 @@ def _source(graph: Graph, value: Any, source: Value, dim: int = 0, start: Any = 
 
 
 def _cat(graph: Graph, values: list[Any], dim: int = 0) -> Value:
-    _check_last(dim)
+    _require_columns(dim)
     if not all(isinstance(value, Value) for value in values):
         raise NotImplementedError
     return graph.join(values)
 
 
 def _norm(graph: Graph, value: Value, order: float | None = 2, dim: Any = None, keep: bool = False) -> Value:
-    _check_last(dim)
+    _require_columns(dim)
     if order not in (None, 2) or not keep:
         raise NotImplementedError
     return graph.norm(value)
@@ -257,8 +259,8 @@ def _batch_norm(
     if training:
         raise NotImplementedError
     scale = (1.0 if weight is None else weight) / torch.sqrt(variance + rest[-1])
-    result = graph.apply("Mul", value.name, _row(graph, scale))
-    return graph.apply("Add", result, _row(graph, (0.0 if bias is None else bias) - mean * scale))
+    result = graph.apply("Mul", value.name, _operand_name(graph, scale))
+    return graph.apply("Add", result, _operand_name(graph, (0.0 if bias is None else bias) - mean * scale))
 
 
 _OPERATORS: dict[str, Callable[..., str | Value | list[Value]]] = {
@@ -277,7 +279,7 @@ _OPERATORS: dict[str, Callable[..., str | Value | list[Value]]] = {
     "slice": _slice,
     "cat": _cat,
     **dict.fromkeys(("split", "unsafe_split"), _split),
-    **dict.fromkeys(("stack", "unbind"), _single),
+    **dict.fromkeys(("stack", "unbind"), _single_element),
     **dict.fromkeys(("copy", "slice_scatter"), _source),
     "norm": _norm,
     "linalg_vector_norm": _norm,

@@ -63,8 +63,8 @@ def test_feet_carry_the_weight_of_a_standing_robot(robot: RobotDescription, unev
     assert abs(along.sum()) < 0.05
     np.testing.assert_allclose(upward, pressed(world), rtol=5e-3)
     # At rest no residual force or moment is needed.
-    np.testing.assert_allclose(result.needed[0], 0.0, atol=0.05)
-    assert abs(result.turning[0]) < 1e-9
+    np.testing.assert_allclose(result.required[0], 0.0, atol=0.05)
+    assert abs(result.base_moment[0]) < 1e-9
 
 
 @pytest.fixture(scope="module")
@@ -107,20 +107,20 @@ def forces(robot: RobotDescription, motion: Motion, **values: float) -> Forces:
 def test_residual_moment_vanishes_with_the_true_masses(robot: RobotDescription, nodding: dict[float, Motion]):
     for ratio, motion in nodding.items():
         result = forces(robot, motion, base_inertia_ratio=ratio)
-        assert np.std(result.turning) > 0.2
-        assert np.std(result.needed[:, 2]) < 0.05 * np.std(result.turning)
+        assert np.std(result.base_moment) > 0.2
+        assert np.std(result.required[:, 2]) < 0.05 * np.std(result.base_moment)
         # Foot forces beyond the weight accelerate the robot up and down.
         carried = result.force[:, :, 1].sum(axis=1)
         assert np.mean(carried) == pytest.approx(robot.urdf.total_mass * GRAVITY, rel=0.03)
         weight = robot.urdf.total_mass * GRAVITY * np.cos(motion.roll_pitch).prod(axis=1)
-        np.testing.assert_allclose(carried, weight + result.needed[:, 1], atol=0.3)
+        np.testing.assert_allclose(carried, weight + result.required[:, 1], atol=0.3)
 
 
 def test_residual_moment_gives_the_inertia(robot: RobotDescription, nodding: dict[float, Motion]):
     for true, assumed in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0)):
         result = forces(robot, nodding[true], base_inertia_ratio=assumed)
-        columns = np.stack([result.turning, np.ones_like(result.turning)], axis=1)
-        values, _ = regress(columns, -result.needed[:, 2], np.arange(len(columns)) // 50)
+        columns = np.stack([result.base_moment, np.ones_like(result.base_moment)], axis=1)
+        values, _ = regress(columns, -result.required[:, 2], np.arange(len(columns)) // 50)
         # The excess is relative to the assumed inertia.
         assert assumed * (1 + values[0]) == pytest.approx(true, rel=0.03)
 

@@ -9,7 +9,7 @@ from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
 from surefoot.identify.motion.expected_accuracy import planned_motion
 from surefoot.identify.plan import Plan
-from surefoot.identify.rack.air_plan import BAND, LIMIT_MARGIN, SPEED_FRACTION, TORQUE_FRACTION, air_plan
+from surefoot.identify.rack.air_plan import FREQUENCY_BAND, LIMIT_MARGIN, SPEED_FRACTION, TORQUE_FRACTION, air_plan
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -75,7 +75,7 @@ def test_kinds_of_joints_move_one_after_another_and_then_together(serial: RobotD
     angle = np.array([chirp.signal(t, serial.resting_angles)[serial.leg_motor_index[0, 0]] for t in times])
     turns = times[1:-1][np.diff(np.sign(np.diff(angle))) != 0]
     assert turns[1] - turns[0] > 5 * (turns[-2] - turns[-3])
-    assert 1 / (2 * (turns[-3] - turns[-4])) == pytest.approx(BAND[1], rel=0.3)
+    assert 1 / (2 * (turns[-3] - turns[-4])) == pytest.approx(FREQUENCY_BAND[1], rel=0.3)
 
 
 def test_the_experiment_is_for_serial_legs_with_joint_actuators():

@@ -21,7 +21,7 @@ MAX_DUTY = 0.2
 """Maximum duty of the check."""
 MIN_MOTION, MAX_MOTION = 0.02, 0.3
 """Minimum motion that shows a direction, and motion above which the duty is switched off [rad]."""
-STILL = 0.002
+MAX_REST_MOTION = 0.002
 """Maximum motion within `_REST_TIME` of legs that hang still [rad]."""
 _PERIOD, _REST_TIME, _ATTEMPTS = 0.006, 0.3, 50
 
@@ -49,7 +49,7 @@ def try_duty(
     for _ in range(_ATTEMPTS):
         start = runner.state.motor_angle.copy()
         runner.ping_until(lambda: False, _REST_TIME)
-        if (np.abs(runner.state.motor_angle - start) < STILL).all():
+        if (np.abs(runner.state.motor_angle - start) < MAX_REST_MOTION).all():
             break
     else:
         return CheckResult(name, False, "the motors do not come to rest", "let the legs hang still")

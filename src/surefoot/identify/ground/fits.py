@@ -31,9 +31,9 @@ from surefoot.identify.recording import Recording
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, add_model_error
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
-STILL = ("stand still", "squat slowly")
+STILL_PHASES = ("stand still", "squat slowly")
 """Phases without fast motion, in which the mean force on the feet is the weight."""
-NODDING = ("nod",)
+NODDING_PHASES = ("nod",)
 """Phases in which the base rotates fast about y."""
 ROUNDS = 4
 MAX_INERTIA_DEVIATION = 0.15
@@ -56,7 +56,7 @@ def fit_mass(
 ) -> Identification:
     """Return the result of the mass experiment; see `Experiment.fit`."""
     standing = ground_motion(robot, recording, prior, sensors)
-    still, nodding = standing.during(*STILL), standing.during(*NODDING)
+    still, nodding = standing.during(*STILL_PHASES), standing.during(*NODDING_PHASES)
     notes = []
     accuracy = float(sensors.get("torque_accuracy", GAIN_DEVIATION / np.sqrt(robot.num_motors)))
     if "torque_gain" not in sensors:
@@ -117,8 +117,8 @@ def _inertia_excess(standing: GroundMotion, forces: Forces, during: NDArray[np.b
     """
     phases = standing.phase[during]
     constants = [(phases == k).astype(float) for k in np.unique(phases)]
-    columns = np.stack([forces.turning[during], *constants], axis=1)
-    solution, covariance = regress(columns, -forces.needed[during, 2], standing.blocks[during])
+    columns = np.stack([forces.base_moment[during], *constants], axis=1)
+    solution, covariance = regress(columns, -forces.required[during, 2], standing.blocks[during])
     return float(solution[0]), float(covariance[0, 0])
 
 
@@ -149,22 +149,22 @@ def _check(
     if not held_out.any():
         return (), ()
     weight_error, moment_error = np.empty(2), np.empty(2)
-    turning = np.empty((2, int(held_out.sum())))
+    simulated = np.empty((2, int(held_out.sum())))
     for k, params in enumerate((before, after)):
         dynamics = InverseDynamics(robot, params)
         forces = dynamics.forces(standing.motion)
         weight_error[k] = abs(float(forces.force[held_out, :, 1].sum(axis=1).mean()) - GRAVITY * dynamics.mass)
-        moment_error[k], turning[k] = np.std(forces.needed[held_out, 2]), forces.turning[held_out]
+        moment_error[k], simulated[k] = np.std(forces.required[held_out, 2]), forces.base_moment[held_out]
     # The measured moment that remains for the rotation of the base itself.
-    measured = (forces.turning - forces.needed[:, 2])[held_out]
-    measured = measured - np.mean(measured - turning[1])
+    measured = (forces.base_moment - forces.required[:, 2])[held_out]
+    measured = measured - np.mean(measured - simulated[1])
     time = standing.time[held_out] - standing.time[held_out][0]
     labels = "rotation of the base about y, not fitted", "time [s]", "moment [N m]"
     checks = (
         Check("weight on the feet", float(weight_error[0]), float(weight_error[1]), "N"),
         Check("moment about y", float(moment_error[0]), float(moment_error[1]), "N m"),
     )
-    return checks, (Series(*labels, time, measured, turning[0], turning[1]),)
+    return checks, (Series(*labels, time, measured, simulated[0], simulated[1]),)
 
 
 def fit_contact(

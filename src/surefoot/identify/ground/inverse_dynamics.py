@@ -54,10 +54,10 @@ class Forces:
     """Position of each foot's tip relative to the origin of the base (T, L, 2), x and z [m]."""
     force: Array
     """Ground reaction force on each foot (T, L, 2), x and z [N]."""
-    needed: Array
+    required: Array
     """Force along x and z [N] and residual moment about y [N m] required by the motion, without gravity (T, 3)."""
-    turning: Array
-    """Part of `needed[:, 2]` that is due to the rotational inertia of the base (T,) [N m]."""
+    base_moment: Array
+    """Part of `required[:, 2]` that is due to the rotational inertia of the base (T,) [N m]."""
 
 
 class InverseDynamics:
@@ -67,8 +67,8 @@ class InverseDynamics:
         self.robot = robot
         model = build_model(robot)
         base = model.body(robot.base).id
-        still = robot.urdf.fixed_to(robot.base)
-        legs = [body for body in range(1, model.nbody) if model.body(body).name not in still]
+        base_links = robot.urdf.fixed_to(robot.base)
+        legs = [body for body in range(1, model.nbody) if model.body(body).name not in base_links]
         model.body_mass[base] *= params.base_mass_ratio[0]
         model.body_mass[legs] *= params.leg_mass_ratio[0]
         model.body_inertia[base] *= params.base_inertia_ratio[0]
@@ -126,31 +126,32 @@ class InverseDynamics:
         terms = [self._terms(*at) for at in zip(motion.roll_pitch, angles, knees, velocity, strict=True)]
         inertia, bias, weight, jacobians, rotation, feet = map(np.array, zip(*terms, strict=True))
         reduced, jacobians = reduce @ inertia @ transform, jacobians @ transform[:, None]
-        still = _apply(reduce, bias + _apply(inertia, change))
+        bias_forces = _apply(reduce, bias + _apply(inertia, change))
         # Axes of the plane of the legs in the world frame: forward and up of the base.
         plane = rotation[:, :, [0, 2]]
-        across = plane.transpose(0, 2, 1)
+        to_plane = plane.transpose(0, 2, 1)
         measured = np.concatenate([motion.angular_acceleration, motion.motor_acceleration], axis=1)
-        fixed = _apply(reduced[:, :, 3:], measured) + still
+        known_forces = _apply(reduced[:, :, 3:], measured) + bias_forces
         # Unknowns: acceleration of the base's origin in the plane (2), and two force components per leg.
-        pushes = jacobians.transpose(0, 1, 3, 2) @ plane[:, None]
-        left = np.zeros((count, 2 + motors, 2 + 2 * legs))
-        left[:, :2, :2] = across @ reduced[:, :3, :3] @ plane
-        left[:, 2:, :2] = reduced[:, 6:, :3] @ plane
+        # Maps from foot forces in the plane to generalized forces (T, L, 6 + M, 2).
+        force_maps = jacobians.transpose(0, 1, 3, 2) @ plane[:, None]
+        matrix = np.zeros((count, 2 + motors, 2 + 2 * legs))
+        matrix[:, :2, :2] = to_plane @ reduced[:, :3, :3] @ plane
+        matrix[:, 2:, :2] = reduced[:, 6:, :3] @ plane
         for leg in range(legs):
-            left[:, :2, 2 + 2 * leg : 4 + 2 * leg] = -(across @ pushes[:, leg, :3])
-            left[:, 2:, 2 + 2 * leg : 4 + 2 * leg] = -pushes[:, leg, 6:]
-        right = np.concatenate([_apply(across, fixed[:, :3]), fixed[:, 6:] - motion.motor_torque], axis=1)
-        solution = np.linalg.solve(left, -right[..., None])[..., 0]
+            matrix[:, :2, 2 + 2 * leg : 4 + 2 * leg] = -(to_plane @ force_maps[:, leg, :3])
+            matrix[:, 2:, 2 + 2 * leg : 4 + 2 * leg] = -force_maps[:, leg, 6:]
+        constants = [_apply(to_plane, known_forces[:, :3]), known_forces[:, 6:] - motion.motor_torque]
+        solution = np.linalg.solve(matrix, -np.concatenate(constants, axis=1)[..., None])[..., 0]
         forces = solution[:, 2:].reshape(count, legs, 2)
-        whole = fixed + _apply(reduced[:, :, :3], _apply(plane, solution[:, :2]))
-        pushed = np.einsum("tlk,tlk->t", pushes[:, :, 4], forces)
+        total = known_forces + _apply(reduced[:, :, :3], _apply(plane, solution[:, :2]))
+        foot_moment = np.einsum("tlk,tlk->t", force_maps[:, :, 4], forces)
         # The residual moment about y shows errors of the base's inertia.
-        required = _apply(across, whole[:, :3] - _apply(reduce, weight)[:, :3])
-        needed = np.concatenate([required, (whole[:, 4] - pushed)[:, None]], axis=1)
-        rate, inertia_of_base = motion.angular_velocity, self.base_inertia
-        turning = motion.angular_acceleration @ inertia_of_base.T + np.cross(rate, rate @ inertia_of_base.T)
-        return Forces(feet, forces, needed, turning[:, 1])
+        linear = _apply(to_plane, total[:, :3] - _apply(reduce, weight)[:, :3])
+        required = np.concatenate([linear, (total[:, 4] - foot_moment)[:, None]], axis=1)
+        rate, base_inertia = motion.angular_velocity, self.base_inertia
+        base_moment = motion.angular_acceleration @ base_inertia.T + np.cross(rate, rate @ base_inertia.T)
+        return Forces(feet, forces, required, base_moment[:, 1])
 
     def _terms(self, roll_pitch: Array, angles: Array, knees: Array, velocity: Array) -> tuple[Array, ...]:
         """Return the terms of MuJoCo's equation of motion at one time.

@@ -175,14 +175,14 @@ def _from_table(table: ColumnTable) -> NDArray[Any]:
             raise SurefootError(f"has no column for {field}; columns: {choices(list(table.columns)[:_MAX_LISTED])}")
         return table.columns[names[0]] if names else np.full(table.rows, np.nan)
 
-    def of_motors(part: str, name: str, needed: bool = False) -> Array:
+    def motor_columns(part: str, name: str, needed: bool = False) -> Array:
         return np.stack([column(f"{part}[{motor}].{name}", needed) for motor in range(MOTORS)], axis=1)
 
     tick = column("tick", needed=True)
     states = np.flatnonzero(np.isfinite(tick))
     if not len(states):
         raise SurefootError("has no row with a tick, the robot's time [ms]")
-    commands = {name: of_motors("motor_cmd", name) for name in _COMMAND}
+    commands = {name: motor_columns("motor_cmd", name) for name in _COMMAND}
     sent = np.isfinite(commands["q"])
     for name, usual in (("mode", SERVO), ("dq", 0.0), ("tau", 0.0)):
         if not np.isfinite(commands[name]).any():
@@ -193,7 +193,7 @@ def _from_table(table: ColumnTable) -> NDArray[Any]:
     for name, width in (("quaternion", 4), ("gyroscope", 3)):
         rows[name] = np.stack([column(f"imu_state.{name}[{k}]") for k in range(width)], axis=1)[states]
     for name in _STATE:
-        rows["state"][name] = of_motors("motor_state", name, name == "q")[states]
+        rows["state"][name] = motor_columns("motor_state", name, name == "q")[states]
     for name, values in commands.items():
         rows["command"][name] = np.where(newest[:, None] >= 0, values[newest], np.nan)
     return rows
@@ -219,17 +219,17 @@ def _motion(rows: NDArray[Any], damaged: int, name: str) -> RecordedMotion:
         time,
         target,
         time,
-        _finite(rows["state"]["q"]),
-        _finite(rows["state"]["dq"]),
-        _finite(rows["state"]["tau_est"]),
+        _nan_if_not_finite(rows["state"]["q"]),
+        _nan_if_not_finite(rows["state"]["dq"]),
+        _nan_if_not_finite(rows["state"]["tau_est"]),
         np.array([quat_rpy(*one) for one in quaternion.tolist()]),
-        _finite(rows["gyroscope"]),
+        _nan_if_not_finite(rows["gyroscope"]),
         gains={} if gains is None else dict(zip(("servo_kp", "servo_kd"), map(tuple, gains.tolist()), strict=True)),
         meta={"notes": notes},
     )
 
 
-def _finite(values: Array) -> Array:
+def _nan_if_not_finite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
 
 

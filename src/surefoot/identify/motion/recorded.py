@@ -198,18 +198,18 @@ class RecordedMotion:
 
 def check_rising(time: Array) -> None:
     """Reject times (T,) [s] that go backwards."""
-    if (back := np.flatnonzero(np.diff(time) < 0.0)).size:
-        first, then = time[back[0]], time[back[0] + 1]
-        raise SurefootError(f"time goes backwards in row {back[0] + 1}, from {first:g} to {then:g} s")
+    if (decreases := np.flatnonzero(np.diff(time) < 0.0)).size:
+        before, after = time[decreases[0]], time[decreases[0] + 1]
+        raise SurefootError(f"time goes backwards in row {decreases[0] + 1}, from {before:g} to {after:g} s")
 
 
 def reading_times(time: Array, *readings: Array) -> Array:
     """Return the estimated time (T,) [s] at which the readings (T, n) of each row were taken; see the module."""
     read = np.concatenate(readings, axis=1)
     new = np.flatnonzero([True, *np.any((np.diff(read, axis=0) != 0) & ~np.isnan(read[1:]), axis=1)])
-    apart = float(np.median(np.diff(time[new]))) if len(new) > 1 else 0.0
-    taken = time[new] - np.minimum(np.diff(time, prepend=time[:1])[new], apart) / 2
-    return np.repeat(taken, np.diff([*new, len(time)]))
+    interval = float(np.median(np.diff(time[new]))) if len(new) > 1 else 0.0
+    read_time = time[new] - np.minimum(np.diff(time, prepend=time[:1])[new], interval) / 2
+    return np.repeat(read_time, np.diff([*new, len(time)]))
 
 
 def common_gains(motions: Iterable[RecordedMotion]) -> dict[str, ParamValue]:

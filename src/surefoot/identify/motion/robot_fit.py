@@ -31,7 +31,7 @@ from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, ignore_progress
 from surefoot.robot import PhysicalParams, RobotDescription
 
-MOUNTS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
+IMU_YAW_CANDIDATES = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 """Candidates for the yaw of the IMU in the base frame [rad]."""
 FIRST_NOISE = 0.005
 """Noise of angles in the first round of a fit to logs on a rack [rad]; later rounds use the noise of the residuals. It
@@ -156,9 +156,9 @@ def _hold_last(model: ReplayModel, last: int) -> ReplayModel:
 
 
 def find_imu_yaw(robot: RobotDescription, motions: Sequence[RecordedMotion], prior: PhysicalParams) -> float | None:
-    """Return the yaw of `MOUNTS` that fits the IMU's roll and pitch best, or None if no log on the ground has them."""
+    """Return the yaw of the IMU that fits its roll and pitch best, or None if no log on the ground has them."""
     low, high = robot.allowed["imu_mount"]
-    yaws = [yaw for yaw in MOUNTS if low <= yaw <= high]
+    yaws = [yaw for yaw in IMU_YAW_CANDIDATES if low <= yaw <= high]
     standing = [
         one.first_seconds(GROUND_SECONDS) for one in motions if not one.rack and np.isfinite(one.imu[:, :2]).all()
     ]
@@ -196,9 +196,9 @@ def _checks(
         motor = int(np.argmax(np.where(motion.moving_joints, after.by_motor, -1.0)))
         plotted = motion.first_seconds(_PLOT_TIME)
         rows, angles = slice(0, len(plotted.time)), plotted.motor_angle[:, motor]
-        was, now = (angles + one.motor_angle[rows, motor] for one in (before, after))
+        prior_curve, fitted_curve = (angles + one.motor_angle[rows, motor] for one in (before, after))
         labels = f"{robot.motor_names[motor]}, {what}", "time [s]", "angle [rad]"
-        series.append(Series(*labels, plotted.read_time, angles, was, now))
+        series.append(Series(*labels, plotted.read_time, angles, prior_curve, fitted_curve))
     return tuple(checks), tuple(series)
 
 

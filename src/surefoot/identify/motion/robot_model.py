@@ -28,7 +28,7 @@ TILT_NOISE = 0.03
 """Noise of roll and pitch [rad]."""
 START_NOISE = 2.0
 """Factor of all noise during the first `SKIPPED_TIME`."""
-SPACING = 0.011
+MIN_ROW_SPACING = 0.011
 """Minimum time between rows that are compared [s]."""
 GROUND_SECONDS = 2.3
 """Length of the fitted part of logs on the ground [s], from the start; longer replays diverge from the log."""
@@ -138,10 +138,10 @@ def _correct_times(segment: Segment, scale: float, delay: float, dt: float) -> S
 
 
 def _spaced_rows(motion: RecordedMotion) -> NDArray[np.int64]:
-    """Return rows with new readings that are at least `SPACING` apart."""
-    kept, last = [], -np.inf
+    """Return rows with new readings that are at least `MIN_ROW_SPACING` apart."""
+    rows, last = [], -np.inf
     for row in np.flatnonzero(motion.has_new_reading).tolist():
-        if motion.read_time[row] - last >= SPACING:
-            kept.append(row)
+        if motion.read_time[row] - last >= MIN_ROW_SPACING:
+            rows.append(row)
             last = motion.read_time[row]
-    return np.array(kept, np.int64)
+    return np.array(rows, np.int64)

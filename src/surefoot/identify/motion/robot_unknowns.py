@@ -14,7 +14,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, suggest
-from surefoot.identify.joint_kinds import kinds_of_joints
+from surefoot.identify.joint_kinds import motors_by_joint_kind
 from surefoot.identify.model import Unknown, candidate_params
 from surefoot.identify.motion.priors import (
     CLOCK,
@@ -64,7 +64,7 @@ def robot_unknowns(
         if rule.individual:
             unknowns += _individual_unknowns(robot, prior, name, rule, number if rack else None)
         else:
-            groups = kinds_of_joints(robot, prior, name) or {"": ()}
+            groups = motors_by_joint_kind(robot, prior, name) or {"": ()}
             unknowns += [_unknown(robot, prior, name, rule, motors=m, part_name=kind) for kind, m in groups.items()]
     if rack:
         return [replace(unknown, step=RACK_STEP * unknown.step) for unknown in unknowns]

@@ -235,11 +235,11 @@ class _TorqueFit:
         motor = int(np.argmax(np.where(self.moving, np.std(measured, axis=0), -1.0)))
         rows = slice(0, min(len(first.rows), round(1.0 / first.motion.control_step)))
         labels = f"{robot.motor_names[motor]}, not fitted", "time [s]", "torque [N m]"
-        time, (torque, was, now) = (
+        time, (torque, prior_curve, fitted_curve) = (
             first.motion.read_time[first.rows[rows]],
             (v[rows, motor] for v in (measured, *predicted)),
         )
-        return Check("motor torques", before, after, "N m"), Series(*labels, time, torque, was, now)
+        return Check("motor torques", before, after, "N m"), Series(*labels, time, torque, prior_curve, fitted_curve)
 
     def describe_motions(self, motions: Sequence[RecordedMotion]) -> list[str]:
         """Return notes on defects of the traces."""

@@ -141,18 +141,18 @@ def usable_rows(motion: RecordedMotion, earliest: float, latest: float) -> Rows:
     The model of a row uses readings from `earliest` [s] before it to `latest` [s] after it.
     """
     count, step = len(motion.read_time), motion.control_step
-    broken = np.zeros(count, np.bool_)
-    broken[1:] |= time_jumps(motion)
+    unusable = np.zeros(count, np.bool_)
+    unusable[1:] |= time_jumps(motion)
     # Rows of missed steps, and the row before them, hold the state of the step after them.
     missed = np.array([k for k in motion.meta.get("missed_steps", []) if 0 < k < count], np.int64)
-    broken[missed] = broken[missed - 1] = True
+    unusable[missed] = unusable[missed - 1] = True
     readings = np.concatenate([motion.motor_angle, motion.motor_velocity, motion.motor_torque], axis=1)
-    broken[1:] |= (np.diff(readings, axis=0) == 0).all(axis=1)
+    unusable[1:] |= (np.diff(readings, axis=0) == 0).all(axis=1)
     # A polynomial needs two readings on each side.
     before, after = (int(np.ceil(reach / step)) + _READINGS // 2 for reach in (earliest, latest))
-    bad = np.concatenate([[0], np.cumsum(broken)])
+    num_unusable = np.concatenate([[0], np.cumsum(unusable)])
     rows = np.arange(before, count - after)
-    return rows[bad[rows + after + 1] == bad[rows - before]] if len(rows) else rows
+    return rows[num_unusable[rows + after + 1] == num_unusable[rows - before]] if len(rows) else rows
 
 
 def check_traces(robot: RobotDescription, motions: Sequence[RecordedMotion]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.identify.joint_kinds import kind_of_joint
+from surefoot.identify.joint_kinds import joint_kind_name
 from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, sweep, transition
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.actuator import JointActuatorData
@@ -20,7 +20,7 @@ AMPLITUDE = 0.35
 """Maximum amplitude of a joint [rad]."""
 LIMIT_MARGIN = 0.15
 """Distance that joints keep from their limits [rad]."""
-BAND = (0.2, 8.0)
+FREQUENCY_BAND = (0.2, 8.0)
 """First and last frequency of a chirp [Hz]."""
 SINGLE_TIME, COMBINED_TIME, CHECK_TIME = 6.0, 10.0, 6.0
 """Duration of a chirp of one kind of joint, of all joints together, and of the held-out chirp [s]."""
@@ -44,7 +44,7 @@ def air_plan(robot: RobotDescription) -> Plan:
         raise SurefootError(f"air takes robots with joint actuators and serial legs; {robot.name} has others")
     middle = robot.resting_angles.copy()
     amplitude, speed = amplitudes(robot, robot.actuator, middle)
-    places = robot.leg_motor_index
+    (first, last), places = FREQUENCY_BAND, robot.leg_motor_index
     shift = np.zeros(robot.num_motors)
     for leg, motors in enumerate(places):
         # Phases differ between legs, to distinguish them by eye, and by a quarter turn between the joints of a leg, to
@@ -54,23 +54,23 @@ def air_plan(robot: RobotDescription) -> Plan:
     for place in range(places.shape[1]):
         single = np.zeros(robot.num_motors)
         single[places[:, place]] = amplitude[places[:, place]]
-        kind = kind_of_joint(robot, place)
-        what = (
-            f"{kind} {single.max():.2f} rad to both sides, from {BAND[0]:g} to {BAND[1]:g} Hz, less at high frequency"
-        )
-        signal = _chirp(middle, single, speed, BAND, SINGLE_TIME, 0.0 * shift)
+        kind = joint_kind_name(robot, place)
+        what = f"{kind} {single.max():.2f} rad to both sides, from {first:g} to {last:g} Hz, less at high frequency"
+        signal = _chirp(middle, single, speed, FREQUENCY_BAND, SINGLE_TIME, 0.0 * shift)
         phases.append(Phase(f"chirp of {kind}", what, SINGLE_TIME, signal))
         phases.append(transition("centre", "all legs back to the middle", 0.5, middle, 0.3))
     all_joints = COMBINED_FACTOR * amplitude
     what = f"all joints {all_joints.max():.2f} rad at most to both sides"
     phases += [
-        Phase("chirp of all", what, COMBINED_TIME, _chirp(middle, all_joints, speed, BAND, COMBINED_TIME, shift)),
+        Phase(
+            "chirp of all", what, COMBINED_TIME, _chirp(middle, all_joints, speed, FREQUENCY_BAND, COMBINED_TIME, shift)
+        ),
         transition("centre", "all legs back to the middle", 0.5, middle, 0.3),
         Phase(
             "chirp back",
             f"{what}, from fast to slow",
             CHECK_TIME,
-            _chirp(middle, all_joints, speed, (BAND[1] / 2, BAND[0]), CHECK_TIME, shift[::-1]),
+            _chirp(middle, all_joints, speed, (FREQUENCY_BAND[1] / 2, FREQUENCY_BAND[0]), CHECK_TIME, shift[::-1]),
             use="check",
         ),
     ]
@@ -92,7 +92,7 @@ def amplitudes(robot: RobotDescription, actuator: JointActuatorData, middle: Arr
             amplitude[motor] = min(AMPLITUDE, middle[motor] - low - LIMIT_MARGIN, high - LIMIT_MARGIN - middle[motor])
     nominal = PhysicalParams.nominal(robot)
     speed = np.broadcast_to(np.asarray(actuator.speed_limit, float), robot.num_motors)
-    fastest = 2 * np.pi * BAND[1] * TORQUE_FRACTION * nominal.torque_limit[0] / nominal.servo_kp[0]
+    fastest = 2 * np.pi * FREQUENCY_BAND[1] * TORQUE_FRACTION * nominal.torque_limit[0] / nominal.servo_kp[0]
     return np.maximum(amplitude, 0.0), np.minimum(SPEED_FRACTION * np.minimum(speed, DEFAULT_SPEED_LIMIT), fastest)
 
 

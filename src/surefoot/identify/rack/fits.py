@@ -111,10 +111,10 @@ def _check(
     )
 
     def series(label: str, quantity: str, gain: float) -> Series:
-        was, now = (getattr(one, quantity)[0, :, motor] for one in replays)
+        prior_curve, fitted_curve = (getattr(one, quantity)[0, :, motor] for one in replays)
         measured = getattr(recording, quantity)[segment.states, motor]
         title = f"{robot.motor_names[motor]}, not fitted"
-        return Series(title, "time [s]", label, segment.state_time, measured, was, now * gain)
+        return Series(title, "time [s]", label, segment.state_time, measured, prior_curve, fitted_curve * gain)
 
     return (
         Check("motor angles", 1e3 * before[0], 1e3 * after[0], "mrad"),
@@ -233,10 +233,10 @@ def measure_spikes(recording: Recording) -> SpikeResponses:
 def _response_age(since: Array, angles: Array, speeds: Array, length: float) -> tuple[Array, NDArray[np.bool_]]:
     """Return the age (M,) [s] that fits the readings (T, M) of each motor best, and whether it clearly moved (M,)."""
     age, clear = np.zeros(angles.shape[1]), np.zeros(angles.shape[1], np.bool_)
-    quiet = since <= 0
-    before = np.median(speeds[quiet], axis=0)
+    before_spike = since <= 0
+    before = np.median(speeds[before_spike], axis=0)
     # The noise is pooled over all motors, because each one has only a few readings.
-    noise = float(np.std(speeds[quiet] - before)) + 1e-9
+    noise = float(np.std(speeds[before_spike] - before)) + 1e-9
     for motor in range(angles.shape[1]):
         # Rough estimate of the start of the motion: the reading at which half of the maximum speed is reached.
         gained = np.abs(speeds[:, motor] - before[motor])

@@ -127,12 +127,12 @@ def rack_unknowns(
         unknowns.append(Unknown(name, start, *robot.allowed[name], _RELATIVE_STEP * size))
     for motor in motors.tolist():
         leg, place = np.argwhere(robot.leg_motor_index == motor)[0].tolist()
-        of_motor = partial(Unknown, index=motor, affects=("leg", leg))
+        motor_unknown = partial(Unknown, index=motor, affects=("leg", leg))
         for number, (name, size) in enumerate(_MOTOR_SIZES.items()):
             start = float(getattr(prior, name)[0, motor])
             step, colour = _RELATIVE_STEP * size, 2 * number + place
-            unknowns.append(of_motor(name, start, *robot.allowed[name], step, colour=colour))
-        unknowns.append(of_motor(TORQUE_GAIN, 0.0, -0.5, 0.5, 1e-4, prior=GAIN_DEVIATION, colour=6 + place))
+            unknowns.append(motor_unknown(name, start, *robot.allowed[name], step, colour=colour))
+        unknowns.append(motor_unknown(TORQUE_GAIN, 0.0, -0.5, 0.5, 1e-4, prior=GAIN_DEVIATION, colour=6 + place))
     return unknowns
 
 
