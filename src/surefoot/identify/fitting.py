@@ -25,7 +25,7 @@ MIN_CORRELATION = 0.8
 """Correlation of errors from which two unknowns are hardly distinguishable."""
 MAX_ITERATIONS = 25
 MAX_HELD_SHIFT = 2.0
-"""Maximum shift of a held unknown that the residuals may suggest, in standard deviations of its prior."""
+"""Maximum error of a held unknown that may be inferred from the residuals, in standard deviations of its prior."""
 
 
 class _ConvergedError(Exception):

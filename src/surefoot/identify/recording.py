@@ -94,21 +94,21 @@ class RecordingMeta:
 class Recording:
     """Recorded experiment: C commands and T states of a robot with M motors."""
 
-    sent_number: Array = column("C", "1", "number of the frame that carried the command")
-    sent_time: Array = column("C", "s", "when it was sent, on the host's clock")
+    sent_number: Array = column("C", "1", "number of the frame with the command")
+    sent_time: Array = column("C", "s", "time of sending the command, on the host's clock")
     sent_phase: Array = column("C", "1", "index of the command's phase")
-    sent_value: Array = column("C, M", "rad or 1", "motor angle or duty, by the phase's mode")
-    time: Array = column("T", "s", "when the robot sent the state")
-    host_time: Array = column("T", "s", "when it arrived, on the host's clock")
-    mode: Array = column("T", "1", "the robot's mode")
+    sent_value: Array = column("C, M", "rad or 1", "motor angle or duty, depending on the mode of the phase")
+    time: Array = column("T", "s", "time of sending the state, on the robot's clock")
+    host_time: Array = column("T", "s", "time of its arrival, on the host's clock")
+    mode: Array = column("T", "1", "mode of the robot")
     command: Array = column("T", "1", "number of the command in effect")
-    command_age: Array = column("T", "s", "time since that arrived at the robot")
+    command_age: Array = column("T", "s", "time since this command arrived at the robot")
     motor_angle: Array = column("T, M", "rad", "angle, delayed by the control latency")
-    motor_velocity: Array = column("T, M", "rad/s", "velocity, equally delayed")
+    motor_velocity: Array = column("T, M", "rad/s", "velocity, with the same delay")
     motor_torque: Array = column("T, M", "N m", "torque, from the currents of the last servo step")
-    roll_pitch_yaw: Array = column("T, 3", "rad", "orientation, delayed as angles are", "world")
-    angular_velocity_base: Array = column("T, 3", "rad/s", "angular velocity, equally delayed", "base")
-    voltage: Array = column("T", "V", "voltage of the battery, without delay")
+    roll_pitch_yaw: Array = column("T, 3", "rad", "orientation, with the same delay", "world")
+    angular_velocity_base: Array = column("T, 3", "rad/s", "angular velocity, with the same delay", "base")
+    voltage: Array = column("T", "V", "battery voltage, without delay")
     temperature: Array = column("T, M", "degC", "temperature of the motor")
     meta: dict[str, Any] = field(default_factory=dict)
     """Metadata with the entries of `RecordingMeta`."""
@@ -150,7 +150,7 @@ class Recording:
 
     @cached_property
     def clock_offset(self) -> float:
-        """Median difference of a command's arrival on the robot's clock and its sending on the host's clock [s]."""
+        """Median of the arrival time of commands (robot's clock) minus their sending time (host's clock) [s]."""
         offsets = self._reported_arrival - self.sent_time
         return float(np.nanmedian(offsets)) if np.isfinite(offsets).any() else 0.0
 

@@ -113,7 +113,7 @@ class Contract:
     columns: tuple[str, ...]
     """Names of the O values of an observation, in order."""
     history: Annotated[int, Within(1, 100)]
-    """Number of past observations in the policy's input, including the current one; newest first."""
+    """Number of stacked observations in the policy's input: the current one and previous ones, newest first."""
     action_names: tuple[str, ...]
     """Names of the A values of the feedback: COORDINATE.LEG for each coordinate of leg space in turn, joint.MOTOR, or
     angle.MOTOR for motor angles. They are followed by memory.K: values that move nothing but are part of the next

@@ -18,7 +18,8 @@ _ANSWER_TIME = 0.3
 MAX_LOSS = 0.005
 """Maximum fraction of frames that may be lost or damaged: one of 200 pings."""
 MAX_BURST = 2.5
-"""Mean number of answers per burst above which an adapter buffers them; answers `PING_PERIOD` apart arrive singly."""
+"""Mean number of answers per burst above which the adapter buffers bytes; without buffering, answers arrive one by one,
+`PING_PERIOD` apart."""
 MAX_CLOCK_ERROR = 0.01
 """Maximum relative error of the robot's clock: crystals differ by 0.0001, a slow emulator by more."""
 LATE_STEPS = 2

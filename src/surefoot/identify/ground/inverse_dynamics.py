@@ -37,7 +37,7 @@ class Motion:
     motor_acceleration: Array
     """(T, M) [rad/s2]"""
     motor_torque: Array
-    """Torque at the motor shafts, after friction (T, M) [N m]."""
+    """Torque at the motor shafts, with friction subtracted (T, M) [N m]."""
     roll_pitch: Array
     """(T, 2) [rad]"""
     angular_velocity: Array

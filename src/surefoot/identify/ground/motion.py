@@ -159,7 +159,7 @@ def _smooth(values: Array, derivative: int = 0) -> Array:
 
 
 def _filter_tilt(tilt: Array, rate: Array) -> Array:
-    """Return roll and pitch (T, 2) [rad] by a complementary filter of the IMU's angles and rates, for small angles."""
+    """Return roll and pitch (T, 2) [rad] from a complementary filter of IMU angles and rates, for small angles."""
     out = np.empty_like(tilt)
     now = tilt[: max(int(0.2 / STEP), 1)].mean(axis=0)
     for k in range(len(tilt)):

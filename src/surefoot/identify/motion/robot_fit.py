@@ -38,7 +38,7 @@ FIRST_NOISE = 0.005
 starts small, because with large noise the priors dominate the fit, and its residuals would confirm the large noise."""
 MAX_ROUNDS = 3
 NOISE_TOLERANCE = 1.25
-"""Ratio of residual to assumed noise up to which no further round is needed."""
+"""Maximum ratio between residual and assumed noise, in either direction, at which the rounds end."""
 _MOUNT_DEVIATION = 0.05
 _PLOT_TIME = 3.0
 """Length of the motion in the report's figure [s]."""

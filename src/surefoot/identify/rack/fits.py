@@ -153,10 +153,10 @@ def _torque_curve(
 
 @dataclass(frozen=True)
 class SpikeResponses:
-    """Delays of K clear motor responses to spikes."""
+    """Delays of K clear motor responses to duty spikes."""
 
     age: Array
-    """Age of the readings when the robot sends a state (K,) [s]."""
+    """Age of the readings in a state at the time of sending it (K,) [s]."""
     host: Array
     """Time from sending the spike to receiving the first state with motion, on the host's clock (K,) [s]."""
     total: int
@@ -231,7 +231,14 @@ def measure_spikes(recording: Recording) -> SpikeResponses:
 
 
 def _response_age(since: Array, angles: Array, speeds: Array, length: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the age (M,) [s] that fits the readings (T, M) of each motor best, and whether it clearly moved (M,)."""
+    """Return the age of each motor's readings (M,) [s] by the best fit of its response, and whether it clearly moved.
+
+    Args:
+        since: time of each reading since the spike began (T,) [s].
+        angles: motor angles (T, M) [rad].
+        speeds: motor speeds (T, M) [rad/s].
+        length: length of the spike [s].
+    """
     age, clear = np.zeros(angles.shape[1]), np.zeros(angles.shape[1], np.bool_)
     before_spike = since <= 0
     before = np.median(speeds[before_spike], axis=0)
@@ -266,7 +273,7 @@ def _response_cost(since: Array, angles: Array, age: float, length: float) -> fl
 
 
 def _median(name: str, values: Array) -> ParameterEstimate:
-    """Return the median of values; its standard deviation is 1.25 times the mean's, from the interquartile range."""
+    """Return the median of values; its standard error is 1.25 times the mean's, from the interquartile range."""
     spread = float(np.subtract(*np.percentile(values, [75, 25]))) / 1.349
     deviation = 1.2533 * max(spread, 1e-6) / np.sqrt(len(values))
     return ParameterEstimate(name, float(np.median(values)), deviation, "s", low=0.0)
