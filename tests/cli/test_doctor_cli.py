@@ -110,7 +110,12 @@ def test_doctor_fails_on_another_robot_before_motion(fault: str, check: str, why
             "swapped: back_left_2_motor and back_left_1_motor",
         ),
         ("flip-sign=3", "motors, one by one", "back_left_1_motor moved", "the sign of this motor or encoder is wrong"),
-        ("late-states=0.015", "control latency", "the policy was trained with 20 ms", "find what delays the readings"),
+        (
+            "late-states=0.015",
+            "control latency",
+            "the policy was trained with 20 ms",
+            "find out what delays the readings",
+        ),
     ],
 )
 def test_faults_of_motors_fail_on_the_rack(fault: str, check: str, why: str, todo: str, port_of: Callable[..., str]):

@@ -137,7 +137,7 @@ def test_the_same_log_is_not_fitted_twice(
     assert list(again.tables["identified"]["logs"]["logs"].values()) == ["hanging.npz", "other.npz"]
     # Older files have one digest of all logs.
     old = replace(file, tables={"identified": {"logs": {"data": unknown_gains.digest}}})
-    with pytest.raises(SurefootError, match=r"was fitted to hanging.npz already"):
+    with pytest.raises(SurefootError, match=r"was already fitted to hanging.npz"):
         check_new_logs(tmp_path / "b.toml", old, dict(unknown_gains.log_digests), unknown_gains.digest)
 
 

@@ -102,7 +102,7 @@ def test_the_published_logs_are_read(pupper: RobotDescription):
     [
         ({"command": np.zeros((50, 8))}, r"command has shape \(50, 8\).*pupper_v2 has 12 motors"),
         ({"time": 0.01 * np.arange(50)[::-1]}, "time goes backwards in row 1, from 0.49 to 0.48 s"),
-        ({"command": np.full((50, 12), 0.3)}, "commands never move: no joint by 0.02 rad"),
+        ({"command": np.full((50, 12), 0.3)}, "no command moves a joint by more than 0.02 rad"),
         ({"time": np.full(50, np.nan)}, "time has values that are not finite"),
         ({"imu": np.zeros((49, 4))}, r"imu has shape \(49, 4\).*one row per time"),
         ({"command": np.full((50, 12), "a")}, "command holds <U1; it must hold numbers"),
