@@ -114,7 +114,8 @@ def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
         result = _OPERATORS[name](graph, *args, **kwargs)
     except (KeyError, TypeError, NotImplementedError) as error:
         raise SurefootError(
-            f"the network uses operator {name} in a way that is not supported; allowed are {ALLOWED}"
+            f"the network uses operator {name}, which is not supported or not with these arguments; allowed are "
+            f"{ALLOWED}"
         ) from error
     if isinstance(result, list):
         return result
