@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.identify.motion.fit_diagnosis import _wrong_columns, diagnose_fit, following_error
+from surefoot.identify.motion.fit_diagnosis import _column_hints, diagnose_fit, following_error
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -44,11 +44,11 @@ def test_the_baseline_has_the_error_that_no_delay_removes():
 def test_wrong_signs_and_orders_are_named(pupper: RobotDescription, log: RecordedMotion):
     angles = log.motor_angle.copy()
     angles[:, 1] *= -1
-    (hint,) = _wrong_columns(pupper, replace(log, motor_angle=angles))
+    (hint,) = _column_hints(pupper, replace(log, motor_angle=angles))
     assert hint == "the angle of rightFrontUpperLegMotor moves against its command: is its sign right?"
     angles = log.motor_angle.copy()
     angles[:, [1, 4]] = angles[:, [4, 1]]
-    first, second = _wrong_columns(pupper, replace(log, motor_angle=angles))
+    first, second = _column_hints(pupper, replace(log, motor_angle=angles))
     names = "rightFrontUpperLegMotor", "leftFrontUpperLegMotor"
     assert first == "the angle of {} follows the command of {}: is the order of joints right?".format(*names)
     assert second == "the angle of {1} follows the command of {0}: is the order of joints right?".format(*names)
