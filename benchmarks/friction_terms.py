@@ -21,7 +21,7 @@ from surefoot.identify.motion.priors import GAINS, default_names
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import replay_motion
 from surefoot.identify.motion.robot_fit import fit_robot
-from surefoot.identify.motion.robot_model import SECONDS
+from surefoot.identify.motion.robot_model import GROUND_SECONDS
 from surefoot.identify.motion.traces import read_motion
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -59,7 +59,7 @@ def held_out_error(
     off = {name: 0.0 for name in FRICTION if name not in terms and not name.endswith("ratio")}
     prior = PhysicalParams.nominal(robot).with_values(robot, **off, **held.gains)
     names = [*(name for name in default_names(robot, rack) if name not in FRICTION), *terms]
-    seconds = None if rack else SECONDS
+    seconds = None if rack else GROUND_SECONDS
     known = [name for name in GAINS if name in held.gains]
     params = fit_robot(robot, fitted, [], names, prior, seconds, known=known).params(robot, prior)
     replayer = Replayer(robot, 1, held.rack, torques=False)
@@ -83,7 +83,7 @@ def main() -> None:
         go2 = RobotDescription.load("go2")
         log = replace(read_motion(options.go2, go2), rack=True)
         middle, end = float(np.ptp(log.time)) / 2, float(np.ptp(log.time))
-        first, second = log.between(0.0, middle), log.between(middle, end)
+        first, second = log.crop(0.0, middle), log.crop(middle, end)
         cases += [("go2, first half", go2, [second], first), ("go2, second half", go2, [first], second)]
     if options.pupper:
         pupper = RobotDescription.load("pupper_v2")

@@ -25,7 +25,7 @@ import numpy as np
 from surefoot.actuator.motor import motor_torque
 from surefoot.deploy.links import open_link
 from surefoot.deploy.loop import RunMonitor
-from surefoot.identify.experiment_runner import PERIOD, run_plan
+from surefoot.identify.experiment_runner import COMMAND_PERIOD, run_plan
 from surefoot.identify.recording import COMPLETE
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.identify.result import Identification
@@ -61,7 +61,7 @@ def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
             options = ("--world", world, "--hidden-seed", seed, "--out", hidden, "--seed", seed)
             with emulated_robot(*options, *(["--rack"] if experiment.rack else [])) as port:
                 link = open_link(port, robot.num_motors, lockstep=True)
-                link.connect(state_period=PERIOD)
+                link.connect(state_period=COMMAND_PERIOD)
                 recording = run_plan(link, experiment.plan(robot), robot, RunMonitor())
                 link.close()
             if recording.meta["ended"] != COMPLETE:

@@ -21,7 +21,7 @@ from surefoot.identify.motion.priors import default_names
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import compare_motions, replay_motion
 from surefoot.identify.motion.robot_fit import fit_robot
-from surefoot.identify.motion.robot_model import SECONDS
+from surefoot.identify.motion.robot_model import GROUND_SECONDS
 from surefoot.identify.motion.traces import read_motion
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -59,7 +59,7 @@ def errors(what: str, robot: RobotDescription, runs: dict[str, RecordedMotion]) 
             nominal = PhysicalParams.nominal(robot).with_values(robot, **values)
             names = [name for name in default_names(robot, False) if name not in without]
             others = [other for key, other in runs.items() if key != name]
-            params = fit_robot(robot, others, [], names, nominal, SECONDS).params(robot, nominal)
+            params = fit_robot(robot, others, [], names, nominal, GROUND_SECONDS).params(robot, nominal)
         else:
             params = load_params(robot, "identified" if what == "identified" else None, ())
         for world, ending in (("mujoco", ""), ("bullet", "_bullet")):

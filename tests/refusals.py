@@ -591,7 +591,7 @@ REFUSALS = [
             "pupper.npz --world newton": "world 'newton' does not exist; choices: mujoco, bullet",
             "pupper.npz --out figure.svg": "out figure.svg: the name must end in .png",
             "pupper.npz --set mass=1": "'mass' is not a physical parameter",
-            "short.npz": "short.npz is 0.04 s long; errors count after 0.3 s",
+            "short.npz": "short.npz is 0.04 s long; errors are evaluated after 0.3 s",
         },
         "mujoco",
     ),

@@ -106,11 +106,16 @@ def test_doctor_fails_on_another_robot_before_motion(fault: str, check: str, why
         (
             "swap-motors=2",
             "motors, one by one",
-            "back_left_1_motor, asked to go",
-            "exchanged: back_left_2_motor with back_left_1_motor",
+            "back_left_1_motor, commanded to move",
+            "swapped: back_left_2_motor and back_left_1_motor",
         ),
-        ("flip-sign=3", "motors, one by one", "back_left_1_motor went", "its sign, of motor or encoder, is flipped"),
-        ("late-states=0.015", "control latency", "the policy was trained with 20 ms", "find what delays the readings"),
+        ("flip-sign=3", "motors, one by one", "back_left_1_motor moved", "the sign of this motor or encoder is wrong"),
+        (
+            "late-states=0.015",
+            "control latency",
+            "the policy was trained with 20 ms",
+            "find out what delays the readings",
+        ),
     ],
 )
 def test_faults_of_motors_fail_on_the_rack(fault: str, check: str, why: str, todo: str, port_of: Callable[..., str]):
@@ -132,7 +137,7 @@ def test_a_mirrored_encoder_fails_at_rest_or_as_soon_as_motors_hold(port_of: Cal
 def test_an_imu_with_exchanged_axes_fails_on_the_ground(port_of: Callable[..., str]):
     _, checks = doctor("trot", port_of("--fault", "imu-flip=0"), "--lockstep", "--ground", "--yes")
     assert failed(checks) == ["IMU, nose down", "IMU, left side down"]
-    assert all("the IMU's x and y are exchanged" in checks[check]["remedy"] for check in failed(checks))
+    assert all("x and y of the IMU are swapped" in checks[check]["remedy"] for check in failed(checks))
 
 
 def test_a_line_that_damages_frames_fails(port_of: Callable[..., str]):

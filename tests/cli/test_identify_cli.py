@@ -212,7 +212,7 @@ def test_ctrl_c_ends_an_experiment_and_keeps_the_recording(hanging: EmulatorHere
     assert "to fit it" not in message
     assert [path.name for path in out.iterdir()] == ["recording.npz"]
     # What was stopped is not fitted later either.
-    refused(identify("motor", "--recording", out), "did not come to its end: stopped by the operator")
+    refused(identify("motor", "--recording", out), "stopped early: stopped by the operator")
 
 
 def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDescription):

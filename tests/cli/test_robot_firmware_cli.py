@@ -32,7 +32,7 @@ def test_a_robots_firmware_is_written_and_compiles_and_runs_the_emulated_robot(t
     ("fault", "code", "text"),
     [
         (None, 0, "pass      back_left_1_motor     a duty of -0.05 turned it by -0."),
-        ("flip-sign=3", 3, "the wrong way"),
+        ("flip-sign=3", 3, "the wrong direction"),
         ("swap-motors=2", 3, "and back_left_2_motor by -1."),
     ],
 )

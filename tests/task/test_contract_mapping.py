@@ -14,7 +14,7 @@ pytest.importorskip("gymnasium")
 from surefoot.api.policies import find_policy
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
-from surefoot.policy.contract import Contract, stated_fields
+from surefoot.policy.contract import Contract, contract_fields
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task
@@ -84,7 +84,7 @@ def test_the_fields_that_a_task_marks_stand_outside_of_the_contracts_task():
     task = load_task("terrain-seeing", "go2")[0]
     robot = RobotDescription.load("go2")
     contract, whole = contract_from_task(task, robot), to_mapping(task)
-    stated = stated_fields(TaskConfig)
+    stated = contract_fields(TaskConfig)
     assert {name for name in whole if name not in contract.task} == {name for name in stated if "." not in name}
     for table in ("commands", "params"):
         missing = {f"{table}.{key}" for key in whole[table] if key not in contract.task[table]}

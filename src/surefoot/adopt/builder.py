@@ -23,7 +23,7 @@ from surefoot.deploy.checks import check_policy
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import add_digest, read_parts
-from surefoot.policy.graph import LARGEST, Graph, Value
+from surefoot.policy.graph import MAX_FLOAT, Graph, Value
 from surefoot.policy.network import INPUT, OUTPUT, check_network
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -400,7 +400,7 @@ class PolicyMaker:
 
     def _clipped(self, graph: Graph, value: Value, clips: list[Range | None]) -> Value:
         """Return a value with those of its numbers clipped that have bounds."""
-        low, high = np.array([clip or (-LARGEST, LARGEST) for clip in clips]).T
+        low, high = np.array([clip or (-MAX_FLOAT, MAX_FLOAT) for clip in clips]).T
         return self._bounded(graph, value, tuple(low), tuple(high))
 
     def observation_map(self) -> tuple[Array, Array, Array]:

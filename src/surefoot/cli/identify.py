@@ -54,7 +54,7 @@ surefoot identify EXPERIMENT --help lists its options, as for replay, import and
 
 def check_identifiable(robot: RobotDescription, experiment: Experiment | None = None) -> None:
     """Refuse a robot whose legs and motors are not those that an experiment, or a fit to traces, needs."""
-    if experiment is not None and experiment.joints:
+    if experiment is not None and experiment.for_joint_actuators:
         if robot.actuator.kind != "joint" or robot.loops:
             raise SurefootError(f"{experiment.name} takes robots with joint actuators; {robot.name} has others")
         return
@@ -79,7 +79,7 @@ def main(argv: list[str]) -> int:
 
 
 def _usage() -> str:
-    experiments = {name: f"{one.what} (on {'rack' if one.rack else 'ground'})" for name, one in EXPERIMENTS.items()}
+    experiments = {name: f"{one.measures} (on {'rack' if one.rack else 'ground'})" for name, one in EXPERIMENTS.items()}
     others = {
         f"{TRACE} FOLDER": "motors and delays from traces of runs; a robot with joint actuators from logs",
         **{name: purpose for name, (purpose, _) in ACTIONS.items()},
@@ -157,7 +157,7 @@ def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
     check_installed()
     with fit_progress(name) as report:
         result = experiment.fit(robot, recording, prior.params, dict(prior.tables.get("sensors", {})), report)
-    missing = list(missing_experiments(prior, experiment.before))
+    missing = list(missing_experiments(prior, experiment.prerequisites))
     more = {"recording": str(path), "ended": COMPLETE, "lacks": missing}
     save_and_print(robot, prior, result, command.params, folder, str(path), more, command.json)
     return 0
@@ -165,7 +165,7 @@ def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
 
 def _print_plan(command: ExperimentCommand, experiment: Experiment) -> int:
     """Show the plan of an experiment in the air, and what it would tell."""
-    if not experiment.joints or command.robot is None:
+    if not experiment.for_joint_actuators or command.robot is None:
         raise SurefootError(
             "--plan shows what air would tell; name the robot: surefoot identify air --plan --robot NAME"
         )
@@ -175,13 +175,13 @@ def _print_plan(command: ExperimentCommand, experiment: Experiment) -> int:
     prior = read_prior(command.params, robot).params.with_values(robot, **stated)
     if not command.json:
         show_plan(plan, robot.name, (-math.inf, math.inf), make_console())
-    from surefoot.cli.helpers.identify_results import check_installed, print_foresight
+    from surefoot.cli.helpers.identify_results import check_installed, print_expected_accuracy
 
     check_installed()
-    from surefoot.identify.motion.foresight import foresee, planned_motion
+    from surefoot.identify.motion.expected_accuracy import planned_motion, predict_accuracy
 
-    foresight = foresee(robot, [planned_motion(plan)], prior, tuple(stated))
-    print_foresight(robot, foresight, prior, "this plan", command.json)
+    accuracy = predict_accuracy(robot, [planned_motion(plan)], prior, tuple(stated))
+    print_expected_accuracy(robot, accuracy, prior, "this plan", command.json)
     return 0
 
 
@@ -206,7 +206,7 @@ def _check_options(command: ExperimentCommand) -> None:
 
 def _warn_of_missing(command: ExperimentCommand, experiment: Experiment, prior: ParamsFile) -> None:
     """Print which experiments should precede this one."""
-    if missing := missing_experiments(prior, experiment.before):
+    if missing := missing_experiments(prior, experiment.prerequisites):
         where = f"{command.params} has no results of it" if command.params is not None else "no --params FILE is given"
         print(
             f"surefoot: warning: {experiment.name} should come after {' and '.join(missing)}, and {where}; the data "

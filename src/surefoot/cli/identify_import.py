@@ -55,7 +55,7 @@ def main(argv: list[str]) -> int:
 
     motion = import_log(command.file, robot, command.map, command.any_checksum)
     if command.between is not None:
-        motion = motion.between(*command.between)
+        motion = motion.crop(*command.between)
     if gains := parse_settings([word for group in command.settings for word in group]):
         if bad := [name for name in gains if name not in GAINS]:
             raise SurefootError(f"--set names {bad[0]}, and a log has gains: {choices(GAINS)}")
@@ -63,7 +63,7 @@ def main(argv: list[str]) -> int:
         motion = replace(motion, gains={**motion.gains, **gains})
     # States are imported without commands, those of a Go2 with commands in some rows too.
     states = motion.read_at_row or not np.isfinite(motion.command).any()
-    timing = (motion if states else motion.checked()).timing()
+    timing = (motion if states else motion.require_replayable()).timing()
     notes, missing = [*motion.meta.get("notes", []), *check_log(motion, robot)], motion.missing()
     if not np.isfinite(motion.command).any():
         missing = ["command", *missing]

@@ -75,7 +75,7 @@ def main(argv: list[str]) -> int:
         "rms": errors.rms,
         "rms_by_motor": dict(zip(robot.motor_names, map(plain_value, errors.by_motor.tolist()), strict=True)),
         "rms_imu": {name: plain_value(value) for name, value in errors.by_imu.items()},
-        "moving": [name for name, moves in zip(robot.motor_names, log.moving, strict=True) if moves],
+        "moving": [name for name, moves in zip(robot.motor_names, log.moving_joints, strict=True) if moves],
         "gains": {name: getattr(params, name)[0].tolist() for name in GAINS},
         "gains_from": source,
         "world": command.world,

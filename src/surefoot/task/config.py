@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from surefoot.configuration import NoOption, Within, check_bounds, from_mapping, keys_of_kind, read_yaml
 from surefoot.errors import SurefootError, check_name, prefix_errors, quote, suggest
-from surefoot.policy.contract import ASSUMED_PARAMS, MAX_MEMORY, Stated
+from surefoot.policy.contract import ASSUMED_PARAMS, MAX_MEMORY, ContractField
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.robot.params_file import ParamValue
@@ -59,26 +59,26 @@ class FeedbackConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Configuration of a task. Fields marked as `Stated` are the policy's interface, which its contract states."""
+    """Configuration of a task. Fields marked `ContractField` are repeated in the policy's contract."""
 
     name: str = "gait"
     """Name of the task; run folders carry it."""
-    robot: Annotated[NoOption[str], Stated()] = DEFAULT_ROBOT
+    robot: Annotated[NoOption[str], ContractField()] = DEFAULT_ROBOT
     """Name of a robot that ships with surefoot, or the path of a robot's folder; in a file from the file's folder."""
-    observations: Annotated[tuple[str, ...], Stated()] = IMU_AND_MOTORS_12D
+    observations: Annotated[tuple[str, ...], ContractField()] = IMU_AND_MOTORS_12D
     """Parts of the observation, in order."""
-    history: Annotated[int, Within(1, 100), Stated()] = 1
+    history: Annotated[int, Within(1, 100), ContractField()] = 1
     """Number of last observations in the policy's input, the newest first."""
-    reference: Annotated[ReferenceField, Stated()] = field(default_factory=NoReferenceConfig)
+    reference: Annotated[ReferenceField, ContractField()] = field(default_factory=NoReferenceConfig)
     """The open loop part of the gait."""
-    feedback: Annotated[FeedbackConfig, Stated()] = field(default_factory=FeedbackConfig)
+    feedback: Annotated[FeedbackConfig, ContractField()] = field(default_factory=FeedbackConfig)
     """Bounds of the policy's part."""
-    action: Annotated[ActionKind, Stated()] = "leg"
+    action: Annotated[ActionKind, ContractField()] = "leg"
     """What the policy's part is added to: the legs' poses in leg space, or the motors' angles. angle: to nothing; it is
     the motors' angles themselves, without a reference."""
-    memory: Annotated[int, Within(0, MAX_MEMORY), Stated()] = 0
+    memory: Annotated[int, Within(0, MAX_MEMORY), ContractField()] = 0
     """Numbers beside the motion that the policy keeps from one control step to the next, by observation `memory`."""
-    rest: Annotated[tuple[float | tuple[float, ...], ...] | None, Stated()] = None
+    rest: Annotated[tuple[float | tuple[float, ...], ...] | None, ContractField()] = None
     """Pose of the legs in leg space in which the robot settles first, each coordinate of all legs or of each; the
     middle of commands if not given."""
     fall_angle: Annotated[float, Within(1e-3, math.pi)] = 0.5
@@ -88,7 +88,7 @@ class TaskConfig:
     from crawling on the belly."""
     max_steps: Annotated[int, Within(1, MAX_STEPS)] = 1000
     """Control steps of an episode."""
-    commands: Annotated[CommandConfig, Stated(_LIMITS)] = field(default_factory=CommandConfig)
+    commands: Annotated[CommandConfig, ContractField(_LIMITS)] = field(default_factory=CommandConfig)
     """Speeds and yaw rates that the robot must follow; none by default: it goes straight on."""
     reward: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=PAPER_REWARD.copy)
     """Weights of reward terms by name (`task.reward.TERMS`); costs have negative weights."""
@@ -103,7 +103,7 @@ class TaskConfig:
     randomize_ramp: Annotated[int, Within(0, 1_000_000)] = 0
     """Curriculum: a robot's first `randomize_ramp` episodes draw from ranges that widen from the nominal value; 0: none
     do."""
-    params: Annotated[NoOption[dict[str, ParamValue]], Stated(ASSUMED_PARAMS)] = field(default_factory=dict)
+    params: Annotated[NoOption[dict[str, ParamValue]], ContractField(ASSUMED_PARAMS)] = field(default_factory=dict)
     """Physical parameters that differ from the robot's description, by name: a number, or one for each motor."""
     params_source: NoOption[dict[str, str]] = field(default_factory=dict)
     """The file that they were read from, if any: its name as `file`, and `sha256`. It is not read again."""

@@ -22,7 +22,7 @@ from surefoot.policy.contract import (
     HeightMap,
     ObservationPart,
     config_hash,
-    stated_fields,
+    contract_fields,
 )
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue, param_values
@@ -39,7 +39,7 @@ from surefoot.task.terrain import TerrainConfig
 if TYPE_CHECKING:
     from surefoot.task.env import LocomotionEnv
 
-_STATED = stated_fields(TaskConfig)
+_STATED = contract_fields(TaskConfig)
 """Dotted names of the task's fields that the contract states itself."""
 
 

@@ -1,4 +1,4 @@
-"""A recording of the experiment in the air is a log that a replay with the robot's own parameters repeats."""
+"""A replay with the robot's true parameters reproduces a recording of the air experiment."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from surefoot.deploy.links import open_link
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.motion.replay_errors import replay_motion
-from surefoot.identify.rack.air_fit import motion_of_phases
+from surefoot.identify.rack.air_fit import motion_from_phases
 from surefoot.identify.rack.air_plan import air_plan
 from surefoot.identify.recording import COMPLETE, Recording
 from surefoot.identify.replay import Replayer
@@ -30,7 +30,7 @@ def go2() -> RobotDescription:
 
 @pytest.fixture(scope="module")
 def recording(go2: RobotDescription) -> Recording:
-    """Unfold, two seconds of the chirp of all joints, and two that are not fitted."""
+    """Recording of the unfolding, two seconds of the chirp of all joints, and two held-out seconds."""
     plan = air_plan(go2)
     phases = {phase.name: phase for phase in plan.phases}
     short = (
@@ -59,13 +59,13 @@ def test_the_recording_states_the_gains_of_the_robot(go2: RobotDescription, reco
 
 @pytest.mark.parametrize("use", ["fit", "check"])
 def test_a_replay_repeats_the_recording(go2: RobotDescription, recording: Recording, use: str):
-    motion = motion_of_phases(recording, use)
+    motion = motion_from_phases(recording, use)
     assert motion.rack
     assert np.ptp(motion.time) == pytest.approx(2.0, abs=0.1)
-    assert motion.moving.all()
+    assert motion.moving_joints.all()
     errors = replay_motion(motion, go2, PhysicalParams.nominal(go2), Replayer(go2, 1, torques=False))
-    # At up to 9 rad/s, the servo step in which a command arrives counts.
+    # At up to 9 rad/s, the servo step in which a command arrives matters.
     assert errors.rms < 2e-3
-    # With another latency it would not be as near: readings have their own times.
+    # Another latency gives a larger error.
     late = PhysicalParams.nominal(go2).with_values(go2, control_latency=0.02)
     assert replay_motion(motion, go2, late, Replayer(go2, 1, torques=False)).rms > 2 * errors.rms

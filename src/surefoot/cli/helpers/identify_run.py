@@ -131,7 +131,7 @@ def show_plan(plan: Plan, name: str, taken: tuple[Array | float, Array | float],
     # Each kind of phase with its count, in the order in which they first come.
     kinds: dict[tuple[str, str], list[float]] = {}
     for phase in plan.phases:
-        kinds.setdefault((phase.name, phase.what), []).append(phase.duration)
+        kinds.setdefault((phase.name, phase.description), []).append(phase.duration)
     for (phase_name, what), times in kinds.items():
         counted = phase_name if len(times) == 1 else f"{phase_name} x {len(times)}"
         table.add_row(Text(counted), Text(f"{sum(times):.1f} s"), Text(what))
@@ -139,8 +139,8 @@ def show_plan(plan: Plan, name: str, taken: tuple[Array | float, Array | float],
     pwm = f"; duty without servo at most {plan.largest_duty:g}" if plan.largest_duty else ""
     console.print(f"motor angles from {low.min():.2f} to {high.max():.2f} rad{pwm}")
     console.print(
-        f"ends with damped motors when a motor leaves {plan.angle_low.min() - limits.angle_room:.2f} to "
-        f"{plan.angle_high.max() + limits.angle_room:.2f} rad, gives more than "
+        f"ends with damped motors when a motor leaves {plan.angle_low.min() - limits.angle_margin:.2f} to "
+        f"{plan.angle_high.max() + limits.angle_margin:.2f} rad, gives more than "
         f"{limits.torque:g} N m for {limits.torque_time:g} s or is hotter than {limits.temperature:g} degC, after "
         f"{limits.duration:g} s, or with Ctrl-C",
     )

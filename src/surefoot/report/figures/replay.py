@@ -33,7 +33,7 @@ def draw_replay(
         label: name of the other record.
     """
     log = errors.motion
-    joints = np.flatnonzero(log.moving)[:_MAX_JOINTS].tolist()
+    joints = np.flatnonzero(log.moving_joints)[:_MAX_JOINTS].tolist()
     with new_figure(path, (_WIDTH, 0.8 + _HEIGHT * len(joints)), len(joints), 2, sharex=True) as (figure, axes):
         legend = f"surefoot {1e3 * errors.rms:.1f} mrad"
         legend += "" if beside is None else f", {label} {1e3 * beside.rms:.1f} mrad"
