@@ -9,10 +9,10 @@ import yaml
 
 from surefoot.adopt.constant_inputs import ConstantInputs
 from surefoot.adopt.diagnosis import Diagnosis, check_answers
-from surefoot.adopt.examination import Answer
+from surefoot.adopt.examination import TrialResult
 from surefoot.adopt.formats import manual
 from surefoot.adopt.mistakes import Correction
-from surefoot.adopt.robot_guesses import RobotGuess, robot_guesses
+from surefoot.adopt.robot_variants import RobotVariant, robot_variants
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification
 
 SPECIFICATION = PolicySpecification(
@@ -24,16 +24,16 @@ SPECIFICATION = PolicySpecification(
     observations=(ObservationTerm("command", scale=(2.0, 2.0, 0.25)), ObservationTerm("gravity")),
     notes={"forward": "assumed"},
 )
-YOUNG = RobotGuess(latency=0.0)
+YOUNG = RobotVariant(latency=0.0)
 
 
-def answer(correction: Correction | RobotGuess | None, scores, fell: bool = False, unusual: int = 0) -> Answer:
+def answer(correction: Correction | RobotVariant | None, scores, fell: bool = False, unusual: int = 0) -> TrialResult:
     """Return an answer with these scores, by errors forward."""
     command = np.zeros((len(scores), 3))
     command[1:, 0] = 0.5
     motion = command + np.outer(1.0 - np.array(scores), [0.5, 0, 0])
     stood = np.full((1, len(scores)), 0.25 if fell else 1.0)
-    return Answer(correction, ("stand", "forward", "back")[: len(scores)], command, motion[None], stood, unusual)
+    return TrialResult(correction, ("stand", "forward", "back")[: len(scores)], command, motion[None], stood, unusual)
 
 
 def made(text: str) -> Correction:
@@ -44,7 +44,7 @@ def test_the_change_that_makes_it_walk_is_named():
     own = answer(None, [0.2, 0.0, 0.1])
     diagnosis = Diagnosis.from_answers([own, answer(made("a"), [0.5, 0.5, 0.5]), answer(made("b"), [0.8, 0.8, 0.8])])
     assert diagnosis.mistake.correction.text == "b"
-    assert diagnosis.alike == ()
+    assert diagnosis.ties == ()
     *_, last = check_answers(diagnosis)
     assert last.passed is False
     assert last.message == "2 usual mistakes tried; b (score 0.10, then 0.80)"
@@ -57,7 +57,7 @@ def test_of_changes_that_are_alike_the_usual_one_comes_first():
     also = answer(made("also"), [0.79] * 3)
     diagnosis = Diagnosis.from_answers([own, odd, usual, also])
     assert diagnosis.mistake.correction.text == "usual"
-    assert [one.correction.text for one in diagnosis.alike] == ["also"]
+    assert [one.correction.text for one in diagnosis.ties] == ["also"]
     assert check_answers(diagnosis)[-1].remedy == "correct kp and adopt it again; as likely: also"
 
 
@@ -91,7 +91,7 @@ def test_a_fall_that_no_mistake_explains_is_said():
 
 def test_no_number_is_a_mistake_where_a_robot_with_other_readings_walks():
     own, better = answer(None, [0.5] * 3), answer(made("kd"), [0.9] * 3)
-    assert Diagnosis.from_answers([own, better, answer(YOUNG, [0.5] * 3)]).is_shown
+    assert Diagnosis.from_answers([own, better, answer(YOUNG, [0.5] * 3)]).is_confirmed
     diagnosis = Diagnosis.from_answers([own, better, answer(YOUNG, [0.7] * 3)])
     assert diagnosis.mistake is None
     last = check_answers(diagnosis)[-1]
@@ -114,9 +114,9 @@ def test_a_correction_must_make_it_walk():
 
 
 def test_the_robot_that_differs_least_is_named():
-    both = RobotGuess(latency=0.0, rotor=2.0)
+    both = RobotVariant(latency=0.0, rotor=2.0)
     diagnosis = Diagnosis.from_answers([answer(None, [0.3] * 3), answer(both, [0.71] * 3), answer(YOUNG, [0.7] * 3)])
-    assert diagnosis.explained.change == YOUNG
+    assert diagnosis.explaining_variant.change == YOUNG
     assert both.text == "readings 0 ms old and 2 times the rotor inertia"
 
 
@@ -142,9 +142,9 @@ def test_what_a_policy_was_not_trained_for_is_said_beside_stand():
 
 
 def test_other_robots_have_other_readings_than_the_simulated_one():
-    assert RobotGuess(latency=0.0) in robot_guesses(0.03)
-    assert RobotGuess(latency=0.0) not in robot_guesses(0.0)
-    assert RobotGuess() not in robot_guesses(0.01)
+    assert RobotVariant(latency=0.0) in robot_variants(0.03)
+    assert RobotVariant(latency=0.0) not in robot_variants(0.0)
+    assert RobotVariant() not in robot_variants(0.01)
 
 
 def test_a_specification_is_written_as_it_is_read(tmp_path):

@@ -11,8 +11,8 @@ import yaml
 from foreign import DATA, DEPLOY, perceptron
 
 from surefoot.adopt.adoption import adopt
+from surefoot.adopt.formats.common import matched_joints, why_unmeasured
 from surefoot.adopt.formats.python_values import Computed, read_classes
-from surefoot.adopt.formats.reading import matched_joints, why_unmeasured
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 

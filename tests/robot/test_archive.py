@@ -65,6 +65,18 @@ def test_robots_that_ship_are_not_carried(mine: Path):
     assert own.location == str(mine)
 
 
+def test_an_archive_with_the_former_name_of_visuals_loads_and_a_folder_with_it_says_the_new_one(mine: Path):
+    sheet = mine / "robot.toml"
+    files = [(path.relative_to(mine).as_posix(), path.read_bytes()) for path in (mine / "minitaur.urdf",)]
+    old = sheet.read_text().replace('visuals = "visuals.npz"', 'looks = "looks.npz"')
+    visuals = ("looks.npz", (mine / "visuals.npz").read_bytes())
+    robot = RobotDescription.load(unpack_robot(zipped(("robot.toml", old.encode()), visuals, *files)))
+    assert len(robot.appearance().parts) == len(RobotDescription.load("minitaur").appearance().parts)
+    sheet.write_text(old)
+    with pytest.raises(SurefootError, match=r"robot.toml: looks is named visuals now; rename this key"):
+        RobotDescription.load(mine)
+
+
 def test_a_file_of_the_cache_that_was_edited_or_removed_is_written_again(mine: Path):
     folder = unpack_robot(pack_robot(mine))
     (folder / "robot.toml").write_text("name = 'another'")

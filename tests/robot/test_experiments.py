@@ -17,7 +17,7 @@ def test_usual_numbers_are_near_those_of_the_minitaurs_sheet() -> None:
         assert getattr(usual, name) == pytest.approx(value, rel=0.02), name
     # 2.45 N m are at 30 A, 30 * .186 / 16 of the duty, which a gain of 1 duty/rad asks for at that many rad.
     assert usual.step == pytest.approx(30 * 0.186 / 16)
-    assert usual.part("step", 0.5) == 0.174
+    assert usual.fraction("step", 0.5) == 0.174
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())

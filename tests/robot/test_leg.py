@@ -66,7 +66,7 @@ def test_motor_angles_and_feet_lead_back_to_the_pose(legs: Legs):
     np.testing.assert_allclose(legs.to_pose(angles), poses, atol=1e-9)
     np.testing.assert_allclose(np.stack(legs.plane_pose(legs.foot_in_plane(angles)), -2), poses[..., -2:, :], atol=1e-9)
     np.testing.assert_allclose(legs.foot_pose(legs.foot_position(angles)), poses, atol=1e-9)
-    assert legs.closes(angles).all()
+    assert legs.is_feasible(angles).all()
 
 
 @given(st.sampled_from(sorted(KINDS)), *map(partial(st.floats, -1.0), (1.0, 1.0, 1.0)))
@@ -197,8 +197,8 @@ def test_jacobian_of_a_five_bar_leg_by_hand():
 
 
 def test_where_no_loop_closes_there_is_no_foot_and_no_jacobian():
-    assert not SHORT.closes(RIGHT)
-    assert SHORT.closes(1.8 * RIGHT)
+    assert not SHORT.is_feasible(RIGHT)
+    assert SHORT.is_feasible(1.8 * RIGHT)
     assert np.isnan(SHORT.foot_in_plane(RIGHT)).all()
     assert np.isnan(SHORT.jacobian(RIGHT)[[0, 2]]).all()
 
@@ -263,7 +263,7 @@ def test_a_pose_out_of_reach_has_no_motor_angles():
     # Folded, the leg is .25 - .2 = .05 m long, a ninth of .45 m.
     for extension, reached in ((1.001, False), (0.11, False), (1.0, True), (0.112, True)):
         angles = legs.to_motors(pose_of(legs, 0.0, 0.0, extension))
-        assert np.isfinite(angles[:, 1:]).all() == legs.closes(angles).all() == reached
+        assert np.isfinite(angles[:, 1:]).all() == legs.is_feasible(angles).all() == reached
     # Each leg has its own result.
     swing, extension = legs.plane_pose([(0.0, -0.5), (0.0, -0.225)])
     np.testing.assert_allclose([swing, extension], [(np.nan, 0.0), (np.nan, 0.5)])

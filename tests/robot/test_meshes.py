@@ -10,7 +10,7 @@ import trimesh
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.importing.foot import fit_sphere
+from surefoot.robot.importing.foot_sphere import fit_sphere
 from surefoot.robot.importing.meshes import Surface, decimate, read_mesh
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot

@@ -16,7 +16,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot
-from surefoot.robot.mirror import MIRRORED, is_mirrored, side_difference
+from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, is_symmetric, side_difference
 from surefoot.robot.rigid_body import box_moments
 from surefoot.world.body_checks import check_file, check_masses, check_sides
 from surefoot.world.description_checks import drawn_beyond_feet, run_description_checks
@@ -171,7 +171,7 @@ def test_sides_are_compared_by_their_links(longer: float, passed: bool, warn: bo
     assert (result.passed, result.warn) == (passed, warn)
     assert words in result.message
     assert side_difference(robot).length == pytest.approx(longer, abs=1e-7)
-    assert is_mirrored(robot) is (longer <= MIRRORED * robot.leg_geometry.length)
+    assert is_symmetric(robot) is (longer <= MAX_SIDE_DIFFERENCE * robot.leg_geometry.length)
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ def test_later_parameters_do_not_change_the_random_stream(make_randomizer):
 
 
 def test_scaled_is_from_minus_one_to_one(randomizer, many):
-    scaled = np.concatenate([randomizer.scaled(params) for params in many])
+    scaled = np.concatenate([randomizer.normalize(params) for params in many])
     assert scaled.shape == (4000, COUNT) == (4000, len(randomizer.columns))
     assert np.abs(scaled).max() <= 1 + 1e-12
     assert np.all(scaled.min(axis=0) < -0.99)
@@ -156,7 +156,7 @@ def test_scaled_by_hand(robot, make_randomizer):
     # A range without width has no column.
     assert randomizer.columns == ["base_mass_ratio", "voltage", "imu_bias.roll", "imu_bias.pitch"]
     expected = [[-1, -0.5, 1, 0], [0.5, 1, 0, -0.5]]
-    np.testing.assert_allclose(randomizer.scaled(params), expected, atol=1e-12)
+    np.testing.assert_allclose(randomizer.normalize(params), expected, atol=1e-12)
 
 
 # --- ranges around nominal values -------------------------------------------------------------------------
@@ -179,7 +179,7 @@ def test_relative_ranges_are_factors_or_summands_of_nominal_values():
     assert 1.08 < factors.max() <= 1.1
     assert np.ptp(drawn.motor_friction / nominal.motor_friction, axis=1).min() > 0.5
     assert np.abs(drawn.motor_offset - offsets).max() <= 0.01
-    scaled = randomizer.scaled(drawn)
+    scaled = randomizer.normalize(drawn)
     assert scaled.shape == (40, 12 + 1 + 12) == (40, len(randomizer.columns))
     np.testing.assert_allclose(scaled[:, 12], 10 * (factors[:, 0] - 1))
     assert np.abs(scaled).max() <= 1.0 + 1e-9

@@ -63,7 +63,7 @@ def test_rails_are_fixed_to_the_base(robot: RobotDescription):
 
 def test_a_joint_moves_the_links_below_it(robot: RobotDescription):
     expected = {f"front_left_1_{part}" for part in ("rotor", "upper", "lower")}
-    assert robot.urdf.below("front_left_1_motor") == expected
+    assert robot.urdf.links_below("front_left_1_motor") == expected
 
 
 @pytest.mark.parametrize(
@@ -228,7 +228,7 @@ def test_shapes_and_joints_keep_their_places(tmp_path: Path):
         body = urdf.fuse_fixed_links().links["a"].body
         np.testing.assert_allclose(fused.links["a"].body.inertia, body.inertia, rtol=1e-12, atol=1e-15)
         np.testing.assert_allclose(fused.links["a"].body.centre, body.centre, rtol=1e-12)
-    top, frame = urdf.places["b"]
+    top, frame = urdf.fused_frames["b"]
     assert top == "a"
     np.testing.assert_allclose(frame @ [0, 0.2, 0, 1], [0.2, 0, 0.1, 1], atol=1e-15)
 

@@ -15,7 +15,7 @@ from surefoot.adopt import torchscript_network
 from surefoot.adopt.builder import ForeignNetwork, build_policy, check_specification
 from surefoot.adopt.constant_inputs import constant_inputs
 from surefoot.adopt.formats import legged_gym, manual, mjlab, rl_sar, unitree_rl_lab
-from surefoot.adopt.formats.reading import matched_joints
+from surefoot.adopt.formats.common import matched_joints
 from surefoot.adopt.mistakes import fits, joint_orders
 from surefoot.adopt.onnx_network import OnnxNetwork
 from surefoot.adopt.onnx_weights import read_network

@@ -37,11 +37,11 @@ _REWARD = {"track_velocity": 1.0, "track_yaw_rate": 0.5}
 """Reward of the task in a contract: how well commands are followed; the policy's own is not known."""
 _EPISODE = 20.0
 """Length of an episode [s]."""
-EFFECT = "constants_effect"
+CONSTANTS_EFFECT = "constants_effect"
 """Figure of an adopted policy's contract: change of a joint's target [rad] where a constant input changes by 1."""
 _PROBES, _PROBE_NOISE = 64, 0.5
 """Observations that the effect of constants is measured on, and the standard deviation of their other numbers."""
-PARTS = {
+OBSERVATION_PARTS = {
     "command": ("command",),
     "gravity": ("gravity",),
     "angular_velocity": ("roll_rate", "pitch_rate", "yaw_rate"),
@@ -131,7 +131,7 @@ def build_policy(
     Raises:
         SurefootError: a specification that does not fit the network or the robot.
     """
-    maker = PolicyMaker(specification, network, robot)
+    maker = PolicyBuilder(specification, network, robot)
     contract = maker.contract(specification.name or name, {**source, **_effect_of_constants(maker)})
     check_policy(contract, robot)
     model = maker.graph(contract).to_model(contract, robot.archive)
@@ -141,7 +141,7 @@ def build_policy(
     return data
 
 
-def _effect_of_constants(maker: PolicyMaker) -> dict[str, float]:
+def _effect_of_constants(maker: PolicyBuilder) -> dict[str, float]:
     """Return how far a joint's target moves [rad] where the most effective constant input changes by 1.
 
     It is the greatest mean, over constants and joints, for other inputs at random. Empty without constants.
@@ -166,7 +166,7 @@ def _effect_of_constants(maker: PolicyMaker) -> dict[str, float]:
         changed = rows.copy()
         changed[:, place] += 1.0
         effects.append(float(np.abs(targets(changed) - before).mean(axis=0).max()))
-    return {EFFECT: max(effects)}
+    return {CONSTANTS_EFFECT: max(effects)}
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ def check_specification(specification: PolicySpecification, robot: RobotDescript
     """
     specification.check_commands()
     width = sum(_width(term, robot.num_motors) * len(term.steps) for term in specification.observations)
-    maker = PolicyMaker(specification, NetworkSizes(width, len(specification.joints)), robot)
+    maker = PolicyBuilder(specification, NetworkSizes(width, len(specification.joints)), robot)
     check_policy(maker.contract("policy", {}), robot)
     return width
 
@@ -212,7 +212,7 @@ def _width(term: ObservationTerm, joints: int) -> int:
     return counts.get(term.term, len(VECTOR_COLUMNS[term.term]) if term.term in VECTOR_COLUMNS else joints)
 
 
-class PolicyMaker:
+class PolicyBuilder:
     """Contract and graph of one policy.
 
     Args:
@@ -234,8 +234,8 @@ class PolicyMaker:
         self._has_last = any(term.term == "last_action" for term in spec.observations)
         self._hidden_start = count * self._has_last + 2 * len(self._clocks)
         self.memory = self._hidden_start + sum(net.hidden)
-        parts = {part for term in spec.observations for part in PARTS[term.term]}
-        order = [part for parts_of in PARTS.values() for part in parts_of if part in parts]
+        parts = {part for term in spec.observations for part in OBSERVATION_PARTS[term.term]}
+        order = [part for parts_of in OBSERVATION_PARTS.values() for part in parts_of if part in parts]
         if self.memory:
             order.append("memory")
         self.task = self._task(tuple(order))

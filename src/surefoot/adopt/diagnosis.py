@@ -16,13 +16,13 @@ import numpy as np
 from surefoot.adopt.constant_inputs import ConstantInputs, constant_inputs
 from surefoot.adopt.examination import (
     DURATION,
-    GOOD,
-    Answer,
+    MIN_GOOD_SCORE,
+    TrialResult,
     examine,
-    stated_specification,
+    require_specification,
 )
 from surefoot.adopt.mistakes import corrections
-from surefoot.adopt.robot_guesses import RobotGuess, robot_guesses
+from surefoot.adopt.robot_variants import RobotVariant, robot_variants
 from surefoot.check_result import CheckResult, judge
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import Progress
@@ -52,28 +52,28 @@ SIMPLER = 0.02
 class Diagnosis:
     """What an examination says of a policy."""
 
-    own: Answer
+    baseline: TrialResult
     """The policy as it is."""
-    ranked: tuple[Answer, ...]
+    ranked: tuple[TrialResult, ...]
     """All corrections that were tried, the most likely one first."""
-    guesses: tuple[Answer, ...] = ()
+    variants: tuple[TrialResult, ...] = ()
     """The policy as it is on other robots, the best one first."""
     constants: ConstantInputs | None = None
     """Inputs of the network that are constants, if there are any."""
 
     @classmethod
     def from_answers(
-        cls, answers: Sequence[Answer], others: Sequence[Answer] = (), constants: ConstantInputs | None = None
+        cls, answers: Sequence[TrialResult], others: Sequence[TrialResult] = (), constants: ConstantInputs | None = None
     ) -> Diagnosis:
         """Return the diagnosis of answers, the policy's as it is first; corrections in `others`, sorted, come last."""
         found = sorted(
             (one for one in answers[1:] if one.correction is not None), key=lambda answer: -answer.likelihood
         )
-        guesses = sorted((one for one in answers if isinstance(one.change, RobotGuess)), key=_order_of_guess)
-        return cls(answers[0], (*found, *others), tuple(guesses), constants)
+        variants = sorted((one for one in answers if isinstance(one.change, RobotVariant)), key=_order_of_guess)
+        return cls(answers[0], (*found, *others), tuple(variants), constants)
 
     @property
-    def mistake(self) -> Answer | None:
+    def mistake(self) -> TrialResult | None:
         """The correction with which it walks clearly better than without and on any other robot, or with usual numbers.
 
         None if there is none, or if inputs of the network are constants.
@@ -83,28 +83,28 @@ class Diagnosis:
         best = self.ranked[0]
         if walks(best) and self._is_clearly_better(best):
             return best
-        usual = next((one for one in self.ranked if one.unusual < self.own.unusual and walks(one)), None)
-        return usual if usual is not None and usual.likelihood >= self.own.likelihood + ALIKE else None
+        usual = next((one for one in self.ranked if one.unusual < self.baseline.unusual and walks(one)), None)
+        return usual if usual is not None and usual.likelihood >= self.baseline.likelihood + ALIKE else None
 
-    def _is_clearly_better(self, answer: Answer) -> bool:
-        rivals = (self.own, *self.guesses)
+    def _is_clearly_better(self, answer: TrialResult) -> bool:
+        rivals = (self.baseline, *self.variants)
         if any(walks(rival, WELL) for rival in rivals):
             return False
         return answer.score >= max(rival.score for rival in rivals) + MARGIN
 
     @property
-    def is_shown(self) -> bool:
+    def is_confirmed(self) -> bool:
         """Whether robots show the mistake; else only numbers that are unusual hint at it."""
         return self.mistake is not None and self._is_clearly_better(self.mistake)
 
     @property
-    def explained(self) -> Answer | None:
+    def explaining_variant(self) -> TrialResult | None:
         """The robot on which the policy walks as it is, and clearly better than on the simulated one."""
-        best = self.guesses[0] if self.guesses else None
-        return best if best is not None and walks(best) and best.score >= self.own.score + MARGIN else None
+        best = self.variants[0] if self.variants else None
+        return best if best is not None and walks(best) and best.score >= self.baseline.score + MARGIN else None
 
     @property
-    def alike(self) -> tuple[Answer, ...]:
+    def ties(self) -> tuple[TrialResult, ...]:
         """Other changes that are as likely."""
         best = self.mistake
         if best is None:
@@ -113,14 +113,14 @@ class Diagnosis:
         return tuple(one for one in others if one.likelihood >= best.likelihood - ALIKE)
 
 
-def walks(answer: Answer, score: float = WALKS) -> bool:
+def walks(answer: TrialResult, score: float = WALKS) -> bool:
     """Return whether robots walk: none falls, and together they answer the commands with a score."""
     return not answer.fell.any() and answer.score >= score
 
 
-def _order_of_guess(answer: Answer) -> float:
+def _order_of_guess(answer: TrialResult) -> float:
     """Return a key that sorts answers on other robots, the best one first; one that differs less is preferred."""
-    assert isinstance(answer.change, RobotGuess)
+    assert isinstance(answer.change, RobotVariant)
     return SIMPLER * answer.change.count - answer.score
 
 
@@ -134,14 +134,14 @@ def diagnose(
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Examine a policy as it is, with each of the usual mistakes corrected and on other robots; see `examine`."""
-    tried = corrections(stated_specification(policy.contract), robot)
-    guesses = _allowed_guesses(robot, task)
+    tried = corrections(require_specification(policy.contract), robot)
+    variants = _allowed_guesses(robot, task)
 
     def half_from(start: float) -> Progress | None:
         return None if progress is None else lambda share: progress(start + 0.5 * share)
 
     own, *first = examine(
-        policy, robot, task, [None, *tried, *guesses], world, seed, threads, half_from(0.0), FIRST, 1, FIRST_COMMANDS
+        policy, robot, task, [None, *tried, *variants], world, seed, threads, half_from(0.0), FIRST, 1, FIRST_COMMANDS
     )
     first.sort(key=lambda answer: -answer.likelihood)
     better = [one for one in first if one.correction is not None]
@@ -152,17 +152,17 @@ def diagnose(
     return Diagnosis.from_answers(final, better[FINALISTS:], constant_inputs(policy.contract, robot))
 
 
-def _allowed_guesses(robot: RobotDescription, task: TaskConfig) -> list[RobotGuess]:
+def _allowed_guesses(robot: RobotDescription, task: TaskConfig) -> list[RobotVariant]:
     """Return the other robots that the robot's description allows."""
     nominal = PhysicalParams.nominal(robot).with_values(robot, **task.params)
-    guesses = []
-    for guess in robot_guesses(float(nominal.control_latency[0])):
+    variants = []
+    for guess in robot_variants(float(nominal.control_latency[0])):
         try:
             nominal.with_values(robot, **guess.params(nominal))
         except SurefootError:
             continue
-        guesses.append(guess)
-    return guesses
+        variants.append(guess)
+    return variants
 
 
 def check_answers(diagnosis: Diagnosis, notes: Mapping[str, str] = MappingProxyType({})) -> list[CheckResult]:
@@ -172,8 +172,8 @@ def check_answers(diagnosis: Diagnosis, notes: Mapping[str, str] = MappingProxyT
         diagnosis: of the policy.
         notes: of the specification; `stand` is shown where the robot stands.
     """
-    own = diagnosis.own
-    explained = diagnosis.is_shown or diagnosis.explained is not None
+    own = diagnosis.baseline
+    explained = diagnosis.is_confirmed or diagnosis.explaining_variant is not None
     remedy = "see the line specification" if explained else "perhaps it was not trained for that: see its training"
     results = []
     for k, (name, command, velocity, score) in enumerate(
@@ -187,7 +187,7 @@ def check_answers(diagnosis: Diagnosis, notes: Mapping[str, str] = MappingProxyT
         message = f"asked {asked}; {end}"
         if name == "stand" and "stand" in notes:
             message += f"; {notes['stand']}"
-        results.append(judge(name, bool(score >= GOOD), message, "", remedy, float(score)))
+        results.append(judge(name, bool(score >= MIN_GOOD_SCORE), message, "", remedy, float(score)))
     if diagnosis.constants is not None:
         results.append(_judge_constants(diagnosis))
     return [*results, _judge_specification(diagnosis)]
@@ -195,21 +195,21 @@ def check_answers(diagnosis: Diagnosis, notes: Mapping[str, str] = MappingProxyT
 
 def _judge_constants(diagnosis: Diagnosis) -> CheckResult:
     assert diagnosis.constants is not None
-    walking = walks(diagnosis.own)
+    walking = walks(diagnosis.baseline)
     remedy = "give the quantities that the training had there, or train without them"
     return judge("constant inputs", walking, diagnosis.constants.text, "", remedy, float(diagnosis.constants.count))
 
 
 def _judge_specification(diagnosis: Diagnosis) -> CheckResult:
-    own, mistake, guess = diagnosis.own, diagnosis.mistake, diagnosis.explained
+    own, mistake, guess = diagnosis.baseline, diagnosis.mistake, diagnosis.explaining_variant
     if diagnosis.constants is not None:
         message = f"no mistake is named while inputs are constants (score {own.score:.2f})"
         return judge("specification", walks(own), message, "", "see the line constant inputs", own.score)
     tried = f"{len(diagnosis.ranked)} usual mistakes tried"
-    if mistake is not None and mistake.correction is not None and diagnosis.is_shown:
+    if mistake is not None and mistake.correction is not None and diagnosis.is_confirmed:
         message = f"{tried}; {mistake.text} (score {own.score:.2f}, then {mistake.score:.2f})"
         what = f"correct {mistake.correction.field} and adopt it again"
-        if others := [one.text for one in diagnosis.alike]:
+        if others := [one.text for one in diagnosis.ties]:
             what += f"; as likely: {'; '.join(others[:3])}"
         return CheckResult("specification", False, message, what, mistake.score)
     if guess is not None or mistake is not None:
@@ -223,6 +223,6 @@ def _judge_specification(diagnosis: Diagnosis) -> CheckResult:
         return CheckResult("specification", True, message, "", own.score)
     message = f"{tried}; without any of them it does not walk clearly better (score {own.score:.2f}"
     message += f", best {diagnosis.ranked[0].score:.2f})" if diagnosis.ranked else ")"
-    passed = bool(not own.fell.any() and (own.scores[1:] >= GOOD).any())
+    passed = bool(not own.fell.any() and (own.scores[1:] >= MIN_GOOD_SCORE).any())
     rule = "; what is wrong is another thing, or several things"
     return judge("specification", passed, message, rule, "compare with the training, field by field", own.score)

@@ -17,9 +17,9 @@ import yaml
 from onnx import helper
 
 from surefoot import __version__
-from surefoot.adopt.builder import PARTS, VECTOR_COLUMNS, NetworkSizes, PolicyMaker, adopted_specification
+from surefoot.adopt.builder import OBSERVATION_PARTS, VECTOR_COLUMNS, NetworkSizes, PolicyBuilder, adopted_specification
 from surefoot.adopt.formats import isaac_lab, rl_sar
-from surefoot.adopt.formats.reading import first_names
+from surefoot.adopt.formats.common import first_names
 from surefoot.adopt.onnx_network import run_model
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.arrays import Array
@@ -231,7 +231,7 @@ def _actions(
         to_motors = np.diag(robot.motor_sign)
         stand = robot.pose_angles(*policy.contract.rest)
         return robot.motor_names, np.ones(robot.num_motors), stand * robot.motor_sign, to_motors
-    maker = PolicyMaker(spec, NetworkSizes(None, len(spec.joints)), robot)
+    maker = PolicyBuilder(spec, NetworkSizes(None, len(spec.joints)), robot)
     scale, offset, to_motors = maker.target_map()
     if spec.joint_signs is not None and min(spec.joint_signs) < 0:
         raise SurefootError(
@@ -244,7 +244,7 @@ def _actions(
 def _terms(policy: PolicyRuntime) -> tuple[str, ...]:
     """Return the terms that a deployer must observe, in order."""
     term_of_part = {
-        **{part: term for term, parts in PARTS.items() for part in parts},
+        **{part: term for term, parts in OBSERVATION_PARTS.items() for part in parts},
         **dict.fromkeys(("roll", "pitch"), "gravity"),
         **dict.fromkeys(("last_action", "memory"), "last_action"),
     }

@@ -1,4 +1,4 @@
-"""What a robot looks like: triangles with a colour on its links, from a file or from the URDF's visuals.
+"""Visual meshes of a robot: triangles with a colour on its links, from a file or from the URDF's visuals.
 
 The file, `looks.npz`, has for P parts with V vertices and F triangles in all: `counts` (P, 2) of each part's vertices
 and triangles; `color` (P, 3), 0 to 255; `low` and `span` (P, 3) [m] of the box around each part; `vertices` (V, 3) in
@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices, prefix_errors, quote
 from surefoot.npz import pop_meta, read_npz, write_npz
-from surefoot.robot.sheet import Leg
+from surefoot.robot.data_sheet import Leg
 from surefoot.robot.urdf import Shape, Urdf
 
-LOOKS = "looks.npz"
+VISUALS_FILE = "visuals.npz"
 """Name of the file that `robot new` writes."""
 MAX_BYTES = 1 << 21
 """Size of the largest file that is read; unpacked, eight times that."""
@@ -62,7 +62,7 @@ class Appearance:
     @classmethod
     def from_urdf(cls, urdf: Urdf, legs: Sequence[Leg]) -> Appearance:
         """Return the triangles of the shapes that `visual_shapes` returns."""
-        return cls(tuple(map(shape_part, visual_shapes(urdf, legs))))
+        return cls(tuple(map(triangulate_shape, visual_shapes(urdf, legs))))
 
     @classmethod
     def load(cls, path: Path, links: Collection[str]) -> Appearance:
@@ -75,7 +75,9 @@ class Appearance:
             arrays = read_npz(path, MAX_BYTES, 8 * MAX_BYTES)
             names = (pop_meta(arrays) or {}).get("links")
             if not isinstance(names, list) or not 0 < len(names) <= MAX_PARTS:
-                raise SurefootError(f"meta has no list 'links' of 1 to {MAX_PARTS} names; this is no file of looks")
+                raise SurefootError(
+                    f"meta has no list 'links' of 1 to {MAX_PARTS} names; it is no file of visuals"
+                )
             if odd := [name for name in names if not isinstance(name, str) or name not in links]:
                 raise SurefootError(f"has a part on {quote(odd[0])}, no link of the robot; choices: {choices(links)}")
             return cls(_read_parts(names, arrays))
@@ -141,7 +143,7 @@ def triangulate(kind: str, size: tuple[float, ...]) -> tuple[Array, NDArray[np.i
     return points, np.array(triangles, np.int32)
 
 
-def shape_part(shape: Shape) -> VisualPart:
+def triangulate_shape(shape: Shape) -> VisualPart:
     """Return the triangles of a shape."""
     points, faces = triangulate(shape.kind, shape.size)
     red, green, blue = (value / 255 for value in shape.color)

@@ -24,8 +24,8 @@ from surefoot.configuration import read_toml
 from surefoot.errors import SurefootError, describe_os_errors, quote
 from surefoot.files import atomic_write, check_readable
 
-SHEET = "robot.toml"
-ROBOT = "robot"
+DATA_SHEET = "robot.toml"
+ROBOT_ARRAY = "robot"
 """Array with the archive in files of traces and recordings."""
 MAX_BYTES = 1 << 23
 """Size of all files together, unpacked, and of an archive."""
@@ -46,8 +46,8 @@ def robot_files(folder: Path) -> dict[str, bytes]:
         SurefootError: a file that can't be read, a link that leads out of the folder, too many or too large files, or
             a name that an archive can't hold.
     """
-    data, _ = read_toml(folder / SHEET)
-    named = [name for key in ("urdf", "looks") if isinstance(name := data.get(key), str)]
+    data, _ = read_toml(folder / DATA_SHEET)
+    named = [name for key in ("urdf", "visuals") if isinstance(name := data.get(key), str)]
     own = (path.relative_to(folder).as_posix() for pattern in _OWN for path in folder.glob(pattern))
     files: dict[str, bytes] = {}
     for name in sorted({*named, *filter(_NAME.fullmatch, own)}):
@@ -100,8 +100,8 @@ def read_archive(data: bytes) -> dict[str, bytes]:
         raise SurefootError(f"its robot can't be unpacked: {error}") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError) as error:
         raise SurefootError(f"its robot is damaged: {' '.join(str(error).split())}") from error
-    if SHEET not in files:
-        raise SurefootError(f"its robot is damaged: it has no {SHEET}")
+    if DATA_SHEET not in files:
+        raise SurefootError(f"its robot is damaged: it has no {DATA_SHEET}")
     return files
 
 
@@ -115,6 +115,8 @@ def unpack_robot(data: bytes) -> Path:
         SurefootError: as of `read_archive`, or no folder can be written.
     """
     files = read_archive(data)
+    # Policies, traces and recordings of earlier versions carry data sheets with the former name of this key.
+    files[DATA_SHEET] = re.sub(rb"(?m)^looks(?=\s*=)", b"visuals", files[DATA_SHEET])
     digest = folder_digest(files)
     try:
         return _write(_cache_folder() / digest, files)

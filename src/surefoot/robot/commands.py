@@ -18,7 +18,7 @@ from surefoot.errors import SurefootError
 
 COMMANDS = {"forward": "m/s", "sideways": "m/s", "yaw_rate": "rad/s"}
 """Names of the commands in order, with units; sideways is positive to the left, the yaw rate about +z."""
-STAND = (0.0, 0.0, 0.0)
+STAND_COMMAND = (0.0, 0.0, 0.0)
 """The command that means stand."""
 _MAX = 1e3
 
@@ -79,6 +79,6 @@ class CommandLimits:
         ]
         return bounded, ", ".join(changed)
 
-    def stands(self, command: Array) -> NDArray[np.bool_]:
+    def in_deadband(self, command: Array) -> NDArray[np.bool_]:
         """Return whether commands (..., 3) mean stand (...)."""
         return np.asarray(np.all(np.abs(command) <= np.array(self.deadband), axis=-1))

@@ -21,24 +21,24 @@ from surefoot.configuration import from_mapping, read_toml
 from surefoot.errors import SurefootError, check_name, choices, prefix_errors, quote, suggest
 from surefoot.robot.actuator import ActuatorData, DcMotorData, nominal_params, read_actuator
 from surefoot.robot.appearance import Appearance
-from surefoot.robot.archive import SHEET, pack_robot, unpack_robot
-from surefoot.robot.experiments import Experiments, read_experiments
-from surefoot.robot.leg import FiveBar, Legs
-from surefoot.robot.params import PARAMETERS
-from surefoot.robot.serial_leg import SerialLegs
-from surefoot.robot.sheet import (
+from surefoot.robot.archive import DATA_SHEET, pack_robot, unpack_robot
+from surefoot.robot.data_sheet import (
     GRAVITY,
     Battery,
     ContactData,
+    DataSheet,
     Heat,
     Leg,
     Loop,
     Poses,
     Range,
-    Sheet,
     Timing,
     check_ranges,
 )
+from surefoot.robot.experiments import Experiments, read_experiments
+from surefoot.robot.leg import FiveBar, Legs
+from surefoot.robot.params import PARAMETERS
+from surefoot.robot.serial_leg import SerialLegs
 from surefoot.robot.urdf import Urdf
 from surefoot.robot.urdf_file import read_urdf
 
@@ -46,7 +46,7 @@ _HERE = Path(__file__).parent
 
 DEFAULT_ROBOT = "minitaur"
 """The robot of tasks that name none: the paper's."""
-ANGLE_ROOM = 1.0
+ANGLE_MARGIN = 1.0
 """Range [rad] beyond the angles of leg space that a command may request. Legs of a damped robot on its belly fold
 further than a gait may, and standing up begins at their angles."""
 _VOLTAGE = 24.0
@@ -83,7 +83,7 @@ class RobotDescription:
     experiments: Experiments
     allowed: dict[str, tuple[float, float]]
     priors: dict[str, float]
-    looks: str | None = None
+    visuals: str | None = None
     """Name of the file in the folder with what is drawn; None: the URDF's visuals are."""
 
     @classmethod
@@ -109,14 +109,16 @@ class RobotDescription:
             SurefootError: no such robot, or an invalid description: states file, key and rule.
         """
         folder = cls.find_folder(robot)
-        sheet_path = folder / SHEET
+        sheet_path = folder / DATA_SHEET
         if not sheet_path.is_file():
             raise SurefootError(
                 f"robot '{robot}': no such robot and no folder with a robot.toml; {suggest(robot, cls.available())}"
             )
         data, _ = read_toml(sheet_path)
         with prefix_errors(sheet_path):
-            sheet = from_mapping(Sheet, data)
+            if "looks" in data:
+                raise SurefootError("looks is named visuals now; rename this key")
+            sheet = from_mapping(DataSheet, data)
             check_name("name", sheet.name)
             if Path(sheet.urdf).is_absolute() or ".." in Path(sheet.urdf).parts:
                 raise SurefootError(f"urdf is {quote(sheet.urdf)}; it must be a file in the robot's folder")
@@ -125,15 +127,17 @@ class RobotDescription:
             return cls._from_sheet(sheet, urdf, folder)
 
     @classmethod
-    def _from_sheet(cls, sheet: Sheet, urdf: Urdf, folder: Path) -> RobotDescription:
+    def _from_sheet(cls, sheet: DataSheet, urdf: Urdf, folder: Path) -> RobotDescription:
         legs, order = sheet.read_legs(urdf), sheet.motors.order
         sign = np.array(sheet.motors.sign or [1] * len(order), float)
         bounds = {name: item.bounds for name, item in PARAMETERS.items()}
         if unknown := [name for name in sheet.allowed if name not in bounds]:
             raise SurefootError(f"allowed.{unknown[0]} is unknown; {suggest(unknown[0], bounds)}")
         check_ranges("allowed", sheet.allowed)
-        if sheet.looks is not None and (Path(sheet.looks).name != sheet.looks or sheet.looks in ("", "..")):
-            raise SurefootError(f"looks is {quote(sheet.looks)}; it must be the name of a file in the robot's folder")
+        if sheet.visuals is not None and (Path(sheet.visuals).name != sheet.visuals or sheet.visuals in ("", "..")):
+            raise SurefootError(
+                f"visuals is {quote(sheet.visuals)}; it must be the name of a file in the robot's folder"
+            )
         places, axes, feet = _place_joints(urdf, sheet.base, legs)
         mounts = _mounts(places, feet, bool(sheet.leg_geometry))
         signs = sign[[[order.index(name) for name in leg.motors] for leg in legs]]
@@ -164,14 +168,14 @@ class RobotDescription:
             experiments=read_experiments(sheet.experiments, space["extension"], actuator),
             allowed={**bounds, **sheet.allowed},
             priors=sheet.priors,
-            looks=sheet.looks,
+            visuals=sheet.visuals,
         )
         description._check_legs()
         return description
 
     def _check_legs(self) -> None:
         legs, extensions = self.leg_geometry, self.leg_space["extension"]
-        if not legs.closes(legs.to_motors(np.tile(np.transpose([self.rest]), len(self.legs)))).all():
+        if not legs.is_feasible(legs.to_motors(np.tile(np.transpose([self.rest]), len(self.legs)))).all():
             pose = ", ".join(f"{name} {value:g}" for name, value in zip(self.leg_space, self.rest, strict=True))
             raise SurefootError(
                 f"leg_geometry: a leg can't have its resting pose ({pose}); "
@@ -179,7 +183,7 @@ class RobotDescription:
             )
         poses = np.zeros((201, len(self.leg_space), len(self.legs)))
         poses[:, -1] = np.linspace(*extensions, 201)[:, None]
-        if not legs.closes(legs.to_motors(poses)).all():
+        if not legs.is_feasible(legs.to_motors(poses)).all():
             raise SurefootError(
                 f"leg_space.extension is {list(extensions)}, "
                 "and a leg can't have every extension in it; narrow it or check leg_geometry"
@@ -189,19 +193,19 @@ class RobotDescription:
                 self.check_allowed(name, np.asarray(value), source="nominal ")
 
     @property
-    def ships(self) -> bool:
+    def is_builtin(self) -> bool:
         """Whether it ships with surefoot: its name is enough to load it anywhere."""
         return self.folder.resolve().parent == _HERE.resolve()
 
     @property
     def location(self) -> str:
         """What `load` takes to load it again on this machine: the name of a robot that ships, else the folder."""
-        return self.folder.name if self.ships else str(self.folder)
+        return self.folder.name if self.is_builtin else str(self.folder)
 
     @cached_property
     def archive(self) -> bytes:
         """The folder as bytes, for files that carry their robot; empty for a robot that ships."""
-        return b"" if self.ships else pack_robot(self.folder)
+        return b"" if self.is_builtin else pack_robot(self.folder)
 
     @property
     def num_motors(self) -> int:
@@ -258,7 +262,7 @@ class RobotDescription:
     def command_range(self) -> tuple[Array, Array]:
         """Least and greatest motor angles (M,) [rad] that a command may request, of a pose or on the way to one."""
         least, greatest = self.angle_extent(*self.leg_space.values())
-        return least - ANGLE_ROOM, greatest + ANGLE_ROOM
+        return least - ANGLE_MARGIN, greatest + ANGLE_MARGIN
 
     @property
     def motor_limits(self) -> tuple[Array, Array]:
@@ -339,9 +343,9 @@ class RobotDescription:
         Raises:
             SurefootError: there is neither, or the file is invalid.
         """
-        if self.looks is None:
+        if self.visuals is None:
             return Appearance.from_urdf(self.urdf, self.legs)
-        return Appearance.load(self.folder / self.looks, self.urdf.links)
+        return Appearance.load(self.folder / self.visuals, self.urdf.links)
 
     def nominal_params(self) -> dict[str, Any]:
         """Return the nominal value of every physical parameter, by name: a number, or one for each motor."""
@@ -364,7 +368,7 @@ class RobotDescription:
             raise SurefootError(f"{source}{name} is {bad.flat[0]:g}; {allowed}")
 
 
-def carried_robot(archive: bytes, name: object) -> RobotDescription:
+def load_embedded_robot(archive: bytes, name: object) -> RobotDescription:
     """Return the robot that a file of a run carries, else the one of the name in the file, which must ship.
 
     Raises:

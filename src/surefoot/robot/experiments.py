@@ -57,7 +57,7 @@ class Experiments:
     torque: Positive
     """Torque [N m] beyond which an experiment ends."""
 
-    def part(self, name: str, share: float) -> float:
+    def fraction(self, name: str, share: float) -> float:
         """Return a share of one of these, to three decimals, as in the text of plans."""
         return round(share * float(getattr(self, name)), 3)
 

@@ -66,7 +66,7 @@ class Legs(Protocol):
     def jacobian(self, angles: ArrayLike) -> Array:
         """Return the derivatives (..., L, 3, m) [m/rad] of `foot_position` by the motor angles."""
 
-    def closes(self, angles: ArrayLike) -> NDArray[np.bool_]:
+    def is_feasible(self, angles: ArrayLike) -> NDArray[np.bool_]:
         """Return whether each leg (..., L) can have these motor angles."""
 
     def knee_angles(self, angles: ArrayLike) -> Array:
@@ -179,7 +179,7 @@ class FiveBar:
         # The knee of motor 1 bends past pi when the leg is short, so the branch is cut at 0 instead.
         return np.stack([turn[..., 0] % (2 * np.pi), -(-turn[..., 1] % (2 * np.pi))], -1)
 
-    def closes(self, angles: ArrayLike) -> NDArray[np.bool_]:
+    def is_feasible(self, angles: ArrayLike) -> NDArray[np.bool_]:
         """Return whether the loop can close at these motor angles (..., 2)."""
         return np.asarray(np.isfinite(self.pin(angles)).all(-1))
 

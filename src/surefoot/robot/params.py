@@ -27,10 +27,10 @@ class _Robot(Protocol):
     def check_allowed(self, name: str, values: Array) -> None: ...
 
 
-CONTROLLER = ("control_step", "servo_kp", "servo_kd")
+CONTROLLER_PARAMETERS = ("control_step", "servo_kp", "servo_kd")
 """Parameters that a policy sets, not the robot: they stay where another robot's parameters take the place of its own,
 unless these state them."""
-GROUPS = ("body", "motors", "contact", "sensors")
+PARAMETER_GROUPS = ("body", "motors", "contact", "sensors")
 """What parameters belong to; latencies are the sensors'."""
 
 
@@ -39,7 +39,7 @@ class Parameter:
     """The declaration of a physical parameter."""
 
     group: str
-    """One of `GROUPS`."""
+    """One of `PARAMETER_GROUPS`."""
     label: str
     """Short name for people, such as "latency of readings"."""
     unit: str
@@ -72,7 +72,7 @@ class Parameter:
         dc, _, joint = self.unit.partition(", ")
         return joint if joint and robot.actuator.kind == "joint" else dc
 
-    def parts(self, motor_names: tuple[str, ...]) -> tuple[str, ...]:
+    def element_names(self, motor_names: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names of the motors or axes that have values of their own; none for a parameter of one number."""
         return motor_names if self.per == "motors" else tuple(self.per.split(", ")) if self.per else ()
 
@@ -270,7 +270,7 @@ class PhysicalParams:
         """Return the parameters that the robot's description states, for `num_envs` robots."""
         nominal, params = robot.nominal_params(), {}
         for name, declared in PARAMETERS.items():
-            shape = (num_envs, len(declared.parts(robot.motor_names))) if declared.per else (num_envs,)
+            shape = (num_envs, len(declared.element_names(robot.motor_names))) if declared.per else (num_envs,)
             params[name] = np.broadcast_to(nominal[name], shape).astype(np.float64)
         return cls(**params)
 

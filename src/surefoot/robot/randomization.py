@@ -120,7 +120,7 @@ def _check_range(name: str, param_range: ParamRange, robot: RobotDescription | N
     ):
         if bad.any():
             raise SurefootError(f"{where} is [{low[bad][0]:g}, {high[bad][0]:g}]; {rule}")
-    parts = PARAMETERS[name].parts(robot.motor_names) if robot is not None else ()
+    parts = PARAMETERS[name].element_names(robot.motor_names) if robot is not None else ()
     if not len(pairs) or (robot is not None and intervals.ndim == 2 and len(pairs) != len(parts)):
         rule = f"one, or one for each of {', '.join(parts)}" if parts else "one, written [LOW, HIGH]"
         raise SurefootError(f"{where} has {len(pairs)} intervals; it must have {rule}")
@@ -246,7 +246,7 @@ class Randomizer:
         self.ranges = {name: ranges[name] for name in PARAMETERS if name in ranges}
         self.streams = generators(seed, "randomize", nominal.num_envs)
         self.columns: list[str] = []
-        """Names of the numbers of `scaled`, in order."""
+        """Names of the numbers of `normalize`, in order."""
         self._parts, numbers = _number_places(nominal)
         # K values are drawn: those of all motors and axes of every parameter with a range.
         self._columns: dict[str, slice] = {}
@@ -262,7 +262,7 @@ class Randomizer:
             allowed += [robot.allowed[name]] * size
             self._columns[name] = slice(first, first + size)
             if np.ptp(_intervals(param_range), axis=-1).any():
-                parts = PARAMETERS[name].parts(robot.motor_names) if independent else ()
+                parts = PARAMETERS[name].element_names(robot.motor_names) if independent else ()
                 self.columns += [f"{name}.{part}" for part in parts] or [name]
                 shown += range(first, first + (len(parts) or 1))
         self._places, self._shown = np.concatenate(places), np.array(shown, np.int64)
@@ -297,7 +297,7 @@ class Randomizer:
             values[...] = new
         return params
 
-    def scaled(self, params: PhysicalParams) -> Array:
+    def normalize(self, params: PhysicalParams) -> Array:
         """Return drawn parameters scaled to -1 to 1 (N, P), for a privileged critic."""
         num = params.num_envs
         values = np.concatenate(

@@ -23,7 +23,7 @@ _SMALL_PART = 0.05
 """Size of a part, over the robot's, under which shapes do not show all of it."""
 
 
-def are_moments(moments: NDArray[np.floating[Any]]) -> bool:
+def are_valid_moments(moments: NDArray[np.floating[Any]]) -> bool:
     """Return whether a rigid body can have these principal moments (3,): over 0, none over the sum of the others."""
     return bool(moments.min() > 0 and 2 * moments.max() <= 1.001 * moments.sum())
 
@@ -67,7 +67,7 @@ def describe_gyration(
     return large, f"{text}, and its shapes and joints span {span} m; a box of this size has ({inertia}) kg m2{hint}"
 
 
-def first_of(words: list[str]) -> str:
+def first_with_count(words: list[str]) -> str:
     """Return the first of links' descriptions, and how many more there are."""
     return words[0] + (f"; {len(words) - 1} more links are like this" if words[1:] else "")
 

@@ -30,7 +30,7 @@ def collision_pairs(robot: RobotDescription) -> list[tuple[str, str]]:
     urdf, feet = robot.urdf, {leg.foot for leg in robot.legs}
     limbs = dict.fromkeys(urdf.fixed_to(robot.base), "base")
     for leg in robot.legs:
-        limbs |= dict.fromkeys(urdf.below(leg.motors[0]) | urdf.below(leg.motors[-1]), f"leg {leg.name}")
+        limbs |= dict.fromkeys(urdf.links_below(leg.motors[0]) | urdf.links_below(leg.motors[-1]), f"leg {leg.name}")
     shapes = [shape for link in urdf.links.values() for shape in link.collisions if shape.link in limbs]
     frames = [urdf.frames(robot.joint_angles(robot.pose_angles(*pose))) for pose in (robot.rest, robot.poses.sit)]
     pairs: dict[tuple[str, str], bool] = {}
@@ -61,7 +61,7 @@ def _core(shape: Shape) -> tuple[Array, float]:
 def _reach(robot: RobotDescription, shape: Shape) -> tuple[Array, Array]:
     """Return the bounds (3,) [m] of a shape in the root's frame over all angles of its joints."""
     urdf = robot.urdf
-    hinges = [joint for joint in urdf.tree if joint.kind != "fixed" and shape.link in urdf.below(joint.name)]
+    hinges = [joint for joint in urdf.tree if joint.kind != "fixed" and shape.link in urdf.links_below(joint.name)]
     spans = np.clip([joint.limits or (-math.pi, math.pi) for joint in hinges], -math.pi, math.pi).tolist()
     grid = [np.linspace(low, high, _SAMPLES.get(len(hinges), 5)) for low, high in spans]
     angles = np.array(list(product(*grid)), float).T

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.robot.sheet import Leg
+from surefoot.robot.data_sheet import Leg
 
 _AXIS_TOLERANCE = 1e-6
 """How far a leg's axes may be from the base's axes, as cosines."""
@@ -202,7 +202,7 @@ class SerialLegs:
             columns = [np.stack([np.zeros_like(cos), -foot[..., 2], foot[..., 1]], -1), *columns]
         return np.stack(columns, axis=-1) * self.turn[:, None, :]
 
-    def closes(self, angles: ArrayLike) -> NDArray[np.bool_]:
+    def is_feasible(self, angles: ArrayLike) -> NDArray[np.bool_]:
         """Return true for each leg (..., L): there is no loop."""
         return np.isfinite(np.asarray(angles, float)).all(axis=-1)
 

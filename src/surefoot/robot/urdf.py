@@ -133,7 +133,7 @@ class Urdf:
         return frames
 
     @cached_property
-    def places(self) -> dict[str, tuple[str, Array]]:
+    def fused_frames(self) -> dict[str, tuple[str, Array]]:
         """For each link the topmost of the links that are fixed to it, and its frame (4, 4) in that one's."""
         places = {self.root: (self.root, np.eye(4))}
         for joint in self.tree:
@@ -143,9 +143,9 @@ class Urdf:
 
     def fixed_to(self, link: str) -> set[str]:
         """Return the names of the links that move as one with `link`, itself included."""
-        return {name for name, (top, _) in self.places.items() if top == self.places[link][0]}
+        return {name for name, (top, _) in self.fused_frames.items() if top == self.fused_frames[link][0]}
 
-    def below(self, joint: str) -> set[str]:
+    def links_below(self, joint: str) -> set[str]:
         """Return the names of the links that a joint moves."""
         links = {self.joints[joint].child}
         for other in self.tree:
@@ -159,8 +159,8 @@ class Urdf:
         Visuals are left out. `shifts` (3,) [m] moves centres of mass of fused links, by name.
         """
         links: dict[str, Link] = {}
-        for top in dict.fromkeys(top for top, _ in self.places.values()):
-            parts = [(self.links[name], frame) for name, (other, frame) in self.places.items() if other == top]
+        for top in dict.fromkeys(top for top, _ in self.fused_frames.values()):
+            parts = [(self.links[name], frame) for name, (other, frame) in self.fused_frames.items() if other == top]
             body = fuse([(link.body, frame) for link, frame in parts])
             shapes = [
                 replace(shape, link=top, frame=frame @ shape.frame)
@@ -170,7 +170,7 @@ class Urdf:
             links[top] = Link(replace(body, centre=body.centre + shifts.get(top, 0.0)), (), tuple(shapes))
         joints: dict[str, Joint] = {}
         for name, joint in self.joints.items():
-            top, frame = self.places[joint.parent]
+            top, frame = self.fused_frames[joint.parent]
             if joint.kind != "fixed":
                 joints[name] = replace(joint, parent=top, frame=frame @ joint.frame)
         return Urdf(self.path, links, joints)

@@ -6,7 +6,7 @@ full from the start: the first value fills it.
 
 from __future__ import annotations
 
-from surefoot.adopt.formats.reading import unknown_term
+from surefoot.adopt.formats.common import unknown_term
 from surefoot.adopt.specification import ObservationTerm, PerJoint, Range, TermName
 
 TERMS: dict[str, TermName] = {

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from surefoot.adopt.formats.common import plain_joint_name, unread, unread_note
 from surefoot.adopt.formats.python_values import Computed, read_classes
-from surefoot.adopt.formats.reading import plain_joint_name, unread, unread_note
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification, Range
 from surefoot.errors import SurefootError, choices, describe_os_errors, nearest, prefix_errors, quote
 from surefoot.files import read_configuration

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import yaml
 
-from surefoot.adopt.formats.reading import why_unmeasured
+from surefoot.adopt.formats.common import why_unmeasured
 from surefoot.adopt.specification import PolicySpecification, TermName
 from surefoot.configuration import from_mapping, read_yaml, to_mapping
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.adopt.formats.common import unread, unread_note
 from surefoot.adopt.formats.isaac_lab import make_term
-from surefoot.adopt.formats.reading import unread, unread_note
 from surefoot.adopt.onnx_network import read_model
 from surefoot.adopt.onnx_weights import read_network
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification, Range

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from surefoot.adopt.formats.reading import field_names, matched_joints, pick, unknown_term, unread, unread_note
+from surefoot.adopt.formats.common import field_names, matched_joints, pick, unknown_term, unread, unread_note
 from surefoot.adopt.specification import ObservationTerm, PerJoint, PolicySpecification, TermName
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors

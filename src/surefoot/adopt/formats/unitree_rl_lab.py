@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.adopt.formats.common import field_names, pick, unread, unread_note
 from surefoot.adopt.formats.isaac_lab import make_term
-from surefoot.adopt.formats.reading import field_names, pick, unread, unread_note
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification, Range
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors, quote

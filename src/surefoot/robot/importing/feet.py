@@ -10,7 +10,7 @@ from mujoco import mjtGeom
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot.importing.foot import fit_sphere, sole_sphere
+from surefoot.robot.importing.foot_sphere import fit_sphere, sole_sphere
 from surefoot.robot.importing.shapes import BodyShapes
 
 _NAMES = re.compile(r"foot|toe|tip|sole|ankle", re.IGNORECASE)

@@ -11,7 +11,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
-from surefoot.robot.rigid_body import are_moments, box_moments, describe_gyration, first_of
+from surefoot.robot.rigid_body import are_valid_moments, box_moments, describe_gyration, first_with_count
 from surefoot.robot.urdf_file import attribute, read_frame, read_inertia, read_number, read_shape
 
 _NO_MASS = 1e-6
@@ -86,7 +86,7 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
     for name, (tensor, mass, inertia) in inertials.items():
         principal = np.linalg.eigvalsh(inertia)
         point_mass = mass > 0 and not np.diag(inertia).any()
-        if not point_mass and not (mass > 0 and are_moments(principal)):
+        if not point_mass and not (mass > 0 and are_valid_moments(principal)):
             odd.append(name)
         if not principal.min() > 0:
             tensor.attrib |= _NO_PRODUCTS
@@ -162,4 +162,4 @@ def implausible_inertias(model: mujoco.MjModel, data: mujoco.MjData, points: Seq
         words = describe_gyration(model.body(body).name, mass, moments, in_frame if known else None, robot_size)
         if words is not None:
             (large if words[0] else small).append(words[1])
-    return [first_of(words) for words in (large, small) if words]
+    return [first_with_count(words) for words in (large, small) if words]

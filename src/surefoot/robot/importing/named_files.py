@@ -8,7 +8,7 @@ from pathlib import Path
 
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import CONFIGURATION_BYTES, check_readable
-from surefoot.robot.importing.copies import check_copies
+from surefoot.robot.importing.copy_limits import check_copies
 from surefoot.robot.urdf_file import read_xml
 
 MAX_MESH_BYTES = 100_000_000

@@ -1,6 +1,6 @@
 """Reader of any quadruped's URDF or MJCF with MuJoCo's parsers.
 
-It sets no limits: what a stranger's file asks for is done. `confined.py` runs it in a process of its own.
+It sets no limits: what a stranger's file asks for is done. `isolated_reader.py` runs it in a process of its own.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, VisualPart
 from surefoot.robot.importing.extra_hinges import describe_play, describe_springs, describe_wheels, find_play, is_wheel
 from surefoot.robot.importing.feet import Foot, find_foot, pair_feet
+from surefoot.robot.importing.import_errors import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.inertias import drop_frame_masses, implausible_inertias, prepare_inertias
 from surefoot.robot.importing.meshes import Color, Surface, merge_surfaces
 from surefoot.robot.importing.named_files import find_mesh
 from surefoot.robot.importing.names import robot_name
-from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
 from surefoot.robot.importing.servo import motor_order, read_servos
 from surefoot.robot.importing.shapes import BodyShapes

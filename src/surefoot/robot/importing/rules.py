@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.configuration import read_toml
-from surefoot.robot.archive import SHEET
+from surefoot.robot.archive import DATA_SHEET
+from surefoot.robot.data_sheet import GRAVITY
 from surefoot.robot.description import RobotDescription
-from surefoot.robot.sheet import GRAVITY
 
 GUESSED = "guessed: "
 """Beginning of the comment of a number in a sheet that a rule gave."""
@@ -73,7 +73,7 @@ def describe_origins(robot: RobotDescription) -> Iterator[tuple[bool, str]]:
     Where the sheet states a number of a joint actuator, and the rule's differs by more than `CLEAR_FACTOR`, the text
     says so.
     """
-    path = robot.folder / SHEET
+    path = robot.folder / DATA_SHEET
     data, text = read_toml(path)[0], path.read_text(encoding="utf-8")
     length, rules = robot.leg_geometry.length, {}
     if robot.actuator.kind == "joint":
@@ -96,7 +96,7 @@ def describe_origins(robot: RobotDescription) -> Iterator[tuple[bool, str]]:
 
 def read_warnings(robot: RobotDescription) -> list[str]:
     """Return what a robot's sheet holds about its file's likely errors."""
-    lines = (robot.folder / SHEET).read_text(encoding="utf-8").splitlines()
+    lines = (robot.folder / DATA_SHEET).read_text(encoding="utf-8").splitlines()
     return [line.removeprefix(WARNING) for line in lines if line.startswith(WARNING)]
 
 

@@ -11,7 +11,7 @@ from mujoco import mjtGeom
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot.importing.foot import surface_points
+from surefoot.robot.importing.foot_sphere import surface_points
 from surefoot.robot.importing.visuals import Visual
 
 

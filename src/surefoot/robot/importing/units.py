@@ -9,7 +9,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 
-PLACEHOLDER_SPEED = 100.0
+MIN_PLACEHOLDER_SPEED = 100.0
 """A speed limit [rad/s] from which on it is a placeholder."""
 _USUAL_SPEEDS = (3.0, 80.0)
 """Speed limits [rad/s] that drives of legs have."""

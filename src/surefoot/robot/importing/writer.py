@@ -14,12 +14,12 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, check_name, describe_os_errors
 from surefoot.files import atomic_write
-from surefoot.robot.appearance import LOOKS, Appearance, VisualPart, shape_part, visual_shapes
+from surefoot.robot.appearance import VISUALS_FILE, Appearance, VisualPart, triangulate_shape, visual_shapes
+from surefoot.robot.data_sheet import Leg
+from surefoot.robot.importing.data_sheet_numbers import actuator, leg_space, motor_order
 from surefoot.robot.importing.imported import KNEE_SIGNS, LEGS, ImportedRobot, Knees
 from surefoot.robot.importing.rules import GUESSED, WARNING, one_line
-from surefoot.robot.importing.sheet_numbers import actuator, leg_space, motor_order
 from surefoot.robot.rigid_body import RigidBody
-from surefoot.robot.sheet import Leg
 from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
 from surefoot.rotations import rpy_matrix
@@ -53,7 +53,7 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
     urdf = _urdf(robot)
     _write(folder / URDF, format_urdf(urdf, name))
     if robot.parts:
-        Appearance((*robot.parts, *_substitutes(robot, urdf))).save(folder / LOOKS)
+        Appearance((*robot.parts, *_substitutes(robot, urdf))).save(folder / VISUALS_FILE)
     _write(folder / "robot.toml", sheet)
     guesses = [line.replace(_GUESSED, ": ") for line in sheet.splitlines() if _GUESSED in line]
     return list(dict.fromkeys([*robot.notes, *guesses]))
@@ -91,7 +91,7 @@ knee = "{"forward" if sign > 0 else "backward"}"{comment}"""
 name = "{name}"
 urdf = "robot.urdf"
 base = "base"
-{f'looks = "{LOOKS}"' if robot.parts else ""}
+{f'visuals = "{VISUALS_FILE}"' if robot.parts else ""}
 # In the order of commands and readings; joint angle in the URDF = sign * motor angle.
 [motors]
 {motor_order(robot)}
@@ -125,7 +125,7 @@ def _substitutes(robot: ImportedRobot, urdf: Urdf) -> Iterator[VisualPart]:
     feet = {lower: f"{leg}_foot" for leg, (*_, lower) in zip(LEGS, robot.link_names, strict=True)}
     links = {*robot.undrawn, *(feet[link] for link in robot.undrawn if link in feet)}
     legs = [Leg(motors, f"{name}_foot", name=name) for name, motors in zip(LEGS, robot.joints, strict=True)]
-    yield from (shape_part(shape) for shape in visual_shapes(urdf, legs) if shape.link in links)
+    yield from (triangulate_shape(shape) for shape in visual_shapes(urdf, legs) if shape.link in links)
 
 
 def _urdf(robot: ImportedRobot) -> Urdf:

@@ -153,7 +153,7 @@ class LegSpace:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class DataSheet:
     """A `robot.toml` as it stands; `legs` has the legs' `order` and a table for each."""
 
     name: str
@@ -164,7 +164,7 @@ class Sheet:
     actuator: dict[str, Any]
     body_length: Annotated[float | None, Within(0, 1e9, above=True)] = None
     leg_geometry: FiveBar | None = None
-    looks: str | None = None
+    visuals: str | None = None
     loops: tuple[Loop, ...] = ()
     leg_space: LegSpace = field(default_factory=LegSpace)
     timing: Timing = field(default_factory=Timing)

@@ -17,9 +17,9 @@ import numpy as np
 from surefoot import sandbox
 from surefoot.errors import SurefootError
 from surefoot.robot.appearance import VisualPart
+from surefoot.robot.importing.import_errors import check_kind, check_suffix
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.named_files import check_named_files, find_mesh
-from surefoot.robot.importing.refusals import check_kind, check_suffix
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.urdf_file import read_xml
 from surefoot.sandbox import Limits

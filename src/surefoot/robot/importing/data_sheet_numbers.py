@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot.actuator import PLACEHOLDER_TORQUE
+from surefoot.robot.actuator import MIN_PLACEHOLDER_TORQUE
+from surefoot.robot.data_sheet import GRAVITY
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.resting_poses import is_standing
 from surefoot.robot.importing.rules import GUESSED, Rule, actuator_rules, damping_rule, one_line
-from surefoot.robot.importing.units import PLACEHOLDER_SPEED, explain_speeds
-from surefoot.robot.sheet import GRAVITY
+from surefoot.robot.importing.units import MIN_PLACEHOLDER_SPEED, explain_speeds
 
 _MAX_SPREAD = 0.06
 """How far the legs' poses of a keyframe may be from their mean, in rad and lengths of the straight leg."""
@@ -95,8 +95,8 @@ def actuator(robot: ImportedRobot) -> list[str]:
     kp = np.where(has_kp, robot.kp, rules["kp"].value)
     kd_rule = damping_rule(float(kp.mean()), length)
     stiffness = mass * GRAVITY * length
-    real_torque = (robot.torque > 0) & (robot.torque < PLACEHOLDER_TORQUE * stiffness)
-    real_speed = (robot.speed > 0) & (robot.speed < PLACEHOLDER_SPEED)
+    real_torque = (robot.torque > 0) & (robot.torque < MIN_PLACEHOLDER_TORQUE * stiffness)
+    real_speed = (robot.speed > 0) & (robot.speed < MIN_PLACEHOLDER_SPEED)
     speed = np.where(real_speed, robot.speed, rules["speed_limit"].value)
     why_speed = explain_speeds(robot.speed[~real_speed]) if not real_speed.all() else ""
     return [
