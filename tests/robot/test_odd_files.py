@@ -126,7 +126,7 @@ def test_names_with_line_ends_stay_in_comments_of_the_sheet(tmp_path: Path) -> N
 
 def test_an_inertia_larger_than_the_robot_is_named_where_no_shape_is_known(tmp_path: Path) -> None:
     (warning,) = read(urdf(more=IMU), tmp_path).warnings
-    assert warning.startswith("link 'imu': 0.001 kg with a radius of gyration of 10 m, and the whole robot is 0.7")
+    assert warning.startswith("link 'imu': 0.001 kg with a radius of gyration of 10 m, but the whole robot is only 0.7")
     imu = IMU.replace('"0.1"', '"1e-5"')
     assert read(urdf(more=imu), tmp_path).warnings == ()
 
@@ -177,7 +177,7 @@ def test_sides_are_compared_by_their_links(longer: float, passed: bool, warn: bo
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('xyz="0.18 0.06 0"', 'xyz="0.18 0.065 0"', "front_left's hip's place is 5 mm from the mirror image of"),
+        ('xyz="0.18 0.06 0"', 'xyz="0.18 0.065 0"', "front_left's hip position is 5 mm from the mirror image of"),
         ('xyz="0 -0.08 0"', 'xyz="0 -0.084 0"', "hip offset is 4 mm from the mirror image of"),
     ],
 )

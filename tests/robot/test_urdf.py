@@ -148,20 +148,20 @@ VISUAL = "<visual><geometry>{}</geometry></visual>"
 @pytest.mark.parametrize(
     ("elements", "message"),
     [
-        ((link("base"), link("base")), "there are two links 'base'; each must have a name of its own"),
+        ((link("base"), link("base")), "there are two links 'base'; names must be unique"),
         (
             (link("a"), link("b"), joint("j", "a", "b"), joint("j", "a", "b")),
-            "there are two joints 'j'; each must have a name of its own",
+            "there are two joints 'j'; names must be unique",
         ),
-        ((link("a"), joint("j", "trunk", "a")), "joint 'j' joins 'trunk', not a link; choices: a"),
+        ((link("a"), joint("j", "trunk", "a")), "joint 'j' refers to 'trunk', which is not a link; choices: a"),
         ((link("a"), link("b")), "2 links have no parent (a, b); exactly one must be the root"),
         (
             (link("a"), link("b"), joint("j", "a", "b"), joint("k", "a", "b")),
-            "link 'b' has two parents; joints must be a tree",
+            "link 'b' has two parents; joints must form a tree",
         ),
         (
             (link("a"), link("b"), link("c"), joint("j", "b", "c"), joint("k", "c", "b")),
-            "links are joined in a circle (b, c); joints must be a tree",
+            "joints form a loop (b, c); they must form a tree",
         ),
         (
             (link("a", VISUAL.format('<box size="1 1"/>')),),

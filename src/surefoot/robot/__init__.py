@@ -1,4 +1,4 @@
-"""The robot: URDF, data sheet, leg space and the physical parameters that may differ from the data sheet."""
+"""Robot descriptions: URDF, data sheet, leg kinematics, and the physical parameters that randomization varies."""
 
 from surefoot.robot.archive import ROBOT_ARRAY
 from surefoot.robot.data_sheet import GRAVITY
