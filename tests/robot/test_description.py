@@ -148,7 +148,7 @@ motors = ["back_right_1_motor" => motors = ["back_right_9_motor" => legs.back_ri
 ["back_right_1_motor", "back_right_2_motor"] => ["front_right_1_motor", "front_right_2_motor"] => must belong to one leg
 ["back_right_1_knee", "back_right_2_knee"] => ["back_right_1_knee"] => 2 motors and 1 knees ... with leg_geometry
 foot = "front_left_2_lower" => foot = "toe" => legs.front_left.foot ... 'toe' ... choices: ... front_left_2_lower
-sphere radius="0.0085" => box size=".1 .1 .1" => legs.front_left.foot ... shapes: box; a foot has one, a sphere
+sphere radius="0.0085" => box size=".1 .1 .1" => legs.front_left.foot ... shapes: box; a foot must have exactly one
 base = "base" => base = "trunk" => base names 'trunk' ... choices: base,
 base = "base" => => base ... is missing
 sign = [-1, 1, -1, 1, 1, => sign = [-1, 1, -1, 2, 1, => motors.sign[3] is 2 ... choices: -1, 1
@@ -158,7 +158,7 @@ sign = [-1, 1, -1, 1, 1, => sign = [1, -1, 1, 1, => motors.sign has 7 numbers ..
 <mass value="3.353"/> => => link 'base' ... every link needs both
 ixx="0.006837" => ixx="0.6837" => link 'base' ... inertia (0.6837, ... none over the sum of the other two
 <parent link="base"/><child link="left_rail"/> => <parent link="b"/><child link="left_rail"/> => 'b' ... choices: base
-lower = [0.200, 0.208] => lower = [0.020, 0.021] => can't have its resting pose (swing 0, extension 2) ... must reach
+lower = [0.200, 0.208] => lower = [0.020, 0.021] => can't reach its resting pose (swing 0, extension 2) ... must reach
 lower = [0.200, 0.208] => lower = [0.095, 0.095] => leg_space.extension is [0.6, 2.7] ... narrow it
 links = ["back_left_1_lower" => links = ["back_left_0_lower" => loops[1].links ... 'back_left_0_lower' ... choices:
 points = [[0.0, 0.0045, 0.200], => points = [[0.0, 0.200], => loops[0].points[0] is [0.0, 0.2] ... 3 values

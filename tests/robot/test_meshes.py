@@ -196,7 +196,7 @@ def test_meshes_are_placed_in_the_written_links_frames(tmp_path: Path) -> None:
     parts = {part.color: part for part in robot.appearance().parts if part.link == "front_left_upper"}
     own = next(part for color, part in parts.items() if np.allclose(color, (0.2, 0.4, 0.6)))
     # The file's links have the base's axes and lie on their hinges, as written ones do.
-    place = imported.places[0, 0] - SOLO.urdf.frames()["front_left_upper"][:3, 3]
+    place = imported.axis_points[0, 0] - SOLO.urdf.frames()["front_left_upper"][:3, 3]
     np.testing.assert_allclose(own.vertices.min(axis=0), np.array([0.1, 0.0, 0.3]) - place, atol=1e-4)
     np.testing.assert_allclose(own.vertices.max(axis=0), np.array([0.4, 0.2, 0.4]) - place, atol=1e-4)
     # Mirrored, and still seen from outside.

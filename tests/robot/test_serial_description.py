@@ -130,9 +130,9 @@ def test_parameters_of_dc_motors_are_refused_for_joint_actuators(tmp_path: Path)
     assert params.with_values(robot, load_friction=0.2).load_friction.tolist() == [[0.2] * 12]
     with pytest.raises(SurefootError, match="voltage belongs to motors of kind dc; the motors of toy are joint"):
         params.with_values(robot, voltage=12.0)
-    with pytest.raises(SurefootError, match="the motors of toy are of kind joint; this takes DC motors"):
+    with pytest.raises(SurefootError, match="the motors of toy are of kind joint; this needs DC motors"):
         _ = robot.dc_motor
-    with pytest.raises(SurefootError, match="the legs of toy are serial; this takes five-bar legs"):
+    with pytest.raises(SurefootError, match="the legs of toy are serial; this needs five-bar legs"):
         _ = robot.five_bar
 
 
@@ -145,7 +145,7 @@ def test_parameters_of_dc_motors_are_refused_for_joint_actuators(tmp_path: Path)
         ({"actuator": "friction = [0.1, 0.2]"}, r"actuator\.friction has 2 numbers; it takes one, 3 .*, or 12 "),
         ({"more": "[leg_space]\nrest = [0.0, 0.75]\n"}, r"leg_space\.rest has 2 numbers; it must have abduction, "),
         ({"more": "[leg_space]\nextension = [0.35, 1.1]\n"}, r"leg_space\.extension is \[0\.35, 1\.1\], and a leg can"),
-        ({"more": "[leg_space]\nrest = [0.0, 0.0, 1.2]\n"}, r"leg can't have its resting pose .*extension 1\.2"),
+        ({"more": "[leg_space]\nrest = [0.0, 0.0, 1.2]\n"}, r"leg can't reach its resting pose .*extension 1\.2"),
         ({"sign": "sign = [1, 1, 1]"}, r"motors\.sign has 3 numbers; it must have 12"),
     ],
 )
