@@ -34,5 +34,5 @@ def test_robot_lab_follows_commands_and_falls_in_another_order_of_legs(go2, poli
     assert wrong.score < 0.1
     assert wrong.fell.sum() >= 5
     # The other way round: with the wrong file, the right order is what makes it walk.
-    diagnosis = Diagnosis.from_answers([replace(wrong, change=None), replace(right, change=other)])
+    diagnosis = Diagnosis.from_results([replace(wrong, change=None), replace(right, change=other)])
     assert diagnosis.mistake.correction is other

@@ -10,7 +10,7 @@ from foreign import perceptron
 
 from surefoot.adopt.builder import build_policy
 from surefoot.adopt.examination import CorrectedPolicy, require_specification
-from surefoot.adopt.mistakes import corrections, fits, joint_orders
+from surefoot.adopt.mistakes import corrections, fits_robot, joint_orders
 from surefoot.adopt.onnx_network import OnnxNetwork
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification
 from surefoot.adopt.usual_numbers import unusual_numbers
@@ -58,7 +58,7 @@ def test_corrections_fit_the_robot_and_differ(go2, tried):
         "scale of actions",
     } <= texts
     assert len({repr(one.specification) for one in tried}) == len(tried) > 120
-    assert all(fits(one.specification, go2) for one in tried)
+    assert all(fits_robot(one.specification, go2) for one in tried)
     assert SPECIFICATION not in [one.specification for one in tried]
 
 

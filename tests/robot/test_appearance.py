@@ -153,7 +153,7 @@ HOSTILE = {
     "counts over what is there": (setter("counts", (1, 0), 4), "does not sum to"),
     "counts that overflow": (setter("counts", slice(None), 0xFFFFFFFF), "does not sum to"),
     "an empty part": (setter("counts", slice(None), [(7, 5), (0, 0)]), "a part without"),
-    "a vertex of another part": (setter("faces", (4, 0), 3), "part 1 has a triangle of vertices that it does not"),
+    "a vertex of another part": (setter("faces", (4, 0), 3), "part 1 has a triangle with a vertex that does not exist"),
     "no number": (setter("low", (0, 0), np.nan), "not within 1000 m"),
     "too far": (setter("low", (0, 0), 1e4), "not within 1000 m"),
     "a negative span": (setter("span", (0, 0), -1), "a span is negative"),

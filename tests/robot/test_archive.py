@@ -226,7 +226,7 @@ LEAKS = [
 def test_a_link_that_leaves_the_folder_is_not_followed(leak, mine: Path, tmp_path: Path):
     leak(mine, secret(tmp_path))
     for archive in (pack_robot, lambda folder: copy_robot(folder, tmp_path / "copy")):
-        with pytest.raises(SurefootError, match=r"leads out of the robot's folder, to /.*; a policy carries") as error:
+        with pytest.raises(SurefootError, match=r"leads out of the robot's folder, to /.*; a policy embeds") as error:
             archive(mine)
         assert "\n" not in str(error.value)
         assert not (tmp_path / "copy").exists()

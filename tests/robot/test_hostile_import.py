@@ -93,7 +93,10 @@ COPIES = {
         "count of <flexcomp> is 1000000000;",
     ),
     "replicate": (nested_replicates(1).replace("100", "1001"), "count of <replicate> is 1001;"),
-    "nested replicates": (nested_replicates(12), "count of <replicate> is 100, and 10000 with those around it;"),
+    "nested replicates": (
+        nested_replicates(12),
+        "count of <replicate> is 100, or 10000 with its enclosing replicates;",
+    ),
     "no number around": (
         '<mujoco><replicate count="nan"><replicate count="1001"/></replicate></mujoco>',
         "count of <replicate> is 1001;",

@@ -173,7 +173,7 @@ def test_limits_in_degrees_are_turned_into_radians(tmp_path: Path) -> None:
     robot = read(text, tmp_path, "odd.urdf")
     np.testing.assert_allclose(robot.limits[0], np.radians([(-46, 46), (-57, 172), (-155, -46)]))
     assert robot.guess_knees()[0] == "backward"
-    assert "limits of angles, -155 to 172 in the file, are degrees; a URDF has radians" in robot.notes
+    assert "angle limits, -155 to 172 in the file, are read as degrees, although a URDF has radians" in robot.notes
     # Placeholders of ten or a thousand radians stay.
     robot = read(urdf().replace('lower="-1" upper="3"', 'lower="-10" upper="10"'), tmp_path, "odd.urdf")
     np.testing.assert_allclose(robot.limits[0, 1], (-10, 10))

@@ -68,7 +68,7 @@ def test_the_reader_returns_the_files_values(tmp_path: Path) -> None:
     toe = '<body name="FL_toe" pos="0 0 -.2"/>'
     text = mjcf().replace('<geom type="sphere" size=".02" pos="0 0 -.2"/>', toe, 1)
     notes = read_robot(write(tmp_path, text)).notes
-    assert any(note.startswith("feet of FL_knee: a link named so") for note in notes)
+    assert any(note.startswith("feet of FL_knee: a link with the name of a foot") for note in notes)
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_a_written_folder_loads_and_keeps_masses_and_kinematics(tmp_path: Path) 
         mujoco.mj_fullM(model, data, inertia)
         whole.append(inertia[:6, :6])
     np.testing.assert_allclose(*whole, atol=2e-5)
-    with pytest.raises(SurefootError, match="holds a robot"):
+    with pytest.raises(SurefootError, match="already has a robot"):
         write_robot(imported, tmp_path / "dog", "dog")
 
 
@@ -273,7 +273,7 @@ BAD = [
         "has legs that branch at 'bFL'; five-bar legs need a sheet that is written by hand",
     ),
     ("dog.xml", mjcf(legs(axes=("1 0 0", "0 1 .3", "0 1 0"))), "should be the hip, and its axis at zero is"),
-    ("dog.xml", mjcf(legs(foot="<site/>")), "has neither a shape nor a link for its foot"),
+    ("dog.xml", mjcf(legs(foot="<site/>")), "has neither a shape nor a foot link"),
     ("dog.xml", mjcf().replace('axis="0 1 0"', 'type="slide" axis="0 1 0"', 1), "no single hinge"),
     ("dog.xml", "<mujoco><wheel/></mujoco>", "MuJoCo can't read it: line 1, <wheel>: Schema violation"),
     (
@@ -281,12 +281,12 @@ BAD = [
         mjcf()
         .replace('type="box"', 'type="mesh" mesh="m"')
         .replace("<worldbody>", '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'),
-        "names the file 'none.stl', which is not there; put it where it is named",
+        "names the file 'none.stl', which does not exist; put it there",
     ),
     (
         "dog.xml",
         mjcf().replace('<body name="trunk"><freejoint/>' + BODY, "").replace("</body></worldbody>", "</worldbody>"),
-        "its legs hang from nothing that moves",
+        "its legs are attached to the world",
     ),
     ("dog.xml", mjcf().replace("<freejoint/>", "").replace(BODY, ""), "body 'trunk' has no mass"),
     (
@@ -315,7 +315,7 @@ def test_a_missing_mesh_is_left_out_with_a_note(tmp_path: Path) -> None:
     text = SHIPPED["solo8"].urdf.path.read_text()
     text = text.replace('<link name="base">', f'<link name="base">{MESH}', 1)
     path = write(tmp_path, text, "solo.urdf")
-    missing = "shapes are left out: mesh 'package://r/trunk.stl' is not there; put it where the file names it"
+    missing = "shapes are left out: mesh 'package://r/trunk.stl' does not exist; put it where the file names it"
     assert missing in read_robot(path).notes
     assert missing not in read_robot(path, meshes=False).notes
 
@@ -332,7 +332,7 @@ def test_a_tail_is_held_still_and_adds_to_the_base(tmp_path: Path) -> None:
     tail = f'<body name="tail" pos="-.2 0 0"><joint name="wag" axis="0 0 1"/>{LINK}</body>'
     poses = '<keyframe><key name="home" qpos="0 0 1 1 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0"/></keyframe>'
     imported = read_robot(write(tmp_path, mjcf(tail + legs(), poses)))
-    assert "joint 'wag' and what hangs from it are held still: no leg's" in imported.notes
+    assert "joint 'wag' and the bodies below it are fixed, because they are not part of a leg" in imported.notes
     assert imported.base.mass == pytest.approx(6.5)
     # The tail's centre is .1 m below its joint.
     np.testing.assert_allclose(imported.base.centre, 0.5 / 6.5 * np.array([-0.2, 0.0, -0.1]), atol=1e-12)
@@ -407,7 +407,7 @@ def test_a_base_without_a_shape_is_a_box_of_its_inertia(tmp_path: Path) -> None:
     centre, sides = imported.base_box
     np.testing.assert_allclose(centre, [0.01, 0, 0], atol=1e-12)
     np.testing.assert_allclose(sides, half, rtol=1e-6)
-    assert "the base has no shape: a box with its inertia stands for it" in imported.notes
+    assert "the base has no shape: it is replaced by a box with the same inertia" in imported.notes
 
 
 def test_forward_is_guessed_where_no_name_has_it(tmp_path: Path) -> None:

@@ -89,11 +89,11 @@ def test_a_collada_file_has_its_unit_and_nodes_and_no_up_axis(broken: bool, tmp_
     [
         ("a.stl", b"solid nothing", "no triangles|can't be read as STL"),
         ("a.stl", bytes(80) + b"\xff\xff\xff\x7f", "has no triangles"),
-        ("a.obj", b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "coordinates that are no numbers"),
+        ("a.obj", b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "coordinates that are not finite"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", "can't be read as OBJ"),
         ("a.dae", b"<COLLADA", "can't be read as DAE"),
         ("a.dae", b'<!DOCTYPE c [<!ENTITY a "b">]><COLLADA/>', "declares XML entities"),
-        ("a.ply", b"", r"is no \.stl, \.obj, \.dae file"),
+        ("a.ply", b"", r"is not a file of type \.stl, \.obj, \.dae"),
     ],
 )
 def test_damaged_meshes_are_refused_in_one_line(name: str, content: bytes, message: str, tmp_path: Path) -> None:
@@ -141,7 +141,9 @@ def test_nodes_without_geometries_are_counted_too(tmp_path: Path) -> None:
     path = write_dae(tmp_path)
     text = path.read_text().replace("<library_visual", f"<library_nodes>{nodes}</library_nodes><library_visual", 1)
     path.write_text(text.replace("<rotate>0 0 1 90</rotate>", '<instance_node url="#b11"/>'))
-    with pytest.raises(SurefootError, match=r"solid\.dae can't be read as DAE: its nodes.* at most 20000 are read"):
+    with pytest.raises(
+        SurefootError, match=r"solid\.dae can't be read as DAE: its nested nodes.* at most 20000 are read"
+    ):
         read_mesh(path)
 
 
@@ -190,7 +192,7 @@ def test_meshes_are_placed_in_the_written_links_frames(tmp_path: Path) -> None:
         add_visuals(visual("package://any/solid.obj", "2 2 2") + mirrored + visual("none.stl", "1 1 1"), red)
     )
     imported = read_robot(tmp_path / "solo.urdf")
-    assert "not drawn: mesh 'none.stl' is not there; put it where the file names it" in imported.notes
+    assert "not drawn: mesh 'none.stl' does not exist; put it where the file names it" in imported.notes
     write_robot(imported, tmp_path / "mine", "mine")
     robot = RobotDescription.load(tmp_path / "mine")
     parts = {part.color: part for part in robot.appearance().parts if part.link == "front_left_upper"}
@@ -211,7 +213,7 @@ def test_what_can_not_be_drawn_is_noted_and_the_written_folder_loads(tmp_path: P
     visuals = visual("solid.obj", "1e4 1e4 1e4") + visual("solid.obj", "1 0 1") + visual("line.obj", "1 1 1")
     (tmp_path / "solo.urdf").write_text(add_visuals(visuals))
     imported = read_robot(tmp_path / "solo.urdf")
-    message = "link 'front_left_upper': visual: scale is 1 0 1; a volume is scaled by 1e-15 to 1e+15"
+    message = "link 'front_left_upper': visual: scale is 1 0 1; it must be 1e-15 to 1e+15 in volume"
     assert f"not drawn: {message}" in imported.notes
     message = "shapes of front_left_upper have no area, or are farther away than 1000 m"
     assert f"not drawn: {message}" in imported.notes

@@ -63,7 +63,7 @@ def test_frames_with_next_to_no_mass_are_left_out_with_one_note(tmp_path: Path) 
 def test_inertias_of_0_are_made_from_masses_and_shapes(tmp_path: Path) -> None:
     text = re.sub(r'ixx="[^"]*" iyy="[^"]*" izz="[^"]*"', 'ixx="0" iyy="0" izz="0"', urdf())
     robot = read(text, tmp_path)
-    made = "inertias that are 0 in the file, or less, are made of masses and shapes"
+    made = "inertias of 0 or less in the file are estimated from masses and shapes"
     assert f"{made}: trunk, FL_hip, FL_thigh, FL_calf and 13 more" in robot.notes
     np.testing.assert_allclose(robot.base.inertia, np.diag(box_moments(6, np.array([0.4, 0.2, 0.1]))), rtol=1e-5)
     assert robot.warnings == ()
@@ -72,7 +72,7 @@ def test_inertias_of_0_are_made_from_masses_and_shapes(tmp_path: Path) -> None:
     head, tail = bare.split('<link name="FL_thigh">')
     tail = re.sub(r"<visual>.*?</collision>", "", tail, count=1)
     robot = read(f'{head}<link name="FL_thigh">{tail}', tmp_path)
-    assert "inertias that are 0 in the file, or less, are made of masses and shapes: FL_thigh" in robot.notes
+    assert "inertias of 0 or less in the file are estimated from masses and shapes: FL_thigh" in robot.notes
     moments = box_moments(0.5, np.array([0.04, 0.04, 0.2]))
     np.testing.assert_allclose(robot.bodies[0][1].inertia, np.diag(moments), rtol=1e-5)
 
@@ -84,7 +84,7 @@ def test_moments_that_were_rounded_to_nothing_are_no_reason_to_refuse(
 ) -> None:
     text = with_inertia(urdf(), name, *(float(moment),) * 3)
     robot = read(text, tmp_path)
-    note = f"inertias that are 0 in the file, or less, are made of masses and shapes: {name}"
+    note = f"inertias of 0 or less in the file are estimated from masses and shapes: {name}"
     assert (note in robot.notes) is made  # a fixed link is a point mass
     assert robot.mass == pytest.approx(10.6)
     for xx in (0.0, -8e-4):
@@ -134,9 +134,9 @@ def test_an_inertia_larger_than_the_robot_is_named_where_no_shape_is_known(tmp_p
 @pytest.mark.parametrize(
     ("scale", "mass", "words"),
     [
-        (1000.0, 1.0, "10.6 kg on legs of 400 m are no robot; it looks as if lengths are in mm"),
-        (1.0, 1000.0, "1.06e+04 kg on legs of 0.4 m are no robot; it looks as if masses are in g"),
-        (1000.0, 1000.0, "it looks as if lengths are in mm and masses in g: state m and kg"),
+        (1000.0, 1.0, "10.6 kg on legs of 400 m are implausible; it looks as if lengths are in mm"),
+        (1.0, 1000.0, "1.06e+04 kg on legs of 0.4 m are implausible; it looks as if masses are in g"),
+        (1000.0, 1000.0, "it looks as if lengths are in mm and masses in g: use m and kg"),
     ],
 )
 def test_units_that_make_no_robot_are_named(scale: float, mass: float, words: str, tmp_path: Path) -> None:
@@ -220,9 +220,7 @@ def test_an_mjcf_whose_meshes_and_textures_are_missing_is_read_without_meshes(tm
     text = mjcf().replace("<worldbody>", assets).replace('<geom type="sphere"', '<geom material="a" type="sphere"')
     mesh = '<inertial pos="0 0 0" mass="6" diaginertia="0.04 0.09 0.11"/><geom type="mesh" mesh="m"/>'
     text = text.replace('<geom type="box" size="0.2 0.1 0.05" mass="6"/>', mesh)
-    with pytest.raises(
-        SurefootError, match=r"which is not there; put it where it is named, or leave out meshes \(--no"
-    ):
+    with pytest.raises(SurefootError, match=r"which does not exist; put it there, or leave out meshes \(--no"):
         read(text, tmp_path, "odd.xml")
     robot, plain = read_robot(tmp_path / "odd.xml", meshes=False), read(mjcf(), tmp_path, "plain.xml")
     assert robot.mass == pytest.approx(plain.mass)
@@ -243,7 +241,7 @@ def test_play_of_gears_is_left_out_with_a_note(tmp_path: Path) -> None:
         np.testing.assert_array_equal(robot.limits, plain.limits)
         np.testing.assert_allclose(robot.feet, plain.feet)
         assert robot.notes[0] == (
-            "'FL_hip_backlash' is play of 'FL_hip_joint' (-0.01 to 0.01 rad) (and 11 more): play of gears is left out"
+            "'FL_hip_backlash' is play of 'FL_hip_joint' (-0.01 to 0.01 rad) (and 11 more): gear play is left out"
         )
     # As a link of its own, as URDFs have it.
     link_play = '<joint name="FL_play" axis="0 1 0" range="-0.02 0.02"/><inertial pos="0 0 0" mass="0.01" ' \
@@ -273,7 +271,7 @@ def test_wheels_are_named_and_locked_wheels_are_feet(kind: str, limits: str, tmp
         read(text, tmp_path)
     assert (
         "FL_wheel, FR_wheel, RL_wheel, RR_wheel turn wheels at the end of its legs, and robots with wheels are not "
-        'trained; type="fixed" in place of type="continuous" locks them'
+        'trained; type="fixed" instead of type="continuous" locks them'
     ) in str(caught.value)
     robot = read(re.sub(rf'(_wheel" type=)"{kind}"', r'\1"fixed"', text), tmp_path)
     assert robot.foot_radius == pytest.approx([0.05] * 4, rel=0.01)
@@ -287,7 +285,7 @@ def test_feet_that_slide_on_springs_are_named(tmp_path: Path) -> None:
         r'<limit lower="-0.02" upper="0" effort="1" velocity="1"/></joint>',
         urdf(),
     )
-    words = r"FL_spring, FR_spring, RL_spring, RR_spring slide at the end of its legs.*type=\"fixed\" in place of"
+    words = r"FL_spring, FR_spring, RL_spring, RR_spring slide at the end of its legs.*type=\"fixed\" instead of"
     with pytest.raises(SurefootError, match=words):
         read(text, tmp_path)
 
@@ -311,7 +309,7 @@ def test_a_foot_whose_mesh_is_missing_is_where_its_link_is(tmp_path: Path) -> No
     foot = '<origin xyz="0 0 0"/><geometry><mesh filename="none.stl"/></geometry>'
     robot = read(urdf(foot=foot), tmp_path)
     np.testing.assert_allclose(robot.feet[0], [0.18, 0.14, -0.4], atol=1e-9)
-    assert any(note.startswith("feet: a link named so") for note in robot.notes)
+    assert any(note.startswith("feet: a link with the name of a foot") for note in robot.notes)
 
 
 def test_a_fourth_hinge_with_limits_is_no_wheel(tmp_path: Path) -> None:
@@ -331,7 +329,7 @@ def test_hips_that_swing_before_they_abduct_are_named(tmp_path: Path) -> None:
     with pytest.raises(SurefootError) as caught:
         read(text, tmp_path)
     words = (
-        "its hips swing before they abduct ('FL_hip_joint' turns about y, 'FL_thigh_joint' about x): such legs can't"
+        "its hips swing before they abduct ('FL_hip_joint' turns about y, 'FL_thigh_joint' about x): such legs are not"
     )
     assert words in str(caught.value)
 
@@ -359,7 +357,7 @@ def test_a_xacro_is_refused_with_the_commands_that_expand_it_without_ros(tmp_pat
     )
     with pytest.raises(SurefootError) as caught:
         read_robot(file)
-    for words in ("needs the package arm_description, which is not beside it", "pip install xacro"):
+    for words in ("needs the package arm_description, which is not next to it", "pip install xacro"):
         assert words in str(caught.value)
     # A package beside this one, known by its package.xml, and its file.
     (tmp_path / "arm_description").mkdir()

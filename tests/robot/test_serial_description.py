@@ -144,7 +144,7 @@ def test_parameters_of_dc_motors_are_refused_for_joint_actuators(tmp_path: Path)
         ({"knee": "sideways"}, r"legs\.fl\.knee is 'sideways'; .*choices: forward, backward"),
         ({"actuator": "friction = [0.1, 0.2]"}, r"actuator\.friction has 2 numbers; it takes one, 3 .*, or 12 "),
         ({"more": "[leg_space]\nrest = [0.0, 0.75]\n"}, r"leg_space\.rest has 2 numbers; it must have abduction, "),
-        ({"more": "[leg_space]\nextension = [0.35, 1.1]\n"}, r"leg_space\.extension is \[0\.35, 1\.1\], and a leg can"),
+        ({"more": "[leg_space]\nextension = [0.35, 1.1]\n"}, r"leg_space\.extension is \[0\.35, 1\.1\], but a leg can"),
         ({"more": "[leg_space]\nrest = [0.0, 0.0, 1.2]\n"}, r"leg can't reach its resting pose .*extension 1\.2"),
         ({"sign": "sign = [1, 1, 1]"}, r"motors\.sign has 3 numbers; it must have 12"),
     ],

@@ -1,4 +1,4 @@
-"""What the readers of other frameworks' files share: tables that hold more than is needed, and names."""
+"""Functions that the readers of other frameworks share: unread keys, unmeasured observations, and joint names."""
 
 from __future__ import annotations
 
@@ -12,47 +12,47 @@ from surefoot.errors import SurefootError, choices, nearest, quote
 
 T = TypeVar("T")
 
-_UNMEASURED = {
+_UNMEASURED_PATTERNS = {
     r"contact|feet_force|foot_force|grf|touch": "is the contact of the feet, which contracts do not have",
     r"height_scan|height_map|scan|depth|camera|image|terrain|lidar|elevation|(^|_)rays?(_|$|\d)|heights": "is the "
     "height of the ground, which the robot does not see",
     r"height|base_z": "is the height of the base, which no sensor of a robot gives",
     r"(base|root|body|robot)_?(pos|xy|position)": "is the position of the base, which no sensor of a robot gives",
 }
-"""What robots do not measure, by a pattern of its name."""
-_SPEED = r"vel|speed|twist"
-_OTHER_SPEED = r"ang|gyro|joint|dof|motor|wheel|command|cmd|rate"
+"""Reasons why robots can't provide an observation, by a pattern of its name."""
+_SPEED_PATTERN = r"vel|speed|twist"
+_MEASURED_SPEED_PATTERN = r"ang|gyro|joint|dof|motor|wheel|command|cmd|rate"
 _BASE_SPEED = "is the speed of the base, which no sensor of a robot gives"
-_UNREAD = 12
-"""Keys that a note names at most."""
+_MAX_LISTED_KEYS = 12
+"""Maximum number of keys that a note names."""
 
 
-def why_unmeasured(name: object) -> str | None:
-    """Return why no robot gives an observation, by its name; None if its name does not say so."""
+def unmeasured_reason(name: object) -> str | None:
+    """Return the reason why no robot provides an observation, judging by its name, or None."""
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", str(name)[:200]).lower().replace(" ", "_").replace("-", "_")
-    for pattern, reason in _UNMEASURED.items():
+    for pattern, reason in _UNMEASURED_PATTERNS.items():
         if re.search(pattern, text):
             return reason
-    return _BASE_SPEED if re.search(_SPEED, text) and not re.search(_OTHER_SPEED, text) else None
+    return _BASE_SPEED if re.search(_SPEED_PATTERN, text) and not re.search(_MEASURED_SPEED_PATTERN, text) else None
 
 
 def unknown_term(name: object, known: Iterable[str]) -> SurefootError:
-    """Return the error of an observation that can't be adopted.
+    """Return the error for an unsupported observation.
 
     Args:
-        name: its name.
-        known: names of observations that can be.
+        name: name of the observation.
+        known: names of supported observations.
     """
-    if reason := why_unmeasured(name):
+    if reason := unmeasured_reason(name):
         return SurefootError(f"observation {quote(name)} {reason}; such a policy can't be adopted")
     return SurefootError(f"observation {quote(name)} is unknown; known are {choices(known)}")
 
 
-def pick(kind: type[T], data: Mapping[str, Any]) -> T:
-    """Make a dataclass from those keys of a table that it has; `unread` names the others.
+def from_table(kind: type[T], data: Mapping[str, Any]) -> T:
+    """Make a dataclass from a table, ignoring keys that it does not have; `unread_keys` lists them.
 
     Raises:
-        SurefootError: missing keys, or a value of another kind.
+        SurefootError: a key is missing, or a value has the wrong type.
     """
     names = field_names(kind)
     return from_mapping(kind, {key: value for key, value in data.items() if key in names and value is not None})
@@ -63,13 +63,15 @@ def field_names(kind: type) -> list[str]:
     return [item.name for item in dataclasses.fields(kind)]
 
 
-def unread(data: Mapping[str, Any], read: Iterable[str], harmless: Iterable[str] = (), where: str = "") -> list[str]:
-    """Return the keys of a table that nothing reads and that may change observations or actions, with their values.
+def unread_keys(
+    data: Mapping[str, Any], read: Iterable[str], harmless: Iterable[str] = (), where: str = ""
+) -> list[str]:
+    """Return keys with values that the reader ignores although they may affect observations or actions, as text.
 
     Args:
         data: the table.
-        read: keys that are read.
-        harmless: keys that change neither observations nor actions.
+        read: keys that the reader uses.
+        harmless: keys that affect neither observations nor actions.
         where: dotted name of the table, ending in a dot.
     """
     read, harmless = list(read), {*harmless}
@@ -83,29 +85,28 @@ def unread(data: Mapping[str, Any], read: Iterable[str], harmless: Iterable[str]
 
 
 def unread_note(named: list[str]) -> dict[str, str]:
-    """Return the note that names keys that are not read, or none."""
+    """Return a note about keys that are not read, or no note."""
     if not named:
         return {}
-    more = f" and {len(named) - _UNREAD} more" if len(named) > _UNREAD else ""
-    return {
-        "unread": f"not read: {', '.join(named[:_UNREAD])}{more}; if the training used it, the policy acts otherwise"
-    }
+    more = f" and {len(named) - _MAX_LISTED_KEYS} more" if len(named) > _MAX_LISTED_KEYS else ""
+    listed = ", ".join(named[:_MAX_LISTED_KEYS])
+    return {"unread": f"not read: {listed}{more}; if the training used it, the policy acts otherwise"}
 
 
 def first_names(terms: Mapping[str, str]) -> dict[str, str]:
-    """Return the first name of each term in a format's table of terms by name."""
+    """Return the first name of each term in a format's table, which maps names to terms."""
     return {term: name for name, term in reversed([*terms.items()])}
 
 
 def plain_joint_name(name: str) -> str:
-    """Return a joint's name without what frameworks add to it: case, separators and the word joint."""
+    """Normalize a joint name: remove case, separators and the words joint and controller."""
     return re.sub(r"[^a-z0-9]", "", re.sub(r"joint|controller", "", name.lower()))
 
 
-def matched_joints(joints: Iterable[str], motors: Iterable[str]) -> tuple[str, ...] | None:
-    """Return the robot's names of a policy's joints, if these differ only by what frameworks add; else None."""
+def match_joints(joints: Iterable[str], motors: Iterable[str]) -> tuple[str, ...] | None:
+    """Return the robot's motor for each joint of a policy, if their normalized names agree; else None."""
     plain: dict[str, list[str]] = {}
     for motor in motors:
         plain.setdefault(plain_joint_name(motor), []).append(motor)
-    found = [plain.get(plain_joint_name(joint), []) for joint in joints]
-    return tuple(one[0] for one in found) if all(len(one) == 1 for one in found) else None
+    matches = [plain.get(plain_joint_name(joint), []) for joint in joints]
+    return tuple(match[0] for match in matches) if all(len(match) == 1 for match in matches) else None

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from surefoot import __version__
-from surefoot.adopt.diagnosis import REPEATS, Diagnosis
+from surefoot.adopt.diagnosis import FINAL_REPEATS, Diagnosis
 from surefoot.adopt.examination import MAX_ERROR, MIN_GOOD_SCORE, TrialResult
 from surefoot.check_result import CheckResult
 from surefoot.files import atomic_write
@@ -90,8 +90,8 @@ def _tried(answers: Sequence[TrialResult], count: int) -> str:
         rows.append(html.row((answer.text, *scores, f"{answer.score:.2f}"), f"t{'n' * len(names)}n"))
     note = (
         f"{count} changes of the configuration, and other robots, were tried, each with one robot for each of some "
-        f"commands; the best again, those below, with {REPEATS} other robots for each command. The most likely is the "
-        "first; one that leads to unusual numbers is less likely than its score. Scores: 1 follows the command "
+        f"commands; the best again, those below, with {FINAL_REPEATS} other robots for each command. The most likely "
+        "is the first; one that leads to unusual numbers is less likely than its score. Scores: 1 follows the command "
         f"exactly; 0 falls, or errs by {MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s sideways or "
         f"{MAX_ERROR[2]:g} rad/s."
     )
