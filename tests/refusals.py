@@ -287,7 +287,7 @@ REFUSALS = [
             "--from mjlab --robot go2 --out x.pt": "--out is x.pt; the name must end in .onnx",
             "--from mjlab --robot minitaur --out x.onnx": "joints are FL_hip_joint",
             "--from mjlab --robot go2 --out x.onnx --config x.yaml": (
-                "--config is given; mjlab has everything in the network's file"
+                "--config is given, but mjlab has everything in the network's file"
             ),
             "--from rl_sar --robot go2 --out x.onnx": "config.yaml: can't be read: No such file",
             "--from isaac --robot go2 --out x.onnx": "--from",

@@ -1,4 +1,4 @@
-"""An adopted policy in simulation: it follows commands, and a mistake that makes it fall is found again."""
+"""Simulation of an adopted policy: it follows commands, and a mistake that makes it fall is identified."""
 
 from __future__ import annotations
 
@@ -33,6 +33,6 @@ def test_robot_lab_follows_commands_and_falls_in_another_order_of_legs(go2, poli
     assert right.velocity[5, 2] > 0.3
     assert wrong.score < 0.1
     assert wrong.fell.sum() >= 5
-    # The other way round: with the wrong file, the right order is what makes it walk.
+    # In reverse: for the file with the wrong order, the right order makes it walk.
     diagnosis = Diagnosis.from_results([replace(wrong, change=None), replace(right, change=other)])
     assert diagnosis.mistake.correction is other

@@ -1,4 +1,4 @@
-"""What a robot looks like: triangles of primitive shapes, the file of visuals, and files with one thing wrong."""
+"""Visual meshes of robots: triangulated primitive shapes, the file of visuals, and invalid files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SOLO = RobotDescription.load("solo8")
 
 
 def volume(part: VisualPart) -> float:
-    """Return the volume that a part's triangles enclose, negative if they are seen from inside."""
+    """Return the volume enclosed by a part's triangles, negative if they face inward."""
     a, b, c = np.moveaxis(part.vertices[part.faces].astype(float), 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
@@ -49,10 +49,10 @@ def test_a_shape_is_a_closed_surface_in_its_frame(kind: str, size: tuple[float, 
     part = triangulate_shape(kind, size, (1.0, 2.0, 3.0))
     assert part.color == (1.0, 0.2, 0.0)
     assert (part.vertices.dtype, part.faces.dtype) == (np.float32, np.int32)
-    # A polygon of 20 corners instead of a circle has 1.6 % less area; a sphere has flat ends too.
+    # A polygon with 20 corners has 1.6 % less area than its circle; a sphere also has flat ends.
     assert volume(part) == pytest.approx(exact, rel=1e-5 if kind == "box" else 0.06)
     np.testing.assert_allclose(part.vertices.max(axis=0) - [1, 2, 3], half, rtol=0.03)
-    # Each edge of a closed surface belongs to two triangles, which have it in opposite directions.
+    # Each edge of a closed surface belongs to two triangles, in opposite directions.
     edges = {tuple(edge) for face in part.faces.tolist() for edge in zip(face, face[1:] + face[:1], strict=True)}
     assert len(edges) == 3 * len(part.faces)
     assert {(b, a) for a, b in edges} == edges
@@ -87,7 +87,7 @@ def test_visuals_of_released_robots_match_their_script(name: str, tmp_path: Path
     script["appearance"](script["ROBOTS"][name]).save(tmp_path / VISUALS_FILE)
     assert (tmp_path / VISUALS_FILE).read_bytes() == (robot.folder / VISUALS_FILE).read_bytes()
     parts = robot.appearance().parts
-    # Feet reach the ground where the robot's sheet has them do so, to a millimetre.
+    # Visual feet end where the robot's foot spheres end, to a millimetre.
     frames = robot.link_frames(robot.resting_angles)
     for leg in robot.legs:
         points = np.concatenate([part.vertices for part in parts if part.link == leg.foot])
@@ -98,7 +98,7 @@ def test_visuals_of_released_robots_match_their_script(name: str, tmp_path: Path
 
 
 def write_visuals(folder: Path, change: Callable[[dict[str, Any], dict[str, Any]], None] | None = None) -> Path:
-    """Write a robot's folder with two parts, and change the arrays and meta of their file."""
+    """Write a robot's folder with two visual parts, and modify the arrays and meta of the file."""
     shutil.copytree(SOLO.folder, folder)
     corners = np.array([(0, 0, 0), (0.3, 0, 0), (0, 0.2, 0), (0, 0, 0.1)], np.float32)
     faces = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], np.int32)
@@ -116,7 +116,7 @@ def write_visuals(folder: Path, change: Callable[[dict[str, Any], dict[str, Any]
     return folder
 
 
-def test_saved_visuals_come_back_to_a_65535th_of_their_size(tmp_path: Path) -> None:
+def test_saved_visuals_are_read_back_with_16_bit_precision(tmp_path: Path) -> None:
     folder = write_visuals(tmp_path / "mine")
     first, second = RobotDescription.load(folder).appearance().parts
     assert (first.link, second.link) == ("base", "front_left_upper")
@@ -169,7 +169,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("case", HOSTILE)
-def test_a_file_with_one_thing_wrong_is_refused(case: str, tmp_path: Path) -> None:
+def test_invalid_visuals_files_are_rejected(case: str, tmp_path: Path) -> None:
     change, message = HOSTILE[case]
     robot = RobotDescription.load(write_visuals(tmp_path / "mine", change))
     with pytest.raises(SurefootError, match=f"visuals.npz: .*{message}"):
