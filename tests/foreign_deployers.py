@@ -138,7 +138,7 @@ class IsaacLab:
 
 @dataclass
 class LeggedGym:
-    """Deployment of legged_gym (`legged_robot.py`: `compute_observations`, `_compute_torques`) without base velocity."""
+    """Deployment of legged_gym without base velocity (`compute_observations`, `_compute_torques` of `legged_robot.py`)."""
 
     order: list[int]
     pose: Any
