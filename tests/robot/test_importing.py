@@ -249,8 +249,8 @@ BAD = [
         ),
         "'b' moves and has no mass or no inertia; state both in its <inertial>",
     ),
-    ("dog.xml", mjcf(legs(("FL",))), "is an arm or another single chain: 3 joints hang from 'trunk'"),
-    ("dog.xml", mjcf(legs(("FL", "FR"))), "is a biped, humanoid or other robot: from 'trunk' hang 2 chains of 3, 3"),
+    ("dog.xml", mjcf(legs(("FL",))), "is an arm or another single chain: 'trunk' has one chain of 3 joints"),
+    ("dog.xml", mjcf(legs(("FL", "FR"))), "is a biped, humanoid or other robot: 'trunk' has 2 chains of 3, 3"),
     (
         "dog.xml",
         mjcf().split("</worldbody>")[0] + mjcf().split("<worldbody>")[1].replace('name="', 'name="other_'),
@@ -261,20 +261,20 @@ BAD = [
         mjcf("".join(leg(f"{n}{k}", 0.2 * x, 0.08 * y) for n, (x, y) in CORNERS.items() for k in (1, 2))).replace(
             'axis="1 0 0" range="-1 1"', 'axis="1 0 0"'
         ),
-        "has 8 legs: from 'trunk' hang 8 chains",
+        "has 8 legs: 'trunk' has 8 chains",
     ),
     ("dog.urdf", urdf(link("a", mass="heavy")), "link 'a': mass is 'heavy'; it must be a finite number"),
     ("dog.xml", "<sdf/>", "is an SDF of Gazebo; convert it to a URDF"),
-    ("dog.xml", mjcf(legs() + leg("M", 0.0, 0.2)), "has 5 legs: from 'trunk' hang 5 chains of 3, 3, 3, 3, 3 joints"),
+    ("dog.xml", mjcf(legs() + leg("M", 0.0, 0.2)), "has 5 legs: 'trunk' has 5 chains of 3, 3, 3, 3, 3 joints"),
     ("dog.xml", mjcf(legs(("FL", "FR", "RL"))), "has 3 legs: from 'trunk'"),
     (
         "dog.xml",
         mjcf("".join(TWO_CHAINS.format(n=n, x=0.2 * x, y=0.1 * y, link=LINK) for n, (x, y) in CORNERS.items())),
-        "has legs that branch at 'bFL'; five-bar legs need a sheet that is written by hand",
+        "has legs that branch at 'bFL'; five-bar legs need a data sheet that is written by hand",
     ),
     ("dog.xml", mjcf(legs(axes=("1 0 0", "0 1 .3", "0 1 0"))), "should be the hip, and its axis at zero is"),
     ("dog.xml", mjcf(legs(foot="<site/>")), "has neither a shape nor a foot link"),
-    ("dog.xml", mjcf().replace('axis="0 1 0"', 'type="slide" axis="0 1 0"', 1), "no single hinge"),
+    ("dog.xml", mjcf().replace('axis="0 1 0"', 'type="slide" axis="0 1 0"', 1), "does not have a single hinge"),
     ("dog.xml", "<mujoco><wheel/></mujoco>", "MuJoCo can't read it: line 1, <wheel>: Schema violation"),
     (
         "dog.xml",
@@ -292,7 +292,7 @@ BAD = [
     (
         "dog.xml",
         mjcf().replace('<joint name="FL_abduction" axis="1 0 0" range="-1 1"/>', ""),
-        "its legs have 2, 3, 3, 3 hinges, and all must have 2, or all 3",
+        "its legs have 2, 3, 3, 3 hinges; all must have 2, or all 3",
     ),
     (
         "dog.xml",

@@ -164,10 +164,10 @@ class CorrectedPolicy:
     @staticmethod
     def _maker(specification: PolicySpecification, robot: RobotDescription, contract: Contract) -> PolicyBuilder:
         joints = len(specification.joints)
-        kept = sum(name.startswith(f"{MEMORY}.") for name in contract.action_names)
-        kept -= joints * any(term.term == "last_action" for term in specification.observations)
-        kept -= 2 * sum(term.term == "clock" for term in specification.observations)
-        return PolicyBuilder(specification, NetworkSizes(None, joints, (kept,) if kept else ()), robot)
+        hidden = sum(name.startswith(f"{MEMORY}.") for name in contract.action_names)
+        hidden -= joints * any(term.term == "last_action" for term in specification.observations)
+        hidden -= 2 * sum(term.term == "clock" for term in specification.observations)
+        return PolicyBuilder(specification, NetworkSizes(None, joints, (hidden,) if hidden else ()), robot)
 
     def feedback(self, observation: ArrayLike, going: NDArray[np.bool_] | None = None) -> Array:
         """Return the feedback (N, A) for observations (N, O * history); rows that are not `going` (N,) get 0."""

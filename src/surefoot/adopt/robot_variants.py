@@ -1,4 +1,4 @@
-"""Variants of the simulated robot, for properties of an adopted policy's training robot that are unknown.
+"""Variants of the simulated robot in properties of an adopted policy's training that are unknown.
 
 No policy configuration contains the latency of readings, rotor inertia or friction. If a policy follows commands on a
 robot with other values, its configuration may be right.

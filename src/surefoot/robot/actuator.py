@@ -13,7 +13,7 @@ from surefoot.configuration import NotNegative, Positive, Within, from_mapping
 from surefoot.errors import SurefootError, quote, suggest
 
 _Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
-"""One number for all motors, one for each motor of a leg, or one for each motor."""
+"""One number for all motors, one per motor of a leg, or one per motor."""
 
 
 MIN_PLACEHOLDER_TORQUE = 5.0

@@ -36,7 +36,7 @@ class CommandLimits:
     acceleration: Annotated[tuple[float, float, float], Within(0.0, _MAX_COMMAND, above=True)]
     """Maximum rate of change of each command that the gait follows [m/s^2, m/s^2, rad/s^2]."""
     deadband: Annotated[tuple[float, float, float], Within(0.0, _MAX_COMMAND)]
-    """The robot stands still if no command exceeds this [m/s, m/s, rad/s]."""
+    """The robot stands still if all commands are within this deadband [m/s, m/s, rad/s]."""
     heading_gain: Annotated[float, Within(0.0, _MAX_COMMAND)] = 0.0
     """Additional yaw rate per heading error [1/s]; 0: the heading is not controlled."""
 

@@ -117,11 +117,11 @@ class Heat:
     """Temperature limits of the hottest motor [degC], and the thermal model of an emulated motor."""
 
     warn: Positive = 70.0
-    """A deployment warns once; with the defaults, walking reaches the next limit some minutes later."""
+    """Temperature at which a deployment warns once; by default a walking robot reaches `high` some minutes later."""
     high: Positive = 80.0
-    """The robot sits down; the default is what magnets and glue of small outrunner motors withstand."""
+    """Temperature at which the robot sits down; the default is what magnets and glue of small outrunners withstand."""
     limit: Positive = 90.0
-    """The robot damps its motors."""
+    """Temperature at which the robot damps its motors."""
     capacity: Positive = 80.0
     """Heat capacity of one motor [J/K]; the default is about 200 g of copper and iron at 0.4 J/(g K)."""
     resistance: Positive = 1.5

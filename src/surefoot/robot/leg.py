@@ -82,11 +82,11 @@ class FiveBar:
     """
 
     upper: Positive
-    """Motor axis to knee, both upper links."""
+    """Length of the upper links, from motor axis to knee."""
     lower: tuple[Positive, Positive]
-    """Knee to pin joint, on the lower link of motor 1 and of motor 2."""
+    """Distances from knee to pin joint, for the lower links of motor 1 and motor 2."""
     foot: Positive
-    """Knee to the tip of the foot, along the lower link of motor 2."""
+    """Distance from knee to the tip of the foot, along the lower link of motor 2."""
     foot_radius: NotNegative
     """Radius of the foot's rounded tip."""
 

@@ -95,13 +95,13 @@ def check_ranges(ranges: Mapping[str, ParamRange], robot: RobotDescription | Non
 
 
 def _check_range(name: str, param_range: ParamRange, robot: RobotDescription | None) -> None:
-    where, least, allowed = f"randomize.{name}", -math.inf, (-math.inf, math.inf)
+    where, minimum, allowed = f"randomize.{name}", -math.inf, (-math.inf, math.inf)
     if isinstance(param_range, RelativeRange):
         if (param_range.scale is None) == (param_range.add is None):
             raise SurefootError(f"{where} must have one of scale and add")
         where += ".add" if param_range.scale is None else ".scale"
         if param_range.scale is not None:
-            least = 0.0
+            minimum = 0.0
             if not PARAMETERS[name].scalable:
                 raise SurefootError(f"{where} is given; write add, as {name} is 0 for most robots")
     elif robot is not None:
@@ -113,7 +113,7 @@ def _check_range(name: str, param_range: ParamRange, robot: RobotDescription | N
     for bad, rule in (
         (~np.isfinite(pairs).all(axis=1), "both bounds must be finite numbers"),
         (low > high, "the lower bound must come first"),
-        (low < least, "factors are 0 or more"),
+        (low < minimum, "factors are 0 or more"),
         (
             (low < allowed[0]) | (high > allowed[1]),
             f"{by} allows {name} from {allowed[0]:g} to {allowed[1]:g} (unit: {PARAMETERS[name].unit})",
@@ -257,13 +257,13 @@ class Randomizer:
         self._parts, numbers = _stream_layout(nominal)
         # The K sampled values are all motors and axes of every parameter with a range.
         self._columns: dict[str, slice] = {}
-        places, low, high = [np.zeros(0, np.int64)], list[Array](), list[Array]()
+        sample_index, low, high = [np.zeros(0, np.int64)], list[Array](), list[Array]()
         allowed, varying = list[Interval](), list[int]()
         for name, param_range in self.ranges.items():
             ends = [end.reshape(nominal.num_envs, -1) for end in resolve_range(param_range, getattr(nominal, name))]
             independent, size, first = is_independent(name, param_range), ends[0].shape[1], len(allowed)
-            place = numbers[name, independent and not PARAMETERS[name].independent]
-            places.append(np.broadcast_to(place if independent else place[:1], size))
+            index = numbers[name, independent and not PARAMETERS[name].independent]
+            sample_index.append(np.broadcast_to(index if independent else index[:1], size))
             low.append(ends[0])
             high.append(ends[1])
             allowed += [robot.allowed[name]] * size
@@ -272,7 +272,7 @@ class Randomizer:
                 parts = PARAMETERS[name].element_names(robot.motor_names) if independent else ()
                 self.columns += [f"{name}.{part}" for part in parts] or [name]
                 varying += range(first, first + (len(parts) or 1))
-        self._places, self._varying = np.concatenate(places), np.array(varying, np.int64)
+        self._sample_index, self._varying = np.concatenate(sample_index), np.array(varying, np.int64)
         none = np.zeros((nominal.num_envs, 0))
         self._low, self._high = np.concatenate([none, *low], axis=1), np.concatenate([none, *high], axis=1)
         self._allowed = np.reshape(allowed, (-1, 2)).T
@@ -286,13 +286,13 @@ class Randomizer:
         """Draw the parameters for new episodes of the robots at `index`, one row each."""
         unit = np.empty((len(index), self._parts[-1].stop))
         for jumps, part in reversed([*enumerate(self._parts)]):
-            if jumps and not np.any((self._places >= part.start) & (self._places < part.stop)):
+            if jumps and not np.any((self._sample_index >= part.start) & (self._sample_index < part.stop)):
                 continue
             # Segments ahead are relative to the stream's current state, so the stream itself is advanced last.
             size = part.stop - part.start
             unit[:, part] = [_jumped(self.streams[i], jumps).uniform(size=size) for i in index]
         low, high = self._low[index], self._high[index]
-        drawn = np.clip(low + (high - low) * unit[:, self._places], *self._allowed)
+        drawn = np.clip(low + (high - low) * unit[:, self._sample_index], *self._allowed)
         params = self.nominal.rows(index)
         self.drawn[index] += 1
         for name, columns in self._columns.items():
@@ -327,14 +327,14 @@ def _stream_layout(nominal: PhysicalParams) -> tuple[list[slice], dict[tuple[str
     names = list(PARAMETERS)
     later = names.index(_LAST_OF_MAIN_STREAM) + 1
     shared = [name for name in names if not PARAMETERS[name].independent]
-    parts, places, end = list[slice](), {}, 0
+    parts, sample_index, end = list[slice](), {}, 0
     for part, counts in ((names[:later], own), (names[later:], own), (shared, sizes)):
         start = end
         for name in part:
-            places[name, counts is sizes] = np.arange(end, end + counts[name])
+            sample_index[name, counts is sizes] = np.arange(end, end + counts[name])
             end += counts[name]
         parts.append(slice(start, end))
-    return parts, places
+    return parts, sample_index
 
 
 def _jumped(stream: np.random.Generator, jumps: int) -> np.random.Generator:

@@ -68,9 +68,9 @@ def _bounds(robot: RobotDescription, shape: Shape) -> tuple[Array, Array]:
     angles = np.array(list(product(*grid)), float).T
     frames = urdf.frames(dict(zip([joint.name for joint in hinges], angles, strict=True)))
     points, radius = _core(shape)
-    places = _transform(points, frames[shape.link]).reshape(-1, 3)
-    room = radius + _MARGIN * robot.leg_geometry.length
-    return places.min(axis=0) - room, places.max(axis=0) + room
+    positions = _transform(points, frames[shape.link]).reshape(-1, 3)
+    margin = radius + _MARGIN * robot.leg_geometry.length
+    return positions.min(axis=0) - margin, positions.max(axis=0) + margin
 
 
 def _transform(points: Array, frames: Array) -> Array:

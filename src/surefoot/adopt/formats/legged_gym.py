@@ -66,15 +66,15 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
     with describe_os_errors(config):
         source = read_configuration(config)
     with prefix_errors(config):
-        found = read_classes(source, _SECTIONS)
-        values = _DEFAULTS | found
+        assigned = read_classes(source, _SECTIONS)
+        values = _DEFAULTS | assigned
         for field, key in (("kp", "control.stiffness"), ("kd", "control.damping")):
             if overrides.get(field) is not None and key not in values:
                 values[key] = {"": overrides[field]}
         if overrides.get("control_step") is not None:
             values |= {"sim.dt": overrides["control_step"], "control.decimation": 1}
         if missing := [key for key in _NEEDED if key not in values]:
-            near = [nearest(key.rpartition(".")[2], [one.rpartition(".")[2] for one in found]) for key in missing]
+            near = [nearest(key.rpartition(".")[2], [one.rpartition(".")[2] for one in assigned]) for key in missing]
             hints = [f"{key}{f' (did you mean {one}?)' if one else ''}" for key, one in zip(missing, near, strict=True)]
             raise SurefootError(f"{', '.join(hints)} {'is' if len(missing) == 1 else 'are'} missing")
         if _literal(values, "control.control_type") != "P":
@@ -118,7 +118,7 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
                 "observations": "observation: angular velocity, gravity, commands, joint positions and speeds, last "
                 "action is assumed; the file does not say it",
                 **hips,
-                **unread_note(_unread_keys(found)),
+                **unread_note(_unread_keys(assigned)),
             },
             forward=forward,
             sideways=sideways,
@@ -144,18 +144,17 @@ def _action_scale(
     return tuple(scale * (factor if joint in hips else 1.0) for joint in joints), {"action_scale": note}
 
 
-def _unread_keys(found: Mapping[str, Any]) -> list[str]:
+def _unread_keys(assigned: Mapping[str, Any]) -> list[str]:
     """Return unread keys of sections that affect a policy, and unknown sections."""
     read = [*_DEFAULTS, *_NEEDED, *_OPTIONAL, *_HIP_SCALES]
-    judged, sections = {}, {}
-    for key, value in found.items():
+    policy_keys, sections = {}, {}
+    for key, value in assigned.items():
         section, _, name = key.partition(".")
-        shown = value.text if isinstance(value, Computed) else value
         if section in _POLICY_SECTIONS and not key.startswith("sim.physx."):
-            judged[key] = shown
+            policy_keys[key] = value.text if isinstance(value, Computed) else value
         elif name and section not in _SECTIONS:
             sections[section] = "a class"
-    return unread_keys(judged, read, _DEFAULT_KEYS) + unread_keys(sections, _SECTIONS)
+    return unread_keys(policy_keys, read, _DEFAULT_KEYS) + unread_keys(sections, _SECTIONS)
 
 
 def _isaac_gym_order(robot: RobotDescription) -> tuple[str, ...]:

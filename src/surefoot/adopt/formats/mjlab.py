@@ -142,7 +142,7 @@ def _gain_notes(joints: tuple[str, ...], stiffness: tuple[float, ...], damping: 
     kinds: dict[str, set[tuple[float, float]]] = {}
     for joint, *gains in zip(joints, stiffness, damping, strict=True):
         kinds.setdefault(joint.partition("_")[2], set()).add((gains[0], gains[1]))
-    different = [kind for kind, found in kinds.items() if len(found) > 1]
+    different = [kind for kind, gains_of_kind in kinds.items() if len(gains_of_kind) > 1]
     if different and len(kinds) > 1:
         return {
             "kp": f"gains look wrong: for {different[0]} they differ from leg to leg; mjlab wrote them in the order of "

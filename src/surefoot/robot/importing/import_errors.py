@@ -99,22 +99,23 @@ def check_legs(
     """
     lengths = [len(chain) for chain in chains]
     counts = choices(f"{length}" for length in lengths)
-    hangs = f"from '{base}' hang {len(chains)} chains of {counts} joints"
-    by_hand = "five-bar legs need a sheet that is written by hand, as the Minitaur's"
+    structure = f"'{base}' has {len(chains)} chains of {counts} joints"
+    by_hand = "five-bar legs need a data sheet that is written by hand, like the Minitaur's"
     why = None
     if len(chains) == 1:
-        why = f"is an arm or another single chain: {lengths[0]} joints hang from '{base}'"
+        why = f"is an arm or another single chain: '{base}' has one chain of {lengths[0]} joints"
     elif len(chains) == 2 or (branches and max(lengths) > 3):
-        why = f"is a biped, humanoid or other robot: {hangs}{f', which branch at {branches!r}' if branches else ''}"
+        branching = f", which branch at {branches!r}" if branches else ""
+        why = f"is a biped, humanoid or other robot: {structure}{branching}"
     elif has_loops or branches:
         why = f"has {'closed loops' if has_loops else f'legs that branch at {branches!r}'}; {by_hand}"
     elif len(chains) == 8 and max(lengths) <= 2:
-        why = f"has two chains for each leg ({hangs}); {by_hand}"
+        why = f"has two chains per leg ({structure}); {by_hand}"
     elif len(chains) != 4:
-        why = f"has {len(chains)} legs: {hangs}"
+        why = f"has {len(chains)} legs: {structure}"
     elif len(set(lengths)) > 1 or not 2 <= lengths[0] <= 3:
-        why = f"its legs have {counts} hinges, and all must have 2, or all 3"
+        why = f"its legs have {counts} hinges; all must have 2, or all 3"
     elif slides:
-        why = f"body '{slides[0]}' has joints that are no single hinge: they slide, turn as a ball, or are several"
+        why = f"body '{slides[0]}' does not have a single hinge, but a sliding joint, a ball joint, or several joints"
     if why:
         raise SurefootError(f"{path}: {why}" + ("" if by_hand in why else f"; {QUADRUPED}"))

@@ -17,7 +17,7 @@ from surefoot.robot.urdf_file import attribute, read_frame, read_inertia, read_n
 _MAX_FRAME_MASS = 1e-6
 """Mass [kg] below which a fixed link counts as a massless frame; CAD exporters give frames such masses."""
 _DENSITY = 1000.0
-"""Density [kg/m3] of a link of which only the mass is known."""
+"""Assumed density [kg/m3] of a link with known mass and unknown size."""
 _MIN_THICKNESS_RATIO = 0.2
 """Minimum thickness of the box around a link's joints relative to its length."""
 _MIN_MOMENT = 1e-14
@@ -122,8 +122,8 @@ def _moments_of_shapes(link: ElementTree.Element, root: ElementTree.Element, mas
     points = _shape_corners(link, path)
     if not points:
         name = link.get("name")
-        hangs = [joint for joint in root.findall("joint") if attribute(joint.find("parent"), "link") == name]
-        ends = [read_frame(joint.find("origin"), f"{path}: joint '{joint.get('name')}'")[:3, 3] for joint in hangs]
+        children = [joint for joint in root.findall("joint") if attribute(joint.find("parent"), "link") == name]
+        ends = [read_frame(joint.find("origin"), f"{path}: joint '{joint.get('name')}'")[:3, 3] for joint in children]
         points = [np.zeros((1, 3)), *(end[None] for end in ends)]
     sides = np.ptp(np.concatenate(points), axis=0)
     if not sides.any():

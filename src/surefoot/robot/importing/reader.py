@@ -281,21 +281,21 @@ class _Reader:
             surface = visual.surface.place(frame @ visual.frame)
             parts.setdefault((names[mover], visual.color), []).append(surface)
         merged = {key: merge_surfaces(surfaces) for key, surfaces in parts.items()}
-        drawn = {
+        usable = {
             key: surface
             for key, surface in merged.items()
             if len(surface.faces) and np.abs(surface.vertices).max() < MAX_EXTENT - 1
         }
-        triangles = sum(len(surface.faces) for surface in drawn.values())
-        if len(drawn) > MAX_PARTS or triangles > MAX_TRIANGLES:
-            self.notes.append(f"not drawn: {triangles} triangles of {len(drawn)} links and colours are too many")
+        triangles = sum(len(surface.faces) for surface in usable.values())
+        if len(usable) > MAX_PARTS or triangles > MAX_TRIANGLES:
+            self.notes.append(f"not drawn: {triangles} triangles of {len(usable)} links and colours are too many")
             return ()
-        if len(drawn) < len(merged):
-            absent = choices(dict.fromkeys(link for link, color in merged if (link, color) not in drawn))
+        if len(usable) < len(merged):
+            absent = choices(dict.fromkeys(link for link, color in merged if (link, color) not in usable))
             self.notes.append(f"not drawn: shapes of {absent} have no area, or are farther away than {MAX_EXTENT:g} m")
         return tuple(
             VisualPart(link, surface.vertices.astype(np.float32), surface.faces.astype(np.int32), color)
-            for (link, color), surface in drawn.items()
+            for (link, color), surface in usable.items()
         )
 
     def _chains(self) -> tuple[list[list[int]], int]:
