@@ -138,7 +138,7 @@ class IsaacLab:
 
 @dataclass
 class LeggedGym:
-    """Deployment of legged_gym (`compute_observations`, `_compute_torques` in `legged_robot.py`) without base velocity."""
+    """legged_gym without base velocity (`compute_observations` and `_compute_torques` in `legged_robot.py`)."""
 
     order: list[int]
     pose: Any
