@@ -119,7 +119,7 @@ def test_a_manual_specification_has_clocks_constants_and_columns(go2, write, pro
         ("unitree_rl_lab", "deploy.yaml", {"stiffness": [25.0] * 11}, "stiffness has 11 numbers; go2 has 12 motors"),
         ("unitree_rl_lab", "deploy.yaml", {"damping": None}, "damping is missing; it must be given"),
         ("unitree_rl_lab", "deploy.yaml", {"joint_ids_map": [0] * 12}, "each of 12 motors must be in it"),
-        ("unitree_rl_lab", "deploy.yaml", {"actions": {"JointVelocityAction": {}}}, "JointPositionAction alone"),
+        ("unitree_rl_lab", "deploy.yaml", {"actions": {"JointVelocityAction": {}}}, "only JointPositionAction"),
         (
             "unitree_rl_lab",
             "deploy.yaml",

@@ -62,7 +62,7 @@ def take(go2, tmp_path):
     return take
 
 
-def refused(take, *words, **options) -> str:
+def rejection(take, *words, **options) -> str:
     with pytest.raises(SurefootError) as caught:
         take(*words, **options)
     assert "\n" not in str(caught.value)
@@ -83,7 +83,7 @@ def refused(take, *words, **options) -> str:
 def test_unmeasured_observations_are_recognized_by_name(take, name, what):
     assert what in unmeasured_reason(name)
     manual = {**MANUAL, "observations": [{"term": name}, *MANUAL["observations"]]}
-    message = refused(take, "manual", manual, 48)
+    message = rejection(take, "manual", manual, 48)
     assert f"observations[0].term is '{name}', which is the {what}" in message
     assert "did you mean" not in message
 
@@ -102,7 +102,7 @@ def test_joints_match_without_the_affixes_of_frameworks(take, go2):
     assert specification.notes["names"] == "names of joints: FR_hip is go2's FR_hip_joint, and so on"
     assert match_joints(["fr-hip", "FR.Thigh.joint"], go2.motor_names) == ("FR_hip_joint", "FR_thigh_joint")
     assert match_joints(["FR_hip", "FR_knee"], go2.motor_names) is None
-    message = refused(take, "manual", {**MANUAL, "joints": ["FR_knee", *short[1:]]})
+    message = rejection(take, "manual", {**MANUAL, "joints": ["FR_knee", *short[1:]]})
     assert "joints are FR_knee" in message
 
 
@@ -143,7 +143,7 @@ Config.control.decimation = 8 // 2
 
 def test_computed_values_are_rejected(take):
     assert take("legged_gym", GYM.replace("= 0.25", "= 0.5 * 0.5")) == take("legged_gym", GYM)
-    message = refused(take, "legged_gym", GYM.replace("= 0.25", "= scale()"))
+    message = rejection(take, "legged_gym", GYM.replace("= 0.25", "= scale()"))
     assert message.endswith("control.action_scale is computed ('scale()'); write the value itself")
 
 
@@ -167,10 +167,10 @@ def test_unread_keys_are_noted(take):
 
 def test_all_missing_keys_are_named_and_options_take_precedence(take):
     bare = {name: value for name, value in MANUAL.items() if name not in ("kp", "kd", "control_step")}
-    assert refused(take, "manual", bare).endswith("kp, kd, control_step are missing; they must be given")
+    assert rejection(take, "manual", bare).endswith("kp, kd, control_step are missing; they must be given")
     assert take("manual", bare, kp=25.0, kd=0.5, control_step=0.02) == take("manual", MANUAL)
     gym = GYM.replace("stiffness", "stifness").replace("damping", "dmping")
-    message = refused(take, "legged_gym", gym)
+    message = rejection(take, "legged_gym", gym)
     assert "control.stiffness (did you mean stifness?), control.damping (did you mean dmping?) are missing" in message
     specification = take("legged_gym", gym, kp=30.0, kd=1.0, control_step=0.01)
     assert (specification.kp, specification.kd, specification.control_step) == (30.0, 1.0, 0.01)
@@ -178,13 +178,13 @@ def test_all_missing_keys_are_named_and_options_take_precedence(take):
 
 def test_a_range_without_zero_is_rejected_unless_overridden(take):
     ranges = "    class commands:\n        class ranges:\n            lin_vel_x = [0.3, 0.8]\n"
-    message = refused(take, "legged_gym", GYM + ranges)
+    message = rejection(take, "legged_gym", GYM + ranges)
     assert "forward is [0.3, 0.8] m/s, without 0: standing was never trained" in message
-    assert "give --forward 0 0.8 if it stands" in message
+    assert "give --forward 0 0.8 if the policy can stand" in message
     specification = take("legged_gym", GYM + ranges, forward=(0.0, 0.8))
     assert specification.forward == (0.0, 0.8)
     assert specification.notes["stand"] == "trained at forward 0.3 to 0.8 m/s: standing was never trained"
-    message = refused(take, "legged_gym", GYM, forward=(0.4, 1.0))
+    message = rejection(take, "legged_gym", GYM, forward=(0.4, 1.0))
     assert message.startswith("--forward is 0.4 to 1; it must go from 0 or less to 0 or more")
 
 
@@ -229,7 +229,7 @@ def test_a_flat_table_of_rl_sar_is_read(take, go2):
     controllers += [name.replace("joint", "controller") for name in go2.motor_names[6:]]
     named = take("rl_sar", flat(joint_controller_names=controllers))
     assert named.joints == (*go2.motor_names[3:6], *go2.motor_names[:3], *go2.motor_names[6:])
-    message = refused(take, "rl_sar", flat(dt=None))
+    message = rejection(take, "rl_sar", flat(dt=None))
     assert "rl_sar's format before version 3; dt is missing; it must be given (--control-step would do)" in message
     assert take("rl_sar", flat(dt=None), control_step=0.02).control_step == 0.02
 
@@ -252,12 +252,12 @@ def test_hip_reduction_of_version_3_equals_a_reduced_action_scale(take):
     reduced = {"action_scale": [0.25] * 12, "hip_scale_reduction": 0.5, "hip_scale_reduction_indices": [0, 3, 6, 9]}
     mine, theirs = take("rl_sar", {"go2/mine": {**table, **reduced}}), take("rl_sar", {"go2/mine": table})
     assert mine.action_scale == theirs.action_scale == (0.125, 0.25, 0.25) * 4
-    message = refused(take, "rl_sar", {"go2/mine": {**table, **reduced, "hip_scale_reduction_indices": [12]}})
+    message = rejection(take, "rl_sar", {"go2/mine": {**table, **reduced, "hip_scale_reduction_indices": [12]}})
     assert "hip_scale_reduction_indices are [12]; there are 12 joints" in message
 
 
 def test_a_network_with_another_width_is_rejected_with_its_width(take):
-    message = refused(take, "manual", MANUAL, 48)
+    message = rejection(take, "manual", MANUAL, 48)
     assert "the network takes 48 numbers; the observations are 45: angular_velocity 3 x 1" in message
     assert message.endswith("3 more could be the speed of the base, which no sensor of a robot gives")
 

@@ -266,7 +266,7 @@ BAD = [
     ("dog.urdf", urdf(link("a", mass="heavy")), "link 'a': mass is 'heavy'; it must be a finite number"),
     ("dog.xml", "<sdf/>", "is an SDF of Gazebo; convert it to a URDF"),
     ("dog.xml", mjcf(legs() + leg("M", 0.0, 0.2)), "has 5 legs: 'trunk' has 5 chains of 3, 3, 3, 3, 3 joints"),
-    ("dog.xml", mjcf(legs(("FL", "FR", "RL"))), "has 3 legs: from 'trunk'"),
+    ("dog.xml", mjcf(legs(("FL", "FR", "RL"))), "has 3 legs: 'trunk' has 3 chains"),
     (
         "dog.xml",
         mjcf("".join(TWO_CHAINS.format(n=n, x=0.2 * x, y=0.1 * y, link=LINK) for n, (x, y) in CORNERS.items())),
