@@ -145,7 +145,7 @@ REFUSED = {
     "large attachment": (attach("large.xml"), r"large\.xml.*at most 262144 are read"),
     "many includes": (
         f"<mujoco>{''.join(f'<include file={chr(34)}part{k}.xml{chr(34)}/>' for k in range(5))}</mujoco>",
-        "includes and attaches files that are too large: at most 256 KiB in all",
+        "includes and attaches files that are too large: at most 256 KiB in total",
     ),
     "include of a pipe": (
         '<mujoco><include file="pipe"/></mujoco>',

@@ -63,9 +63,9 @@ class JointActuatorData:
     """Nominal data of a torque-controlled joint actuator with a PD position controller, all at the joint output."""
 
     kp: Annotated[float | tuple[float, ...], Within(0, 1e9, above=True)]
-    """N m/rad"""
+    """Proportional gain [N m/rad]."""
     kd: _Each
-    """N m s/rad"""
+    """Derivative gain [N m s/rad]."""
     torque_limit: _Each
     """Maximum torque [N m] at low speed."""
     speed_limit: _Each = 1e9
@@ -77,7 +77,7 @@ class JointActuatorData:
     friction: _Each = 0.0
     """Coulomb friction [N m]."""
     viscous_friction: _Each = 0.0
-    """N m s/rad"""
+    """Viscous friction [N m s/rad]."""
     load_friction: _Each = 0.0
     """Friction that is proportional to the actuator's torque, as a ratio to it."""
     presliding: _Each = 0.0

@@ -175,7 +175,7 @@ class FiveBar:
         return (theta_1 - theta_2) / 2, (theta_1 + theta_2) / 2
 
     def knee_angles(self, angles: ArrayLike) -> Array:
-        """Return the angles (..., 2) [rad] of the lower links about +y, relative to the straight upper links."""
+        """Return the angles (..., 2) [rad] of the lower links about +y; 0 is the direction of the upper link."""
         theta = np.asarray(angles, float) * [1.0, -1.0]
         links = self.pin(angles)[..., None, :] - np.stack(self.knees(angles), -2)
         turn = (np.arctan2(links[..., 0], links[..., 1]) - theta + np.pi) % (2 * np.pi) - np.pi
