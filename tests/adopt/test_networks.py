@@ -211,7 +211,7 @@ def branch(model):
         (changed(add_node("Loop", ["obs"], ["x"])), "the network has operator 'Loop'; known are"),
         (changed(add_node("Gemm", ["obs", "nothing", "bias0"], ["x"])), "a Gemm of 'nothing', which is not defined"),
         (changed(add_node("Shell", ["obs"], ["x"], domain="com.evil")), "operator 'Shell' of 'com.evil' is unknown"),
-        (changed(branch), "operator 'If' has a graph in it"),
+        (changed(branch), "operator 'If' contains a graph"),
         (changed(outside), "is in another file, which was not read"),
         (changed(huge), "have over 8000000 numbers"),
         (changed(add_node("Expand", ["obs", "bias0"], ["x"])), "uses operator Expand in an unsupported way"),
@@ -234,7 +234,7 @@ def test_a_constant_that_would_expand_to_gigabytes_is_rejected():
 
 @pytest.mark.parametrize("data", [b"", b"\x80\x02}q\x00."], ids=["empty", "pickle"])
 def test_files_that_are_not_torchscript_are_rejected(data):
-    with pytest.raises(SurefootError, match="no TorchScript"):
+    with pytest.raises(SurefootError, match="not a TorchScript file"):
         torchscript_network.load(data, 45)
 
 
@@ -248,7 +248,7 @@ def test_a_checkpoint_with_a_pickle_is_not_unpickled(tmp_path):
     file = io.BytesIO()
     torch.save({"model": Evil()}, file)
     assert zipfile.is_zipfile(file)
-    with pytest.raises(SurefootError, match="is no TorchScript that torch"):
+    with pytest.raises(SurefootError, match="is not TorchScript that torch"):
         torchscript_network.load(file.getvalue(), 45)
     assert not (tmp_path / "was here").exists()
 

@@ -230,7 +230,7 @@ def test_a_flat_table_of_rl_sar_is_read(take, go2):
     named = take("rl_sar", flat(joint_controller_names=controllers))
     assert named.joints == (*go2.motor_names[3:6], *go2.motor_names[:3], *go2.motor_names[6:])
     message = rejection(take, "rl_sar", flat(dt=None))
-    assert "rl_sar's format before version 3; dt is missing; it must be given (--control-step would do)" in message
+    assert "rl_sar's format before version 3; dt is missing; it must be given (--control-step replaces it)" in message
     assert take("rl_sar", flat(dt=None), control_step=0.02).control_step == 0.02
 
 
@@ -259,7 +259,7 @@ def test_hip_reduction_of_version_3_equals_a_reduced_action_scale(take):
 def test_a_network_with_another_width_is_rejected_with_its_width(take):
     message = rejection(take, "manual", MANUAL, 48)
     assert "the network takes 48 numbers; the observations are 45: angular_velocity 3 x 1" in message
-    assert message.endswith("3 more could be the speed of the base, which no sensor of a robot gives")
+    assert message.endswith("3 more could be the speed of the base, which no sensor of a robot measures")
 
 
 def test_folders_of_unitree_rl_lab_are_searched(go2, tmp_path):

@@ -176,8 +176,8 @@ rest = [0.0, 2.0] => => leg_space has no swing, extension or rest ... need them
 swing = [-1.0, 1.0] => abduction = [0.0, 0.1] => leg_space.abduction ... no abduction
 sit = [0.0, 0.9] => sit = [0.9] => poses.sit has 1 numbers ... swing, extension
 sit = [0.0, 0.9] => sit = [0.0, 0.5] => poses.sit has extension 0.5 ... 0.6 to 2.7
-low = 14.0 => low = 15.0 => battery: empty is 12.5 V, low 15 V, warn 14.4 V; they must rise
-[battery] => [heat]\nwarn = 90.0\n[battery] => heat: warn is 90 degC, high 80 degC, limit 90 degC; they must rise
+low = 14.0 => low = 15.0 => battery: empty is 12.5 V, low 15 V, warn 14.4 V; they must increase
+[battery] => [heat]\nwarn = 90.0\n[battery] => heat: warn is 90 degC, high 80 degC, limit 90 degC; they must increase
 kind = "dc" => kind = "steam" => actuator.kind is 'steam' ... choices: dc, joint
 kp = 1.0 => kp = 0.0 => actuator.kp is 0 ... over 0
 kp = 1.0 => kp = [1.0, 2.0, 3.0] => actuator.kp has 3 numbers ... it takes one, 2 for ... or 8 in the

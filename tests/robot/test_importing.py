@@ -229,7 +229,7 @@ BAD = [
     ("dog.urdf", urdf(link("a", mass="") + link("b", mass="")), "no link has an <inertial> with a mass"),
     ("dog.urdf", BOMB, "declares XML entities"),
     ("dog.urdf", "<robot", "is not well-formed XML in line 1, column 1: unclosed token"),
-    ("dog.urdf", urdf(link("a")), "is an object or a scene: nothing in it turns on a hinge"),
+    ("dog.urdf", urdf(link("a")), "is an object or a scene without hinge joints"),
     ("dog.urdf", "", "is empty"),
     ("dog.urdf", "\x7fELF\0\0", "is a binary file"),
     ("trunk.stl", "solid", "is a mesh; give the URDF or MJCF that names it"),
@@ -254,7 +254,7 @@ BAD = [
     (
         "dog.xml",
         mjcf().split("</worldbody>")[0] + mjcf().split("<worldbody>")[1].replace('name="', 'name="other_'),
-        "holds 2 robots: trunk, other_trunk; give a file with one",
+        "contains 2 robots: trunk, other_trunk; give a file with one",
     ),
     (
         "dog.xml",

@@ -273,7 +273,7 @@ def test_wheels_are_rejected_and_locked_wheels_are_feet(kind: str, limits: str, 
         read(text, tmp_path)
     assert (
         "FL_wheel, FR_wheel, RL_wheel, RR_wheel turn wheels at the end of its legs, and robots with wheels are not "
-        'trained; type="fixed" instead of type="continuous" locks them'
+        'supported; type="fixed" instead of type="continuous" locks them'
     ) in str(caught.value)
     robot = read(re.sub(rf'(_wheel" type=)"{kind}"', r'\1"fixed"', text), tmp_path)
     assert robot.foot_radius == pytest.approx([0.05] * 4, rel=0.01)

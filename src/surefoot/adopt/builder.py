@@ -199,7 +199,7 @@ def check_specification(specification: PolicySpecification, robot: RobotDescript
 
 def _likely_rest(more: int, steps: int, joints: int) -> str:
     """Guess the meaning of inputs that the specification lacks, as the end of a message."""
-    likely = {3: "the speed of the base, which no sensor of a robot gives", 4: "the contacts of the feet"}
+    likely = {3: "the speed of the base, which no sensor of a robot measures", 4: "the contacts of the feet"}
     likely |= {joints: "the last action, or another term of the joints"}
     what = likely.get(more // max(steps, 1)) if more > 0 and more % max(steps, 1) == 0 else None
     return f"; {more} more could be {what}" if what else ""

@@ -216,7 +216,7 @@ def check_answers(diagnosis: Diagnosis, notes: Mapping[str, str] = MappingProxyT
 def _check_constants(diagnosis: Diagnosis) -> CheckResult:
     assert diagnosis.constants is not None
     walking = walks(diagnosis.baseline)
-    remedy = "give the quantities that the training had there, or train without them"
+    remedy = "observe the quantities that training had there, or train without them"
     return judge("constant inputs", walking, diagnosis.constants.text, "", remedy, float(diagnosis.constants.count))
 
 
@@ -238,7 +238,7 @@ def _check_specification(diagnosis: Diagnosis) -> CheckResult:
             message += (
                 f"; with {variant.text} it walks as it is (score {own.score:.2f}, then {variant.score:.2f}): the "
             )
-            message += "configuration may be right, and the robot of its training another than the simulated one"
+            message += "configuration may be right, and the robot in training different from the simulated one"
         if mistake is not None:
             message += f"; {'' if variant else 'robots do not show it, but '}a number is unusual: {mistake.text}"
             message += f" (score {own.score:.2f}, then {mistake.score:.2f})"

@@ -142,7 +142,7 @@ def read_model(data: bytes) -> onnx.ModelProto:
         for attribute in node.attribute:
             if attribute.type in (attribute.GRAPH, attribute.GRAPHS):
                 raise SurefootError(
-                    f"operator {quote(node.op_type)} has a graph in it; a policy needs no branches or loops"
+                    f"operator {quote(node.op_type)} contains a graph; a policy needs no branches or loops"
                 )
     return model
 

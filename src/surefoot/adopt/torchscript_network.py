@@ -39,7 +39,7 @@ def load(data: bytes, width: int, trusted: bool = False) -> OnnxNetwork:
     if len(data) > MAX_BYTES:
         raise SurefootError(f"has over {MAX_BYTES >> 20} MiB; a policy is smaller")
     if not data.startswith(b"PK"):
-        raise SurefootError("is no TorchScript file; a checkpoint (model_1000.pt) holds no network: export the policy")
+        raise SurefootError("is not a TorchScript file; a checkpoint (model_1000.pt) has no network: export the policy")
     if not trusted and not sandbox.is_supported():
         raise SurefootError(
             "is TorchScript, which this machine can't load without rights to files and network; if you trust it, "

@@ -65,7 +65,7 @@ def trace(file: io.BytesIO, width: int, samples: int) -> tuple[bytes, bytes]:
         module: Any = torch.jit.load(file, map_location="cpu")
     except Exception as error:  # an untrusted file can raise anything
         reason = " ".join(str(error).split())[:200]
-        raise SurefootError(f"is no TorchScript that torch {torch.__version__} loads: {reason}") from error
+        raise SurefootError(f"is not TorchScript that torch {torch.__version__} loads: {reason}") from error
     module.eval()
     states = {name: buffer for name, buffer in module.named_buffers() if name in _STATES and buffer.numel()}
     if any(buffer.ndim != 3 or buffer.shape[:2] != (1, 1) for buffer in states.values()):

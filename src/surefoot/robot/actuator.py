@@ -54,7 +54,7 @@ class DcMotorData:
             )
         if current[0] != 0 or torque[0] != 0 or np.any(np.diff(current) <= 0) or np.any(np.diff(torque) < 0):
             raise SurefootError(
-                f"actuator.torque_table_current is {list(current)}; it must start at 0 A and 0 N m, and rise"
+                f"actuator.torque_table_current is {list(current)}; it must start at 0 A and 0 N m, and increase"
             )
 
 

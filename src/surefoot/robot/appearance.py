@@ -76,9 +76,11 @@ class Appearance:
             arrays = read_npz(path, MAX_BYTES, 8 * MAX_BYTES)
             names = (pop_meta(arrays) or {}).get("links")
             if not isinstance(names, list) or not 0 < len(names) <= MAX_PARTS:
-                raise SurefootError(f"meta has no list 'links' of 1 to {MAX_PARTS} names; it is no file of visuals")
+                raise SurefootError(f"meta has no list 'links' of 1 to {MAX_PARTS} names; not a file of visuals")
             if odd := [name for name in names if not isinstance(name, str) or name not in links]:
-                raise SurefootError(f"has a part on {quote(odd[0])}, no link of the robot; choices: {choices(links)}")
+                raise SurefootError(
+                    f"has a part on {quote(odd[0])}, not a link of the robot; choices: {choices(links)}"
+                )
             return cls(_read_parts(names, arrays))
 
     def save(self, path: Path) -> None:

@@ -108,7 +108,7 @@ class Battery:
         """Reject voltages that do not rise from empty to warn."""
         if not self.empty <= self.low <= self.warn:
             raise SurefootError(
-                f"battery: empty is {self.empty:g} V, low {self.low:g} V, warn {self.warn:g} V; they must rise"
+                f"battery: empty is {self.empty:g} V, low {self.low:g} V, warn {self.warn:g} V; they must increase"
             )
 
 
@@ -131,7 +131,8 @@ class Heat:
         """Reject temperatures that do not rise from warn to limit."""
         if not self.warn <= self.high <= self.limit:
             raise SurefootError(
-                f"heat: warn is {self.warn:g} degC, high {self.high:g} degC, limit {self.limit:g} degC; they must rise"
+                f"heat: warn is {self.warn:g} degC, high {self.high:g} degC, limit {self.limit:g} degC; "
+                "they must increase"
             )
 
 
@@ -198,9 +199,13 @@ class DataSheet:
             check_names(f"{where}.foot", (leg.foot,), urdf.links)
             allowed, knees = ((2,), 2) if self.leg_geometry else ((2, 3), 0)
             if len(leg.motors) not in allowed or len(leg.motors) != len(legs[0].motors) or len(leg.knees) != knees:
-                rule = "2 motors and 2 knees, with leg_geometry" if knees else "2 or 3 motors, all alike, and no knees"
+                rule = (
+                    "2 motors and 2 knees, with leg_geometry"
+                    if knees
+                    else "2 or 3 motors, as many as the other legs, and no knees"
+                )
                 counts = f"{len(leg.motors)} motors and {len(leg.knees)} knees"
-                raise SurefootError(f"{where} has {counts}; a leg has {rule}")
+                raise SurefootError(f"{where} has {counts}; a leg must have {rule}")
             feet = [shape.kind for shape in urdf.links[leg.foot].collisions]
             if feet != ["sphere"]:
                 raise SurefootError(

@@ -13,16 +13,16 @@ from surefoot.errors import SurefootError, choices, nearest, quote
 T = TypeVar("T")
 
 _UNMEASURED_PATTERNS = {
-    r"contact|feet_force|foot_force|grf|touch": "is the contact of the feet, which contracts do not have",
+    r"contact|feet_force|foot_force|grf|touch": "is the contact of the feet, which policy contracts do not support",
     r"height_scan|height_map|scan|depth|camera|image|terrain|lidar|elevation|(^|_)rays?(_|$|\d)|heights": "is the "
-    "height of the ground, which the robot does not see",
-    r"height|base_z": "is the height of the base, which no sensor of a robot gives",
-    r"(base|root|body|robot)_?(pos|xy|position)": "is the position of the base, which no sensor of a robot gives",
+    "height of the ground, which the robot does not measure",
+    r"height|base_z": "is the height of the base, which no sensor of a robot measures",
+    r"(base|root|body|robot)_?(pos|xy|position)": "is the position of the base, which no sensor of a robot measures",
 }
 """Reasons why robots can't provide an observation, by a pattern of its name."""
 _SPEED_PATTERN = r"vel|speed|twist"
 _MEASURED_SPEED_PATTERN = r"ang|gyro|joint|dof|motor|wheel|command|cmd|rate"
-_BASE_SPEED = "is the speed of the base, which no sensor of a robot gives"
+_BASE_SPEED = "is the speed of the base, which no sensor of a robot measures"
 _MAX_LISTED_KEYS = 12
 """Maximum number of keys that a note names."""
 
@@ -90,7 +90,7 @@ def unread_note(named: list[str]) -> dict[str, str]:
         return {}
     more = f" and {len(named) - _MAX_LISTED_KEYS} more" if len(named) > _MAX_LISTED_KEYS else ""
     listed = ", ".join(named[:_MAX_LISTED_KEYS])
-    return {"unread": f"not read: {listed}{more}; if the training used it, the policy acts otherwise"}
+    return {"unread": f"not read: {listed}{more}; if the training used it, the policy acts differently"}
 
 
 def first_names(terms: Mapping[str, str]) -> dict[str, str]:

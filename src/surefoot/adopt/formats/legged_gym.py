@@ -84,7 +84,7 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
         if count != _NUM_INPUTS:
             raise SurefootError(
                 f"num_observations is {count}; legged_gym's own {_NUM_INPUTS + 3} begin with the speed of the base, "
-                f"which no sensor gives. {_NUM_INPUTS} can be adopted: angular velocity, gravity, commands, joint "
+                f"which no sensor measures. {_NUM_INPUTS} can be adopted: angular velocity, gravity, commands, joint "
                 "positions and speeds, last action; for any other observation, use --from manual"
             )
         scales = {

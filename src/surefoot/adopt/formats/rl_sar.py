@@ -139,7 +139,7 @@ def _pick(data: Mapping[str, Any], what: str) -> _Config:
     except SurefootError as error:
         options = {"dt": "--control-step", "rl_kp": "--kp", "rl_kd": "--kd"}
         missing = [option for name, option in options.items() if data.get(name) is None]
-        hint = f" ({', '.join(missing)} would do)" if missing and "missing" in str(error) else ""
+        hint = f" ({', '.join(missing)} replaces it)" if missing and "missing" in str(error) else ""
         raise SurefootError(f"{what}{error}{hint}") from error
 
 
@@ -223,7 +223,7 @@ def _single_table(path: Path) -> dict[str, Any]:
     for name, table in tables.items():
         if name.rpartition("/")[2] == path.parent.name:
             return table
-    raise SurefootError(f"{path}: holds {choices(data)}; rl_sar has one table in it, such as 'go2/himloco'")
+    raise SurefootError(f"{path}: holds {choices(data)}; a file of rl_sar has one table, such as 'go2/himloco'")
 
 
 def _hardware_names(base: dict[str, Any], robot: RobotDescription) -> list[str]:
@@ -232,7 +232,7 @@ def _hardware_names(base: dict[str, Any], robot: RobotDescription) -> list[str]:
     if not joints or not mapping:
         return [*robot.motor_names]
     if len(joints) != len(mapping) or sorted(mapping) != [*range(len(joints))]:
-        raise SurefootError("base.yaml: joint_names and joint_mapping must be as many, and each motor in them")
+        raise SurefootError("base.yaml: joint_names and joint_mapping must be equally long, with each motor once")
     return [str(joints[mapping.index(motor)]) for motor in range(len(joints))]
 
 

@@ -76,8 +76,8 @@ def describe_wheels(names: Sequence[str], is_urdf: bool) -> str:
     lock = 'type="fixed" instead of type="continuous"' if is_urdf else "deleting these <joint>s and their actuators"
     what = "turn wheels" if len(names) > 1 else "turns a wheel"
     return (
-        f"{choices(names)} {what} at the end of its legs, and robots with wheels are not trained; {lock} locks them: a "
-        "wheel that does not turn is a round foot"
+        f"{choices(names)} {what} at the end of its legs, and robots with wheels are not supported; {lock} locks them: "
+        "a wheel that does not turn is a round foot"
     )
 
 

@@ -302,7 +302,7 @@ class _Reader:
         """Return the four chains of moving bodies that are attached to the base, and the base."""
         model = self.model
         if mjtJoint.mjJNT_HINGE not in model.jnt_type:
-            raise self._error(f"is an object or a scene: nothing in it turns on a hinge; {QUADRUPED}")
+            raise self._error(f"is an object or a scene without hinge joints; {QUADRUPED}")
         movers = np.unique(self.group[1:]).tolist()
         children: dict[int, list[int]] = {body: [] for body in (0, *movers)}
         depth = dict.fromkeys(children, 0)
@@ -323,7 +323,7 @@ class _Reader:
         base = max(movers, key=lambda body: (len(children[body]), -body))
         robots = [str(model.body(body).name) for body in children[0] if len(children[body]) >= 4]
         if len(robots) > 1:
-            raise self._error(f"holds {len(robots)} robots: {choices(robots)}; give a file with one")
+            raise self._error(f"contains {len(robots)} robots: {choices(robots)}; give a file with one")
         if len(children[base]) < 2 and len(children[0]) > len(children[base]):
             raise self._error("its legs are attached to the world; the base must be a body")
         chains = [longest(child) for child in children[base]]
