@@ -287,7 +287,7 @@ REFUSALS = [
             "--from mjlab --robot go2 --out x.pt": "--out is x.pt; the name must end in .onnx",
             "--from mjlab --robot minitaur --out x.onnx": "joints are FL_hip_joint",
             "--from mjlab --robot go2 --out x.onnx --config x.yaml": (
-                "--config is given; mjlab has everything in the network's file"
+                "--config is given, but mjlab has everything in the network's file"
             ),
             "--from rl_sar --robot go2 --out x.onnx": "config.yaml: can't be read: No such file",
             "--from isaac --robot go2 --out x.onnx": "--from",
@@ -430,7 +430,7 @@ REFUSALS = [
             "a.npz --html a.html": "--html is not an option; for every option: surefoot show --help",
             "a.npz --pushes": "--pushes does not go with a.npz, a recorded run",
             "none.npz --out x.html": "does not exist",
-            "foreign.npz --out x.html": "which does not ship; give its folder with --robot",
+            "foreign.npz --out x.html": "which is not built in; give its folder with --robot",
             "other-motors.npz --out x.html": "is of robot 'minitaur'",
             "run.npz cut.npz --out x.html": "cut.npz: is cut off, damaged",
             "map.npz --out x.html": "map.npz: not an episode trace",

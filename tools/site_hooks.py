@@ -28,7 +28,7 @@ from surefoot.columns import columns_of
 from surefoot.configuration import field_bounds
 from surefoot.identify.recording import Recording, RecordingMeta
 from surefoot.learn.config import PPOConfig, TrainConfig
-from surefoot.robot.params import GROUPS, PARAMETERS
+from surefoot.robot.params import PARAMETER_GROUPS, PARAMETERS
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.leg_config import FootConfig, WaveConfig
@@ -149,7 +149,7 @@ def task_reference() -> str:
     text += ["\n".join(f"- `{name}` [{part.unit}], {part.frame}" for name, part in PARTS.items())]
     about = "Names in `params` and `randomize`, and of the options `--set` and `--randomize.NAME`."
     text += ["## Physical parameters", about]
-    for group in GROUPS:
+    for group in PARAMETER_GROUPS:
         rows = [f"- `{name}` [{one.unit}]: {one.meaning}" for name, one in PARAMETERS.items() if one.group == group]
         text += [f"### {group.capitalize()}", "\n".join(rows)]
     return "\n\n".join(text)

@@ -1,4 +1,4 @@
-"""Make the looks of the robots that ship: src/surefoot/robot/*/looks.npz.
+"""Make the visual meshes of the released robots: src/surefoot/robot/*/visuals.npz.
 
 Everything is a convex prism or a solid of revolution, drawn for the left side and mirrored to the right. Places are in
 the links' frames, x forward, y left, z up, in m. Lengths follow the robots' URDFs. Run it after a change:
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import LOOKS, Appearance, VisualPart
+from surefoot.robot.appearance import VISUALS_FILE, Appearance, VisualPart
 
 SIDES = 20
 """Corners of a circle."""
@@ -326,7 +326,7 @@ def pupper_v2(drawing: Drawing) -> None:
 
 
 def appearance(draw: Callable[[Drawing], None]) -> Appearance:
-    """Return the looks that a function draws, solids of one color on a link as one part."""
+    """Return the visual meshes that a function draws, solids of one color on a link as one part."""
     drawing = Drawing()
     draw(drawing)
     parts = []
@@ -342,7 +342,7 @@ ROBOTS = {draw.__name__: draw for draw in (go2, minitaur, pupper_v2, solo8)}
 
 if __name__ == "__main__":
     for name, draw in ROBOTS.items():
-        path: Path = RobotDescription.load(name).folder / LOOKS
-        looks = appearance(draw)
-        looks.save(path)
-        print(f"{name}: {sum(len(part.faces) for part in looks.parts)} triangles, {path.stat().st_size / 1e3:.0f} kB")
+        path: Path = RobotDescription.load(name).folder / VISUALS_FILE
+        visuals = appearance(draw)
+        visuals.save(path)
+        print(f"{name}: {sum(len(part.faces) for part in visuals.parts)} triangles, {path.stat().st_size / 1e3:.0f} kB")

@@ -72,10 +72,10 @@ def test_an_adopted_policy_is_taken_as_any_other(adopted, tmp_path, capsys):
 
 
 def test_doctor_names_what_it_tried(adopted, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("surefoot.adopt.mistakes._PARTS", ())
+    monkeypatch.setattr("surefoot.adopt.mistakes._CORRECTION_KINDS", ())
     for module in ("examination", "diagnosis"):
-        monkeypatch.setattr(f"surefoot.adopt.{module}.DURATION", 1.0)
-    monkeypatch.setattr("surefoot.adopt.diagnosis.FIRST", 0.2)
+        monkeypatch.setattr(f"surefoot.adopt.{module}.EPISODE_DURATION", 1.0)
+    monkeypatch.setattr("surefoot.adopt.diagnosis.SCREENING_DURATION", 0.2)
     assert main(["doctor", str(adopted), "--threads", "1", "--out", str(tmp_path / "page"), "--json"]) == 3
     result = json.loads(capsys.readouterr().out)
     assert [check["name"] for check in result["checks"]][:2] == ["stand", "forward"]

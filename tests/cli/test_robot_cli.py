@@ -51,7 +51,7 @@ def test_a_warning_passes_and_origins_of_numbers_are_printed(
     assert "train trot --robot" in out
     assert main(["robot", "check", "odd"]) == 0
     out = capsys.readouterr().out
-    assert re.search(r"guessed  actuator.kp = [\d.]+: 1.5 m g l, the stiffness", out)
+    assert re.search(r"guessed  actuator.kp = [\d.]+: 1.5 m g l, so that two legs", out)
     assert main(["robot", "check", "odd", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert [item["name"] for item in report["checks"] if item["warn"]] == ["left and right"]
@@ -104,7 +104,7 @@ def test_robots_that_ship_pass(name: str, tmp_path: Path) -> None:
 
 
 def test_a_step_too_long_for_light_rotors_is_shortened(tmp_path: Path) -> None:
-    # Without the file's armature the guess is .005 m l^2; with a hundredth of it the damping asks for a shorter step.
+    # Without the file's armature the guess is 0.005 m l^2; with a hundredth of it the damping needs a shorter step.
     legs = "".join(
         f"""<body name="{n}" pos="{x} {y} 0"><joint name="{n}_hip" axis="0 1 0" armature="1e-5"/>
         <inertial pos="0 0 -.1" mass=".1" diaginertia="1e-4 1e-4 1e-4"/>

@@ -21,7 +21,7 @@ from surefoot.deploy.run_saver import RunSaver
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract, HeightMap
-from surefoot.robot.commands import STAND
+from surefoot.robot.commands import STAND_COMMAND
 from surefoot.task.config import load_task
 from surefoot.task.contract_mapping import contract_from_task
 from surefoot.task.height_scan import MAP
@@ -156,7 +156,7 @@ def test_the_robot_stands_while_its_map_is_late(run, monitor) -> None:
     contract = done.policy.contract
     time = contract.control_step * np.arange(150)
     late = 0.5 + contract.height_map.age + MAX_DELAY
-    walks, stands = (np.isclose(done.trace.command, one).all(axis=1) for one in (WALK, STAND))
+    walks, stands = (np.isclose(done.trace.command, one).all(axis=1) for one in (WALK, STAND_COMMAND))
     # States, and with them maps, are sent once per control step; each phase has one additional step.
     margin = 0.15
     assert walks[(time < late - margin) | (time > 1.5 + margin)].all()

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from surefoot.report.drawing.mesh import Mesh, link_meshes, smooth
-from surefoot.robot.appearance import Appearance, VisualPart, shape_part
+from surefoot.robot.appearance import Appearance, VisualPart, triangulate_shape
 from surefoot.robot.urdf import Shape
 
 
 def part(kind: str, size: tuple[float, ...], link: str = "a", color: tuple[int, int, int] = (255, 0, 0)) -> VisualPart:
-    return shape_part(Shape(link, kind, size, np.eye(4), color))
+    return triangulate_shape(Shape(link, kind, size, np.eye(4), color))
 
 
 def test_a_box_has_three_normals_at_each_corner():

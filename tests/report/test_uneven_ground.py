@@ -12,12 +12,12 @@ from surefoot.report.drawing.ground_part import ground_around, step_edges
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.renderer import Camera, View, draw
 from surefoot.report.drawing.uneven_ground import clip, height_tint
-from surefoot.robot.appearance import Appearance, shape_part
+from surefoot.robot.appearance import Appearance, triangulate_shape
 from surefoot.robot.urdf import Shape
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.terrain import make_terrain
 
-BOX = Mesh(Appearance((shape_part(Shape("box", "box", (0.1, 0.1, 0.1), np.eye(4), (230, 30, 30))),)), ["box"])
+BOX = Mesh(Appearance((triangulate_shape(Shape("box", "box", (0.1, 0.1, 0.1), np.eye(4), (230, 30, 30))),)), ["box"])
 
 
 def step(height: float, axis: int = 1, course: float = 1.0) -> Ground:

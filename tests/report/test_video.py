@@ -20,7 +20,7 @@ pytest.importorskip("numba")
 from surefoot.report.drawing.mesh import Mesh  # noqa: E402
 from surefoot.report.drawing.renderer import Camera, View, draw  # noqa: E402
 from surefoot.report.drawing.video import interpolate_poses, render_video  # noqa: E402
-from surefoot.robot.appearance import Appearance, shape_part  # noqa: E402
+from surefoot.robot.appearance import Appearance, triangulate_shape  # noqa: E402
 from surefoot.robot.urdf import Shape  # noqa: E402
 
 RED, GREEN, BLUE = (230, 30, 30), (30, 200, 30), (30, 30, 230)
@@ -35,7 +35,7 @@ def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> NDArray[np.float64]:
 
 
 def looks(shapes: Sequence[Shape]) -> Appearance:
-    return Appearance(tuple(map(shape_part, shapes)))
+    return Appearance(tuple(map(triangulate_shape, shapes)))
 
 
 def render_frame(

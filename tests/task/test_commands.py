@@ -83,7 +83,7 @@ def test_drawn_commands_fill_their_ranges_and_some_mean_stand() -> None:
     config = CommandConfig(forward=(-1, 1), yaw_rate=(-1, 1), stand=0.2, straight=0.3)
     sampler = CommandSampler(config, LIMITS, 4000, seed=1)
     sampler.reset(np.arange(4000))
-    stands = LIMITS.stands(sampler.command)
+    stands = LIMITS.in_deadband(sampler.command)
     straight = ~stands & (sampler.command[:, 2] == 0)
     assert stands.mean() == pytest.approx(0.2, abs=0.02)
     assert straight.mean() == pytest.approx(0.3, abs=0.03)

@@ -261,5 +261,5 @@ def test_the_critic_state_includes_the_drawn_parameters():
         env = make_env(ranges)
         grown = env.privileged()
         assert grown.shape[1] - plain == width
-        scaled = env.component(RandomizedParams).randomizer.scaled(env.world.params)
+        scaled = env.component(RandomizedParams).randomizer.normalize(env.world.params)
         np.testing.assert_allclose(grown[:, -width:], scaled, atol=1e-6)

@@ -83,7 +83,7 @@ def test_a_trace_carries_a_robot_that_does_not_ship_and_no_other(tmp_path: Path)
         assert "robot" not in file
     arguments["meta"]["robot"] = "maxitaur"
     with pytest.raises(
-        SurefootError, match="is of robot 'maxitaur', which does not ship; give its folder with --robot"
+        SurefootError, match="is of robot 'maxitaur', which is not built in; give its folder with --robot"
     ):
         EpisodeTrace(**arguments).load_robot()
     path = EpisodeTrace(**arguments, robot_archive=robot.archive).save(tmp_path / "carried.npz")

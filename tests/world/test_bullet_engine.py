@@ -267,7 +267,7 @@ def test_a_shank_meets_a_ground_with_cells_and_its_foot_the_planes_alone():
     (model,), (flat,) = (world.engine.models for world in worlds)
     for leg, foot in zip(robot.legs, model.feet, strict=True):
         (sphere,) = pybullet.getCollisionShapeData(model.body, foot, model.client)
-        shank = robot.urdf.places[leg.foot][0]
+        shank = robot.urdf.fused_frames[leg.foot][0]
         shapes, both = (pybullet.getCollisionShapeData(one.body, one.links[shank], one.client) for one in (model, flat))
         assert sphere[2] == pybullet.GEOM_SPHERE
         assert len(shapes) == len(both) - 1 > 0

@@ -18,7 +18,7 @@ import numpy as np
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.api.policy_list import list_policies
 from surefoot.errors import SurefootError, choices
-from surefoot.robot.commands import COMMANDS, STAND
+from surefoot.robot.commands import COMMANDS, STAND_COMMAND
 from surefoot.world.registry import WORLDS
 from surefoot.world.terrain import KINDS, check_size, is_map
 
@@ -187,7 +187,7 @@ class DrivePage:
         if self.source is not None and self.robot.limits is not None:
             self._set_command(self.source.read(self.robot.time))
         elif self._command_time and time.perf_counter() - self._command_time > _COMMAND_TIMEOUT:
-            self._command(STAND)
+            self._command(STAND_COMMAND)
         if self.ghost is not None and any(robot.must_stand_up for robot in self._robots):
             self._restart()
         self.robot.step()
@@ -283,7 +283,7 @@ class DrivePage:
     def _handle(self, message: DriveMessage | None) -> None:
         """Do what a message asks for; None: the tab that drives was closed."""
         if message is None:
-            self._command(STAND)
+            self._command(STAND_COMMAND)
             return
         if message.command is not None:
             self._command(message.command)

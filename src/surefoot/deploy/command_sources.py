@@ -24,7 +24,7 @@ from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.deploy.channel import Channel, send
 from surefoot.errors import SurefootError
-from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
+from surefoot.robot.commands import COMMANDS, STAND_COMMAND, CommandLimits
 from surefoot.task.commands import CommandSchedule, read_schedule, schedule_duration
 
 MAX_COMMAND_AGE = 0.3
@@ -87,7 +87,7 @@ class ChannelCommands(Channel[Array]):
     def read(self, moment: float) -> Array:
         """Return the newest command (3,), or zero if it is too old."""
         age = self.receive()
-        return self.newest if self.newest is not None and age < MAX_COMMAND_AGE else np.array(STAND)
+        return self.newest if self.newest is not None and age < MAX_COMMAND_AGE else np.array(STAND_COMMAND)
 
 
 def parse_command(values: Any) -> Array | None:
@@ -113,7 +113,7 @@ class KeyboardCommands:
         import termios
         import tty
 
-        self._limits, self._command = limits, np.array(STAND)
+        self._limits, self._command = limits, np.array(STAND_COMMAND)
         self._file = sys.stdin.fileno() if input_file is None else input_file
         if not os.isatty(self._file):
             raise SurefootError("commands: keyboard needs a terminal as standard input; choices: a file, gamepad, PORT")
@@ -135,7 +135,7 @@ class KeyboardCommands:
 
     def _press(self, key: str) -> None:
         if key == " ":
-            self._command = np.array(STAND)
+            self._command = np.array(STAND_COMMAND)
         elif key in _KEYS:
             axis, sign = _KEYS[key]
             low, high = self._limits.low[axis], self._limits.high[axis]

@@ -13,7 +13,7 @@ from surefoot.deploy.safety import check_finite
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
-from surefoot.robot.commands import STAND
+from surefoot.robot.commands import STAND_COMMAND
 from surefoot.task.commands import CommandGenerator
 from surefoot.task.component import RobotComponent
 from surefoot.task.contract_mapping import task_from_contract
@@ -58,7 +58,7 @@ class Controller:
     def reset(self) -> None:
         """Start a new episode with a zero velocity command."""
         self.feedback = np.zeros_like(self.feedback)
-        self._source.command[:] = STAND
+        self._source.command[:] = STAND_COMMAND
         self._history = None
 
     @property

@@ -20,7 +20,7 @@ from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import GO, Act, Verdict
 from surefoot.errors import SurefootError, prefix_errors
-from surefoot.robot.commands import STAND
+from surefoot.robot.commands import STAND_COMMAND
 from surefoot.stop_signals import StopSignals
 
 _WARM_UP_STEPS = 20
@@ -141,7 +141,7 @@ class Deployment:
         if self.maps is not None:
             self.controller.heights = self.maps.read()
             if not self.maps.is_fresh:
-                self.controller.set_command(STAND)
+                self.controller.set_command(STAND_COMMAND)
         return self.controller.compute_target(time, self.controller.observe(time, state, missed))
 
     def _warm_up(self) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from surefoot.deploy.messages import Mode, Reason, State
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.sheet import Heat
+from surefoot.robot.data_sheet import Heat
 
 _ROUNDING = 1e-6
 ROBOT_REASON = "robot "

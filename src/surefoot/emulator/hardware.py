@@ -14,7 +14,7 @@ from numba import njit
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 from surefoot.robot.actuator import HEAT_LOSS
-from surefoot.robot.sheet import Battery, Heat
+from surefoot.robot.data_sheet import Battery, Heat
 from surefoot.world.actuation import ActuationState
 
 

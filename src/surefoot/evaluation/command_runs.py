@@ -213,7 +213,7 @@ class DrivenRobot:
             values, nominal = (getattr(one, name)[0] for one in (self.env.world.params, self.env.nominal))
             parts = {"": (nominal.mean(), values.mean())}
             if declared.per not in ("", "motors"):
-                parts = dict(zip(declared.parts(()), zip(nominal, values, strict=True), strict=True))
+                parts = dict(zip(declared.element_names(()), zip(nominal, values, strict=True), strict=True))
             knobs += [
                 Knob(
                     f"{name}.{part}".removesuffix("."),
@@ -247,7 +247,7 @@ class DrivenRobot:
         now, nominal = getattr(world.params, name), getattr(self.env.nominal, name)
         if column:
             values = now.copy()
-            values[:, PARAMETERS[name].parts(()).index(column)] = value
+            values[:, PARAMETERS[name].element_names(()).index(column)] = value
         else:
             mean = float(nominal.mean())
             values = nominal / mean * value if mean else np.full_like(now, value)

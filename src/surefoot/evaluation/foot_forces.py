@@ -21,7 +21,7 @@ def foot_forces(robot: RobotDescription, motor_angle: ArrayLike, motor_torque: A
     """
     index = robot.leg_motor_index
     angles, torques = (np.asarray(values, float)[..., index] for values in (motor_angle, motor_torque))
-    valid = np.isfinite(angles).all(-1) & np.isfinite(torques).all(-1) & robot.leg_geometry.closes(angles)
+    valid = np.isfinite(angles).all(-1) & np.isfinite(torques).all(-1) & robot.leg_geometry.is_feasible(angles)
     rest = robot.resting_angles[index]
     lever = np.swapaxes(robot.leg_geometry.jacobian(np.where(valid[..., None], angles, rest)), -1, -2)
     force = -np.einsum(

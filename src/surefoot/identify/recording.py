@@ -16,7 +16,7 @@ from surefoot.columns import column, columns_of
 from surefoot.configuration import Positive, Within, typed_entries
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
-from surefoot.robot import ROBOT, RobotDescription, carried_robot
+from surefoot.robot import ROBOT_ARRAY, RobotDescription, load_embedded_robot
 
 SCHEMA = 1
 STILL_DEVIATION = 0.002
@@ -194,7 +194,7 @@ class Recording:
     def save(self, path: Path) -> Path:
         """Write the recording to an .npz file atomically."""
         arrays = {name: getattr(self, name) for name in columns_of(Recording)}
-        write_npz(path, arrays | pack_bytes(ROBOT, self.robot_archive), self.meta)
+        write_npz(path, arrays | pack_bytes(ROBOT_ARRAY, self.robot_archive), self.meta)
         return path
 
 
@@ -220,7 +220,7 @@ def recorded_robot(path: Path) -> RobotDescription:
     """
     with prefix_errors(f"recording {path}"):
         arrays = read_npz(path)
-        return carried_robot(pop_bytes(arrays, ROBOT), (pop_meta(arrays) or {}).get("robot"))
+        return load_embedded_robot(pop_bytes(arrays, ROBOT_ARRAY), (pop_meta(arrays) or {}).get("robot"))
 
 
 def load_recording(path: Path, robot: RobotDescription, experiment: str | None = None) -> Recording:
@@ -235,7 +235,7 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
         meta = pop_meta(arrays) or {}
         if meta.get("schema") != SCHEMA:
             raise SurefootError(f"has schema {meta.get('schema')}; surefoot reads schema {SCHEMA}")
-        archive = pop_bytes(arrays, ROBOT)
+        archive = pop_bytes(arrays, ROBOT_ARRAY)
         columns = columns_of(Recording)
         if odd := set(columns) ^ set(arrays):
             raise SurefootError(f"missing or unknown: {choices(sorted(odd))}")

@@ -18,7 +18,7 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.gait_switch import GaitSwitchArchitecture
 from surefoot.learn.symmetry import MirrorAugmentation
-from surefoot.robot.mirror import is_mirrored
+from surefoot.robot.mirror import is_symmetric
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 
@@ -108,7 +108,7 @@ def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorD
         schedule=ppo.schedule,
         desired_kl=ppo.desired_kl,
     )
-    if ppo.symmetry and is_mirrored(env.robot):
+    if ppo.symmetry and is_symmetric(env.robot):
         algorithm.symmetry = MirrorAugmentation(env)
     algorithm.train_mode()
     return algorithm

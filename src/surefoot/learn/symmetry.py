@@ -17,7 +17,7 @@ from tensordict import TensorDict
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, SerialLegs
-from surefoot.robot.mirror import MIRRORED, is_mirrored, side_difference
+from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, is_symmetric, side_difference
 from surefoot.task.commands import CommandState
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
@@ -99,10 +99,10 @@ def mirror_columns(
 
 def mirror_note(robot: RobotDescription) -> str | None:
     """Return why a robot does not learn from mirrored samples, in one line; None where it may."""
-    if is_mirrored(robot):
+    if is_symmetric(robot):
         return None
     difference = side_difference(robot)
-    most = 1e3 * MIRRORED * robot.leg_geometry.length
+    most = 1e3 * MAX_SIDE_DIFFERENCE * robot.leg_geometry.length
     return (
         f"{difference.text}: no mirrored samples are learned from (up to {most:.2g} mm they are); if the robot is not "
         "built so, correct its URDF; with --ppo.no-symmetry there is no such note"
@@ -112,7 +112,7 @@ def mirror_note(robot: RobotDescription) -> str | None:
 def reference_shift(env: LocomotionEnv) -> bool:
     """Return whether the mirrored reference gait is the reference half a period later (else its own mirror image).
 
-    Legs whose lengths differ, within `MIRRORED`, may differ in leg space by some of that.
+    Legs whose lengths differ, within `MAX_SIDE_DIFFERENCE`, may differ in leg space by some of that.
 
     Raises:
         SurefootError: it is neither.

@@ -10,8 +10,8 @@ from surefoot.configuration import Seed, Within, read_toml, to_mapping
 from surefoot.errors import SurefootError, choices, suggest
 from surefoot.files import atomic_write
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.archive import SHEET, copy_robot
-from surefoot.robot.params import CONTROLLER, GROUPS, PARAMETERS
+from surefoot.robot.archive import DATA_SHEET, copy_robot
+from surefoot.robot.params import CONTROLLER_PARAMETERS, PARAMETER_GROUPS, PARAMETERS
 from surefoot.robot.params_file import ParamsFile, ParamValue, read_params
 from surefoot.robot.randomization import Ranges, check_ranges, draw_hidden
 
@@ -75,11 +75,11 @@ class HiddenRobots:
         import tomli_w
 
         source = RobotDescription.load(self.robot).folder
-        data, _ = read_toml(source / SHEET)
+        data, _ = read_toml(source / DATA_SHEET)
         text = tomli_w.dumps({**data, "actuator": {**data["actuator"], **self.other_motors.actuator}})
-        if not (folder / SHEET).is_file() or (folder / SHEET).read_text(encoding="utf-8") != text:
+        if not (folder / DATA_SHEET).is_file() or (folder / DATA_SHEET).read_text(encoding="utf-8") != text:
             copy_robot(source, folder)
-            atomic_write(folder / SHEET, text)
+            atomic_write(folder / DATA_SHEET, text)
         RobotDescription.load(folder)  # refuses motors that do not fit
         return str(folder.absolute())
 
@@ -96,14 +96,14 @@ def check_identified(names: tuple[str, ...], where: str) -> None:
         SurefootError: with the name and the choices.
     """
     for name in names:
-        if name in CONTROLLER:
+        if name in CONTROLLER_PARAMETERS:
             raise SurefootError(
                 f"{where}: {name} belongs to the controller, whose contract states it; it is not taken from a file"
             )
-        if name not in GROUPS and name not in PARAMETERS:
+        if name not in PARAMETER_GROUPS and name not in PARAMETERS:
             raise SurefootError(
-                f"{where}: '{name}' is neither a physical parameter nor a group of them ({choices(GROUPS)}); "
-                f"{suggest(name, [*GROUPS, *PARAMETERS])}"
+                f"{where}: '{name}' is neither a physical parameter nor a group of them ({choices(PARAMETER_GROUPS)}); "
+                f"{suggest(name, [*PARAMETER_GROUPS, *PARAMETERS])}"
             )
 
 
@@ -134,5 +134,5 @@ def take_identified(file: ParamsFile, names: tuple[str, ...]) -> dict[str, Param
     return {
         name: value
         for name, value in file.values.items()
-        if name not in CONTROLLER and (name in names or PARAMETERS[name].group in names)
+        if name not in CONTROLLER_PARAMETERS and (name in names or PARAMETERS[name].group in names)
     }

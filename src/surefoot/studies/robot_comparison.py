@@ -143,7 +143,7 @@ def parameter_rows(study: StudyConfig, files: Mapping[int, ParamsFile], folder: 
         for name in file.names:
             true, found = (np.atleast_1d(getattr(params, name)[0]) for params in (truth, file.params))
             bounds = np.broadcast_to(np.asarray(intervals.get(name, (np.nan, np.nan)), float), (len(true), 2))
-            parts = PARAMETERS[name].parts(motors) or ("",)
+            parts = PARAMETERS[name].element_names(motors) or ("",)
             for k, part in enumerate(parts):
                 low, high = map(float, bounds[k])
                 row = {"robot": seed, "motors": study.hidden.family(seed), "parameter": name, "part": part}

@@ -69,7 +69,7 @@ class CommandFilter:
         limits = self.limits
         change = np.array(limits.acceleration) * step[:, None]
         self.filtered_command += np.clip(target - self.filtered_command, -change, change)
-        walks = ~limits.stands(target) | ~limits.stands(self.filtered_command)
+        walks = ~limits.in_deadband(target) | ~limits.in_deadband(self.filtered_command)
         change = self._start_rate * step
         self.activity += np.clip(walks - self.activity, -change, change)
         self.phase = (self.phase + self._frequency(self.filtered_command, over_holes) * step) % 1.0

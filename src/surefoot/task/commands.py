@@ -16,7 +16,7 @@ from surefoot.configuration import Within, check_bounds, from_mapping
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote
 from surefoot.files import check_readable
 from surefoot.robot import GRAVITY, RobotDescription
-from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
+from surefoot.robot.commands import COMMANDS, STAND_COMMAND, CommandLimits
 from surefoot.seeding import generators
 
 Range = tuple[float, float]
@@ -165,7 +165,7 @@ class CommandGenerator:
 
     def reset(self, rows: NDArray[np.int64]) -> None:
         """Let robots whose episodes start stand."""
-        self.command[rows] = STAND
+        self.command[rows] = STAND_COMMAND
 
     def update(self, time: Array) -> None:
         """Set the commands of robots whose episodes are `time` (N,) [s] old."""
@@ -190,7 +190,7 @@ class CommandSchedule(CommandGenerator):
             commands = np.array(columns).T
             if limits is not None:
                 commands = np.clip(commands, limits.low, limits.high)
-            self._schedules.append((times, np.concatenate([[STAND], commands])))
+            self._schedules.append((times, np.concatenate([[STAND_COMMAND], commands])))
 
     def reset(self, rows: NDArray[np.int64]) -> None:
         """Begin the schedules for episodes that start."""

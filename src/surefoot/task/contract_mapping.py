@@ -85,7 +85,7 @@ def contract_from_task(
     return Contract(
         name=name or task.name,
         robot=robot.name,
-        description=robot.location if robot.ships else "",
+        description=robot.location if robot.is_builtin else "",
         motor_names=robot.motor_names,
         motor_signs=tuple(float(sign) for sign in robot.motor_sign),
         leg_names=robot.leg_names,
@@ -113,7 +113,7 @@ def contract_from_task(
 
 def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, Any]:
     """Return a configuration, of a run or a task, with a robot that does not ship by name: its folder may move."""
-    if robot.ships:
+    if robot.is_builtin:
         return config
     if isinstance(config.get("task"), dict):
         return {**config, "task": _without_path(config["task"], robot)}

@@ -38,4 +38,4 @@ class RandomizedParams(Component):
 
     def privileged(self, state: EnvState) -> Privileged:
         """Return the drawn parameters, from -1 to 1 over their ranges."""
-        return [(self.randomizer.columns, self.randomizer.scaled(state.world.params))]
+        return [(self.randomizer.columns, self.randomizer.normalize(state.world.params))]

@@ -21,7 +21,7 @@ from surefoot.configuration import Within, to_mapping, typed_entries
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
 from surefoot.policy.contract import MEMORY
-from surefoot.robot import ROBOT, RobotDescription, carried_robot
+from surefoot.robot import ROBOT_ARRAY, RobotDescription, load_embedded_robot
 
 ENERGY_WEIGHT = 0.008  # w of the paper's reward, the same in all its experiments
 LOG = "log"
@@ -255,7 +255,7 @@ class EpisodeTrace:
             for name, declared in columns_of(EpisodeTrace).items()
             if declared.always_in_file or not np.isnan(getattr(self, name)).all()
         }
-        write_npz(path, arrays | pack_bytes(ROBOT, self.robot_archive), self.meta)
+        write_npz(path, arrays | pack_bytes(ROBOT_ARRAY, self.robot_archive), self.meta)
         return path
 
     @classmethod
@@ -267,7 +267,7 @@ class EpisodeTrace:
             if (meta := pop_meta(arrays)) is None:
                 raise SurefootError("not an episode trace: it has no meta")
             meta = _checked_meta(meta)  # Another schema may have other arrays.
-            archive = pop_bytes(arrays, ROBOT)
+            archive = pop_bytes(arrays, ROBOT_ARRAY)
             columns = columns_of(EpisodeTrace)
             left_out = {name for name, declared in columns.items() if not declared.always_in_file}
             if odd := set(columns) ^ {*arrays, *left_out}:
@@ -280,7 +280,7 @@ class EpisodeTrace:
         Raises:
             SurefootError: neither is there, or the robot is invalid.
         """
-        return carried_robot(self.robot_archive, self.meta["robot"])
+        return load_embedded_robot(self.robot_archive, self.meta["robot"])
 
 
 def trace_sizes(steps: int, feedback: tuple[int, ...], meta: Mapping[str, Any]) -> dict[str, int]:

@@ -164,7 +164,7 @@ class BulletModel:
 
     def _load(self, settings: BulletSettings) -> None:
         p, client, robot, links = self._p, self.client, self.robot, self._fused.links
-        places = robot.urdf.places
+        places = robot.urdf.fused_frames
         base, base_frame = places[robot.base]
         if base != robot.urdf.root:
             raise SurefootError(f"{robot.urdf.path}: base '{robot.base}' moves against root '{robot.urdf.root}'")
@@ -264,7 +264,7 @@ class BulletModel:
         links, joints = dict(urdf.links), dict(urdf.joints)
         for leg in self.robot.legs:
             (sphere,) = self.robot.urdf.links[leg.foot].collisions
-            top, frame = self.robot.urdf.places[leg.foot]
+            top, frame = self.robot.urdf.fused_frames[leg.foot]
             place, name = np.eye(4), f"{_FOOT}{leg.foot}"
             place[:3, 3] = (frame @ sphere.frame)[:3, 3]
             others = [shape for shape in links[top].collisions if not np.allclose(shape.frame[:3, 3], place[:3, 3])]
@@ -319,7 +319,7 @@ class BulletModel:
     def _foot_sphere(self, foot: str) -> tuple[Array, float]:
         """Return the centre [m] of a foot's sphere in its link's inertial frame, and its radius [m]."""
         (sphere,) = self.robot.urdf.links[foot].collisions
-        top, frame = self.robot.urdf.places[foot]
+        top, frame = self.robot.urdf.fused_frames[foot]
         return self._fused.links[top].body.in_principal((frame @ sphere.frame)[:3, 3]), sphere.size[0]
 
     def _with_shanks(self, urdf: Urdf) -> Urdf:
@@ -333,7 +333,7 @@ class BulletModel:
                 raise SurefootError(
                     f"{urdf.path}: link '{leg.foot}' has no visual box; its collision box takes that width"
                 )
-            top, _ = self.robot.urdf.places[leg.foot]
+            top, _ = self.robot.urdf.fused_frames[leg.foot]
             links[top] = replace(links[top], collisions=(Shape(top, "box", (*box.size[:2], length / 2), frame),))
         return Urdf(urdf.path, links, urdf.joints)
 
@@ -343,7 +343,7 @@ class BulletModel:
         for loop in robot.loops:
             ends, points = [], []
             for link, point in zip(loop.links, loop.points, strict=True):
-                name, frame = robot.urdf.places[link]
+                name, frame = robot.urdf.fused_frames[link]
                 at_link = self._fused.links[name].body
                 ends.append(self.links[name])
                 points.append(at_link.in_principal((frame @ [*point, 1.0])[:3]))

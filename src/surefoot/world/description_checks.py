@@ -12,7 +12,7 @@ from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge, warn_if
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import GRAVITY, RobotDescription, SerialLegs
-from surefoot.robot.actuator import PLACEHOLDER_TORQUE, JointActuatorData
+from surefoot.robot.actuator import MIN_PLACEHOLDER_TORQUE, JointActuatorData
 from surefoot.world.body_checks import check_file, check_masses, check_sides
 from surefoot.world.interface import WorldConfig
 from surefoot.world.motor_load import (
@@ -75,9 +75,9 @@ def _check_torque_limits(robot: RobotDescription) -> CheckResult:
         return CheckResult("torque limits", True, "DC motors: by voltage and the torque-current curve")
     torque, unit = np.asarray(robot.actuator.torque_limit), robot.weight * robot.leg_geometry.length
     message = f"{_span(torque)} N m, {_span(torque / unit)} m g l"
-    rule = f"; over {PLACEHOLDER_TORQUE:g} m g l is a placeholder"
+    rule = f"; over {MIN_PLACEHOLDER_TORQUE:g} m g l is a placeholder"
     remedy = "state the actuator's real torque in actuator.torque_limit"
-    real = bool((torque <= PLACEHOLDER_TORQUE * unit).all())
+    real = bool((torque <= MIN_PLACEHOLDER_TORQUE * unit).all())
     return judge("torque limits", real, message, rule, remedy, float(torque.max()))
 
 
@@ -107,7 +107,7 @@ def _check_feet(robot: RobotDescription, model: mujoco.MjModel) -> CheckResult:
 def drawn_beyond_feet(robot: RobotDescription) -> Array:
     """Return how far legs are drawn beyond their feet's spheres (L,) [m], along the shank; 0 without a drawing."""
     beyond = np.zeros(len(robot.legs))
-    if robot.looks is None or not isinstance(robot.leg_geometry, SerialLegs):
+    if robot.visuals is None or not isinstance(robot.leg_geometry, SerialLegs):
         return beyond
     try:
         parts = robot.appearance().parts

@@ -53,7 +53,7 @@ def test_a_hello_is_answered_by_the_handshake_and_frames_are_counted_from_one(ro
     [*(("serial line", room) for room in (1.0, 1.01, 1.02, 1.03)), pytest.param("C", 1.01, marks=needs_gcc)],
 )
 def test_commands_at_the_limits_of_the_handshake_are_accepted(robot, monkeypatch, where, room):
-    monkeypatch.setattr("surefoot.robot.description.ANGLE_ROOM", room)
+    monkeypatch.setattr("surefoot.robot.description.ANGLE_MARGIN", room)
     bench = Bench(robot, where)
     (sent,) = bench.send(Hello(ME, 0.010))
     bench.send(Arm(ME, int(Mode.POSITION), 0.006, 0.003))

@@ -28,7 +28,7 @@ from surefoot.deploy.display import LiveDisplay, PlainLines, read_messages, run_
 from surefoot.deploy.loop import Snapshot
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
+from surefoot.robot.commands import COMMANDS, STAND_COMMAND, CommandLimits
 from surefoot.rotations import rpy_quat
 from surefoot.stop_signals import DAMP, SIT
 from surefoot.world.ground import FLAT
@@ -128,7 +128,7 @@ class Page:
         robot = RobotDescription.load(setup["robot"])
         self._height = -float(robot.foot_positions(robot.resting_angles)[:, 2].min())
         self._start, self._reported, self._sent, self._received = time.monotonic(), 0.0, 0.0, -math.inf
-        self._command = list(STAND)
+        self._command = list(STAND_COMMAND)
         self._values: dict[str, Any] = {}
         view.show(FLAT, robot)
         self._place([0.0, 0.0, 0.0], robot.resting_angles)
@@ -194,7 +194,7 @@ class Page:
         return report | {
             "text": f"{values['phase']}{left}; battery {values['voltage']:.1f} V; {link}",
             "time": round(time.monotonic() - self._start, 3),
-            "command": self._command if drives else list(STAND),
+            "command": self._command if drives else list(STAND_COMMAND),
             "torque": values["torque"],
             "heat": values["temperature"],
             "attitude": values["attitude"][:2],

@@ -118,7 +118,7 @@ def _check_encoders(angles: Array, robot: RobotDescription) -> CheckResult:
         return ", ".join(ranges)
 
     spread = np.max([np.abs(values - np.median(values)) for _, values, _ in coordinates], axis=0)
-    closes = robot.leg_geometry.closes(angles[robot.leg_motor_index])
+    closes = robot.leg_geometry.is_feasible(angles[robot.leg_motor_index])
     all_legs = format_pose(slice(None))
     worst = int(np.argmax(np.where(closes, spread, np.inf)))
     if closes.all() and spread.max() <= MAX_SPREAD:

@@ -104,7 +104,7 @@ def mass_plan(robot: RobotDescription) -> Plan:
     legs = np.ones(len(robot.legs))
     still = Phase("stand still", "the robot stands still", 1.0, hold(robot.pose_angles(0.0, use.stance)))
     squat = extension_chirp(robot, legs, use.squat, 0.5, 0.5, 4.0)
-    small = use.part("squat", 2 / 3)
+    small = use.fraction("squat", 2 / 3)
     fast = extension_chirp(robot, legs, small, 1.0, 3.0, 3.0)
     return ground_plan(
         robot,
@@ -118,14 +118,14 @@ def mass_plan(robot: RobotDescription) -> Plan:
         drop(robot),
         still,
         drop(robot, use="check"),
-        _nod(robot, "nod back", use.part("nod", 5 / 6), 4.0, 1.5, 3.0, use="check"),
+        _nod(robot, "nod back", use.fraction("nod", 5 / 6), 4.0, 1.5, 3.0, use="check"),
     )
 
 
 def contact_plan(robot: RobotDescription) -> Plan:
     """Return the plan of the contact experiment: drag one diagonal pair of feet, then the other; nod and rock."""
     use = robot.experiments
-    small = use.part("nod", 2 / 3)
+    small = use.fraction("nod", 2 / 3)
     roll = extension_chirp(robot, lateral_signs(robot), small, 1.0, 4.0, 3.0)
     what = f"two diagonal feet, with little load, are dragged {DRAG:g} rad back and forth"
     return ground_plan(

@@ -39,7 +39,7 @@ def motor_plan(robot: RobotDescription) -> Plan:
         shift[first], shift[second] = 0.4 * leg, 0.4 * leg + np.pi / 2
     all_motors = np.ones(motors)
     wide = chirps(middle, use.chirp * all_motors, 0.5, 10.0, 8.0, shift)
-    small, back = use.part("chirp", 4 / 15), use.part("chirp", 2 / 3)
+    small, back = use.fraction("chirp", 4 / 15), use.fraction("chirp", 2 / 3)
     narrow = chirps(middle, small * all_motors, 8.0, 25.0, 3.0, shift)
     slow = chirps(middle, use.sweep * all_motors, 0.25, 0.5, 4.0, shift)
     other = chirps(middle, back * all_motors, 7.0, 1.5, 3.0, shift[::-1])
@@ -53,7 +53,7 @@ def motor_plan(robot: RobotDescription) -> Plan:
         Phase("steps", f"every motor jumps by up to {use.step:g} rad to both sides, 16 times", 4.0, steps(jumps, 0.25)),
     ]
     what = f"motors without servo: pulses of {1e3 * PULSE_TIME:g} ms, up to {use.duty:g} duty, back and forth"
-    heights = [use.part("duty", height) for height in PULSE_HEIGHTS]
+    heights = [use.fraction("duty", height) for height in PULSE_HEIGHTS]
     for height in np.concatenate([draw.permutation(heights) for _ in range(2)]):
         pulses = _pulses(height * draw.choice([-1.0, 1.0], motors) * draw.uniform(0.7, 1.0, motors))
         phases += [_to_middle(middle, 0.5), Phase("PWM pulses", what, BURST_TIME, pulses, Mode.PWM)]
@@ -81,7 +81,7 @@ def latency_plan(robot: RobotDescription) -> Plan:
     draw = generator(0, "latency experiment")
     middle = robot.pose_angles(0.0, use.stance)
     shift = np.where(np.arange(motors) % 2 == 0, 0.0, np.pi / 2)
-    small, max_step = use.part("chirp", 0.4), use.part("step", 5 / 7)
+    small, max_step = use.fraction("chirp", 0.4), use.fraction("step", 5 / 7)
     fast = chirps(middle, np.full(motors, small), 2.0, 20.0, 3.0, shift)
     jumps = middle + draw.uniform(-max_step, max_step, (8, motors))
     phases = [

@@ -193,7 +193,7 @@ def index_names(name: str, robot: RobotDescription) -> tuple[str, ...]:
     motors = tuple(motor.removesuffix("_motor") for motor in robot.motor_names)
     if name not in PARAMETERS:
         return motors if name.startswith(("motor", "torque")) else ("x", "y", "z")
-    return PARAMETERS[name].parts(motors)
+    return PARAMETERS[name].element_names(motors)
 
 
 def full_name(label: str, robot: RobotDescription) -> str:

@@ -8,8 +8,8 @@ from html import escape
 from pathlib import Path
 
 from surefoot import __version__
-from surefoot.adopt.diagnosis import REPEATS, Diagnosis
-from surefoot.adopt.examination import GOOD, MAX_ERROR, Answer
+from surefoot.adopt.diagnosis import FINAL_REPEATS, Diagnosis
+from surefoot.adopt.examination import MAX_ERROR, MIN_GOOD_SCORE, TrialResult
 from surefoot.check_result import CheckResult
 from surefoot.files import atomic_write
 from surefoot.report.pages import html
@@ -51,8 +51,8 @@ def write_page(
         "<h2>What was tried</h2>",
         _tried(
             [
-                diagnosis.own,
-                *diagnosis.guesses,
+                diagnosis.baseline,
+                *diagnosis.variants,
                 *(one for one in diagnosis.ranked[:_LISTED] if one.score >= _SHOWN),
             ],
             len(diagnosis.ranked),
@@ -65,24 +65,24 @@ def write_page(
 
 def _verdict(diagnosis: Diagnosis) -> str:
     """Return in words how the policy follows commands, and what should be changed."""
-    own, mistake = diagnosis.own, diagnosis.mistake
-    good, fell = int((own.scores >= GOOD).sum()), int(own.fell.sum())
+    own, mistake = diagnosis.baseline, diagnosis.mistake
+    good, fell = int((own.scores >= MIN_GOOD_SCORE).sum()), int(own.fell.sum())
     text = (
         f"As it is, the policy follows {good} of {len(own.scores)} commands{f' and falls at {fell}' if fell else ''}."
     )
     if diagnosis.constants is not None:
         return f"{text} {diagnosis.constants.text}"
-    if diagnosis.explained is not None and not diagnosis.is_shown:
-        return f"{text} With {diagnosis.explained.text} it walks as it is: its configuration may be right."
+    if diagnosis.explaining_variant is not None and not diagnosis.is_confirmed:
+        return f"{text} With {diagnosis.explaining_variant.text} it walks as it is: its configuration may be right."
     if mistake is None or mistake.correction is None:
         return f"{text} No usual mistake explains it." if good < len(own.scores) else text
-    if not diagnosis.is_shown:
+    if not diagnosis.is_confirmed:
         return f"{text} A number is unusual, although robots do not show it. {mistake.correction.text}."
-    after = int((mistake.scores >= GOOD).sum())
+    after = int((mistake.scores >= MIN_GOOD_SCORE).sum())
     return f"{text} Most likely mistake: {mistake.correction.text}. With that changed it follows {after}."
 
 
-def _tried(answers: Sequence[Answer], count: int) -> str:
+def _tried(answers: Sequence[TrialResult], count: int) -> str:
     names = answers[0].commands
     rows = [html.row(("change", *names, "score"), f"t{'n' * len(names)}n", "th")]
     for answer in answers:
@@ -90,8 +90,8 @@ def _tried(answers: Sequence[Answer], count: int) -> str:
         rows.append(html.row((answer.text, *scores, f"{answer.score:.2f}"), f"t{'n' * len(names)}n"))
     note = (
         f"{count} changes of the configuration, and other robots, were tried, each with one robot for each of some "
-        f"commands; the best again, those below, with {REPEATS} other robots for each command. The most likely is the "
-        "first; one that leads to unusual numbers is less likely than its score. Scores: 1 follows the command "
+        f"commands; the best again, those below, with {FINAL_REPEATS} other robots for each command. The most likely "
+        "is the first; one that leads to unusual numbers is less likely than its score. Scores: 1 follows the command "
         f"exactly; 0 falls, or errs by {MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s sideways or "
         f"{MAX_ERROR[2]:g} rad/s."
     )
