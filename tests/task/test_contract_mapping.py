@@ -20,7 +20,7 @@ from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.contract_mapping import contract_from_task, make_contract, task_from_contract
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.height_scan import MAP, ScanConfig
+from surefoot.task.height_scan import POLICY_GRID, ScanConfig
 from surefoot.task.reference_config import TableReferenceConfig
 from surefoot.task.terrain import TerrainConfig
 from surefoot.world.sim_world import SimWorld
@@ -47,7 +47,7 @@ def test_the_contract_of_a_policy_that_sees_the_ground_has_grid_and_age_of_its_m
     task = replace(task, observations=(*task.observations, "height_scan"), terrain=TerrainConfig(scan=scan))
     contract = contract_of(task)
     assert contract.height_map is not None
-    assert (contract.height_map.ahead, contract.height_map.left) == MAP.scale(ROBOT)
+    assert (contract.height_map.ahead, contract.height_map.left) == POLICY_GRID.scale(ROBOT)
     assert contract.height_map.age == pytest.approx(5 * 0.006)
     assert contract.task["terrain"]["scan"] == {"noise": 0.03, "drift": 0.02, "shift": 0.02, "holes": 0.02}
     assert task_from_contract(contract, ROBOT).terrain.scan == scan

@@ -24,7 +24,7 @@ def test_stairs_are_rings_of_treads_around_a_level_place():
         *(0.0, 0.1, 0.1, 0.2, 0.2, 1.0)
     ]
     # The course goes through the middles of the treads, at 18.4 degrees.
-    assert stairs.level(np.array([[1.15, 0.0], [2.35, 0.0], [0.0, 0.0]])).round(3).tolist() == [0.1, 0.5, 0.0]
+    assert stairs.smooth_height(np.array([[1.15, 0.0], [2.35, 0.0], [0.0, 0.0]])).round(3).tolist() == [0.1, 0.5, 0.0]
     roll, pitch = stairs.tilt(np.array([3.0, 0.0]), np.array(0.0))
     assert (float(roll), float(pitch)) == pytest.approx((0.0, -np.arctan2(0.1, 0.3)))
     down = make_terrain("stairs_down:0.10")
@@ -47,7 +47,7 @@ def test_rough_ground_and_blocks_fill_their_range_around_a_level_place(kind):
     ground = make_terrain(f"{kind}:0.12", seed=3)
     assert np.ptp(ground.corners) == pytest.approx(0.12, rel=0.02)
     assert not ground.height(np.random.default_rng(0).uniform(-0.9, 0.9, (50, 2))).any()
-    assert ground.level(np.array([5.0, 5.0])) == pytest.approx(
+    assert ground.smooth_height(np.array([5.0, 5.0])) == pytest.approx(
         0.5 * (ground.corners.max() + ground.corners.min()), abs=2e-3
     )
     np.testing.assert_array_equal(ground.corners, make_terrain(f"{kind}:0.12", seed=3).corners)
@@ -99,7 +99,7 @@ def test_a_map_is_level_with_its_middle_and_goes_on_at_its_border(tmp_path):
     hill = make_terrain(str(tmp_path / "hill.npz"))
     # 4 m by 2 m, .2 up a metre, 0 in the middle.
     assert heights(hill, (0.0, 0.0), (1.0, 0.5), (-2.0, 0.0), (3.0, 9.0)) == [0.0, 0.2, -0.4, 0.4]
-    assert hill.level(np.array([1.0, 0.0])) == pytest.approx(0.2, abs=0.01)
+    assert hill.smooth_height(np.array([1.0, 0.0])) == pytest.approx(0.2, abs=0.01)
 
 
 def test_a_picture_is_a_map_with_what_is_ahead_at_its_top(tmp_path):

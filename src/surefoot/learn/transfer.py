@@ -18,7 +18,7 @@ from surefoot.learn.networks import find_architecture, load_parameters
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.learn.run_folder import RunFolder
 from surefoot.task.env import LocomotionEnv, SimulationFactory
-from surefoot.task.height_scan import AROUND, MAP
+from surefoot.task.height_scan import CRITIC_GRID, POLICY_GRID
 
 NETWORK_FIELDS = (
     "observations",  # what the policy observes
@@ -171,6 +171,6 @@ def _normalized_inputs(fresh: Network, critic: Network) -> dict[int, int]:
     """Return the places of a network's inputs that a critic normalizes, and their places among the critic's inputs."""
     if critic.parameters["mlp.0.weight"].shape[1] != len(critic.inputs):
         return {}
-    known, near = {name: k for k, (_, name) in enumerate(critic.inputs)}, MAP.nearest(AROUND)
+    known, near = {name: k for k, (_, name) in enumerate(critic.inputs)}, POLICY_GRID.nearest(CRITIC_GRID)
     alike = {k: name if name in known else near.get(name, name) for k, (_, name) in enumerate(fresh.inputs)}
     return {k: known[name] for k, name in alike.items() if name in known}

@@ -129,7 +129,7 @@ class TaskConfig:
             )
 
     @property
-    def sees(self) -> bool:
+    def needs_height_map(self) -> bool:
         """Whether a map of the ground's heights is needed: the policy observes it, or footholds are chosen on it."""
         return "height_scan" in self.observations or bool(self.reference.foothold_radius)
 

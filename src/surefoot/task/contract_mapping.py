@@ -29,7 +29,7 @@ from surefoot.robot.params_file import ParamValue, param_values
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.gait import ActionKind, action_names
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.observation import Observer
 from surefoot.task.plugins import used_plugins
 from surefoot.task.policy_plugins import check_plugins, task_without_skipped
@@ -44,19 +44,19 @@ _STATED = stated_fields(TaskConfig)
 
 
 def make_contract(
-    env: LocomotionEnv, config: Any = None, figures: Mapping[str, Any] | None = None, created: str = ""
+    env: LocomotionEnv, config: Any = None, metrics: Mapping[str, Any] | None = None, created: str = ""
 ) -> Contract:
     """Return the contract of a policy that was trained in an environment.
 
     Args:
         env: the environment.
         config: configuration of the whole run, a dataclass with a `name`: the policy's. The task's, if None.
-        figures: figures of the run.
+        metrics: metrics of the run.
         created: when the policy was made, ISO 8601.
     """
     config = config or env.task
     return contract_from_task(
-        env.task, env.robot, config_hash(_without_path(to_mapping(config), env.robot)), config.name, figures, created
+        env.task, env.robot, config_hash(_without_path(to_mapping(config), env.robot)), config.name, metrics, created
     )
 
 
@@ -65,7 +65,7 @@ def contract_from_task(
     robot: RobotDescription,
     whole_hash: str = "",
     name: str = "",
-    figures: Mapping[str, Any] | None = None,
+    metrics: Mapping[str, Any] | None = None,
     created: str = "",
 ) -> Contract:
     """Return the contract of a policy for a task on its robot.
@@ -75,7 +75,7 @@ def contract_from_task(
         robot: the task's.
         whole_hash: `config_hash` of the configuration of the run; the task's, if empty.
         name: of the policy; the task's, if empty.
-        figures: figures of the run.
+        metrics: metrics of the run.
         created: when the policy was made, ISO 8601.
     """
     gait, scan = task.gait(robot), task.terrain.scan
@@ -100,10 +100,10 @@ def contract_from_task(
         **assumed,
         task=_task_mapping(task),
         config_hash=whole_hash or config_hash(_without_path(to_mapping(task), robot)),
-        figures=dict(figures or {}),
+        figures=dict(metrics or {}),
         commands=task.commands.limits(robot),
-        height_map=HeightMap(*MAP.scale(robot), age=scan.delay * float(task.nominal(robot).control_step[0]))
-        if task.sees
+        height_map=HeightMap(*POLICY_GRID.scale(robot), age=scan.delay * float(task.nominal(robot).control_step[0]))
+        if task.needs_height_map
         else None,
         plugins=used_plugins(task.reward, task.observations),
         version=__version__,
@@ -123,7 +123,7 @@ def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, 
 def _task_mapping(task: TaskConfig) -> dict[str, Any]:
     """Return the part of a task that the contract does not state itself."""
     data = to_mapping(task)
-    if task.sees:
+    if task.needs_height_map:
         del data["terrain"]["scan"]["delay"]  # the age of the contract's map
     return _without_stated(data)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.task.commands import CommandState
 from surefoot.task.component import RobotComponent
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.reference import FollowingReference
 from surefoot.task.state import RobotState
 from surefoot.world.interface import SensorReadings
@@ -69,10 +69,10 @@ class Footholds(RobotComponent):
     def __init__(self, reference: FollowingReference, num_envs: int) -> None:
         self.reference, robot = reference.over_holes or reference, reference.robot
         self._changes = reference.over_holes is not None
-        ahead, left = (np.array(places) for places in MAP.scale(robot))
+        ahead, left = (np.array(places) for places in POLICY_GRID.scale(robot))
         self._shape, self._corner = (len(ahead), len(left)), np.array([ahead[0], left[0]])
         length = robot.leg_geometry.length
-        self._spacing = MAP.spacing * length
+        self._spacing = POLICY_GRID.spacing * length
         radius = reference.foothold_radius / self._spacing
         self._ways = np.array([1, "abduction" in robot.coordinates])
         """Whether feet can be moved ahead and aside (2,)."""
@@ -119,7 +119,7 @@ class Footholds(RobotComponent):
         """Choose footholds for what the gait follows now.
 
         Args:
-            heights: maps (N, P) [m], those of the grid `MAP`.
+            heights: maps (N, P) [m], those of the grid `POLICY_GRID`.
             state: commands and phases.
             readings: what robots measure.
             step: duration of the control step (N,) [s].

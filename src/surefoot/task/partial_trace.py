@@ -41,7 +41,7 @@ def row_layout(names: tuple[str, ...], sizes: Mapping[str, int]) -> RowLayout:
 
 
 @dataclass(frozen=True)
-class TraceHead:
+class TraceHeader:
     """What makes a trace of rows of numbers, one a control step."""
 
     layout: RowLayout
@@ -54,7 +54,7 @@ class TraceHead:
     """The trace's."""
 
     @classmethod
-    def of_robot(cls, meta: dict[str, Any], actions: int, commands: bool, robot_archive: bytes) -> TraceHead:
+    def of_robot(cls, meta: dict[str, Any], actions: int, commands: bool, robot_archive: bytes) -> TraceHeader:
         """Return the head of what a robot measures, with commands if it is steered, and its map if it has one."""
         names = (*MEASURED, *(["command"] if commands else []), *(["height_map"] if meta.get("height_map") else []))
         return cls(row_layout(names, trace_sizes(0, (actions,), meta)), meta, robot_archive=robot_archive)
@@ -134,7 +134,7 @@ def recover(path: str | Path) -> EpisodeTrace:
             raise SurefootError("is not one: it is of another kind")
         first = from_mapping(_FirstLine, entries)
         start = {name: np.array(values) for name, values in first.start.items()}
-        head = TraceHead(RowLayout(first.columns), meta, start, robot)
+        head = TraceHeader(RowLayout(first.columns), meta, start, robot)
         width = head.layout.width
         steps = len(body) // (8 * width) if width else 0
         if not steps:

@@ -47,13 +47,13 @@ class RobotScales:
 
 def base_height(position: Array, ground: Ground) -> Array:
     """Return heights (N,) [m] of points (N, 3) in the world above the level of the ground."""
-    return np.asarray(position[:, 2] - ground.level(position[:, :2]))
+    return np.asarray(position[:, 2] - ground.smooth_height(position[:, :2]))
 
 
 def base_tilt(truth: SimState, ground: Ground) -> Array:
     """Return roll and pitch (N, 2) [rad] of the base relative to a base that lies along the slope of the ground."""
     angles = truth.roll_pitch_yaw
-    if not ground.course.size:
+    if not ground.smooth_heights.size:
         return angles[:, :2]
     tilt: Array = angles[:, :2] - ground.tilt(truth.base_position_world[:, :2], angles[:, 2])
     return tilt

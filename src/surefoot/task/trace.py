@@ -24,7 +24,7 @@ from surefoot.policy.contract import MEMORY
 from surefoot.robot import ROBOT, RobotDescription, carried_robot
 
 ENERGY_WEIGHT = 0.008  # w of the paper's reward, the same in all its experiments
-LOG = "log"
+IMPORTED_LOG = "log"
 """World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
 time of their row, readings are taken right after, times may repeat, and everything but time may be NaN. Its `params`
 are the gains that came with the commands, and with `read_at_row` readings were taken exactly at the times of rows."""
@@ -195,7 +195,7 @@ class EpisodeTrace:
             if not sizes["T"]:
                 raise SurefootError("an episode needs at least one control step")
             for name, declared in columns_of(EpisodeTrace).items():
-                may_be_nan = not declared.known or (self.imported and name != "time")
+                may_be_nan = not declared.known or (self.is_imported and name != "time")
                 array = declared.checked(name, getattr(self, name), sizes, may_be_nan)
                 bad = np.isinf(array) if may_be_nan else ~np.isfinite(array)
                 if np.any(bad):
@@ -209,7 +209,7 @@ class EpisodeTrace:
             self._check_rules()
 
     def _check_rules(self) -> None:
-        if self.imported:
+        if self.is_imported:
             if np.any(np.diff(self.time) < 0.0):
                 raise SurefootError("time must not go backwards")
         elif self.time[0] <= 0.0 or np.any(np.diff(self.time) <= 0.0):
@@ -221,9 +221,9 @@ class EpisodeTrace:
             raise SurefootError("base_quat_world must hold unit quaternions w, x, y, z (or NaN)")
 
     @property
-    def imported(self) -> bool:
-        """Whether it is a log that surefoot did not record; see `LOG`."""
-        return bool(self.meta["world"] == LOG)
+    def is_imported(self) -> bool:
+        """Whether it is a log that surefoot did not record; see `IMPORTED_LOG`."""
+        return bool(self.meta["world"] == IMPORTED_LOG)
 
     @property
     def num_steps(self) -> int:

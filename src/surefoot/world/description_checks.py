@@ -21,7 +21,7 @@ from surefoot.world.motor_load import (
     continuous_torque,
     describe_torque,
     measure_load,
-    unlimited,
+    without_torque_limits,
 )
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 
@@ -93,7 +93,7 @@ def _check_feet(robot: RobotDescription, model: mujoco.MjModel) -> CheckResult:
     message = f"{len(robot.legs)} spheres of {sizes}"
     if not equal:
         return CheckResult("feet", False, message + rule, remedy, float(radii.mean()))
-    beyond = drawn_beyond_feet(robot)
+    beyond = visual_overhang(robot)
     worst = int(np.argmax(np.abs(beyond)))
     warning = None
     if abs(beyond[worst]) > DRAWN_TOLERANCE * robot.leg_geometry.length:
@@ -104,7 +104,7 @@ def _check_feet(robot: RobotDescription, model: mujoco.MjModel) -> CheckResult:
     return warn_if("feet", warning, message, remedy, float(radii.mean()))
 
 
-def drawn_beyond_feet(robot: RobotDescription) -> Array:
+def visual_overhang(robot: RobotDescription) -> Array:
     """Return how far legs are drawn beyond their feet's spheres (L,) [m], along the shank; 0 without a drawing."""
     beyond = np.zeros(len(robot.legs))
     if robot.looks is None or not isinstance(robot.leg_geometry, SerialLegs):
@@ -135,7 +135,7 @@ def _check_stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Che
     remedy = "choose another leg_space.rest, stiffer gains or the right masses"
     expected = float(resting_qpos(robot, model)[2])
     try:
-        own, free = (_stand(one) for one in (robot, unlimited(robot)))
+        own, free = (_stand(one) for one in (robot, without_torque_limits(robot)))
     except SurefootError as error:
         yield CheckResult("stands", False, str(error), remedy)
         return

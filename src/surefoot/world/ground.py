@@ -39,7 +39,7 @@ class Ground:
     """Side of a cell."""
     center: tuple[float, float] = (0.0, 0.0)
     """Middle of the field."""
-    course: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    smooth_heights: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """Smooth course of the ground at the middles of the cells, (X, Y), from which robots' heights and tilts are
     measured: the slope of stairs, the mean of rough ground; the plane z = 0, if not given."""
     friction: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -54,7 +54,7 @@ class Ground:
         heights: Array,
         cell: float,
         center: tuple[float, float] = (0.0, 0.0),
-        course: Array | None = None,
+        smooth_heights: Array | None = None,
     ) -> Ground:
         """Return the continuous ground through heights (X, Y) at points, a cell apart.
 
@@ -62,7 +62,7 @@ class Ground:
         """
         pairs = [[heights[:-1, :-1], heights[:-1, 1:]], [heights[1:, :-1], heights[1:, 1:]]]
         corners = np.moveaxis(np.array(pairs, float), (0, 1), (2, 3))
-        return cls(corners, cell, center, corners.mean(axis=(2, 3)) if course is None else course)
+        return cls(corners, cell, center, corners.mean(axis=(2, 3)) if smooth_heights is None else smooth_heights)
 
     @property
     def is_flat(self) -> bool:
@@ -92,19 +92,19 @@ class Ground:
         unit: Array = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
         return unit
 
-    def level(self, points: Array) -> Array:
+    def smooth_height(self, points: Array) -> Array:
         """Return the heights (...) of the course at points (..., 2): robots' heights are measured from it."""
-        if not self.course.size:
+        if not self.smooth_heights.size:
             return np.zeros(points.shape[:-1])
-        last = np.array(self.course.shape) - 1
+        last = np.array(self.smooth_heights.shape) - 1
         place = np.clip((points - self.grid[:2]) / self.cell - 0.5, 0, last)
         low = np.minimum(place.astype(np.int64), np.maximum(last - 1, 0))
         high = np.minimum(low + 1, last)
         u, v = np.moveaxis(place - low, -1, 0)
         (i, j), (k, m) = np.moveaxis(low, -1, 0), np.moveaxis(high, -1, 0)
-        course = self.course
-        level: Array = (1 - u) * ((1 - v) * course[i, j] + v * course[i, m])
-        return level + u * ((1 - v) * course[k, j] + v * course[k, m])
+        smooth_heights = self.smooth_heights
+        level: Array = (1 - u) * ((1 - v) * smooth_heights[i, j] + v * smooth_heights[i, m])
+        return level + u * ((1 - v) * smooth_heights[k, j] + v * smooth_heights[k, m])
 
     def tilt(self, points: Array, yaw: Array) -> Array:
         """Return roll and pitch (..., 2) [rad] of a base that lies along the course at points (..., 2).
@@ -113,13 +113,14 @@ class Ground:
             points: where.
             yaw: heading of the base there (...) [rad].
         """
-        if not self.course.size:
+        if not self.smooth_heights.size:
             return np.zeros((*points.shape[:-1], 2))
         along = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
         across = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
         span = _SLOPE_SPAN
         ahead, left = (
-            (self.level(points + span * way) - self.level(points - span * way)) / (2 * span) for way in (along, across)
+            (self.smooth_height(points + span * way) - self.smooth_height(points - span * way)) / (2 * span)
+            for way in (along, across)
         )
         pitch = -np.arctan(ahead)
         return np.stack([np.arctan(left * np.cos(pitch)), pitch], axis=-1)
@@ -212,4 +213,4 @@ def uneven_floor(unevenness: float) -> Ground:
     draws[[0, -1]] = 0.0
     draws[:, [0, -1]] = 0.0
     center = (0.5 * FLOOR_CELL * FLOOR_CELLS[0] - FLOOR_BEHIND, 0.0)
-    return Ground.from_points(unevenness * draws, FLOOR_CELL, center, course=np.zeros((0, 0)))
+    return Ground.from_points(unevenness * draws, FLOOR_CELL, center, smooth_heights=np.zeros((0, 0)))

@@ -19,11 +19,11 @@ from surefoot.files import check_readable
 from surefoot.npz import read_npz
 from surefoot.world.ground import FLAT, Ground
 
-START = 1.0
+START_HALF_SIDE = 1.0
 """Half the side [m] of the level place where robots start."""
-HALF = 10.0
+HALF_SIDE = 10.0
 """Half the side [m] of a terrain that is not a tile of a field."""
-TREAD = 0.3
+TREAD_DEPTH = 0.3
 """Depth [m] of a step of stairs."""
 ROUGH_CELL = 0.2
 """Distance [m] of the points of rough ground, as in legged_gym."""
@@ -83,7 +83,7 @@ def _middles(half: float, cell: float) -> tuple[Array, Array]:
 def _distance(half: float, cell: float) -> Array:
     """Return how far the middles of cells are from the level place, along x or y, whichever is more (n, n) [m]."""
     x, y = _middles(half, cell)
-    distance: Array = np.maximum(np.abs(x), np.abs(y)) - START
+    distance: Array = np.maximum(np.abs(x), np.abs(y)) - START_HALF_SIDE
     return distance
 
 
@@ -93,22 +93,22 @@ def _level_cells(tops: Array) -> Array:
 
 def _stairs(size: float, half: float, cell: float, _: np.random.Generator) -> Heights:
     distance = _distance(half, cell)
-    steps = np.ceil(np.round(np.maximum(distance, 0.0) / TREAD, 6))
-    course: Array = size * np.where(distance > 0, distance / TREAD + 0.5, 0.0)
-    return _level_cells(size * steps), course
+    steps = np.ceil(np.round(np.maximum(distance, 0.0) / TREAD_DEPTH, 6))
+    smooth_heights: Array = size * np.where(distance > 0, distance / TREAD_DEPTH + 0.5, 0.0)
+    return _level_cells(size * steps), smooth_heights
 
 
 def _slope(size: float, half: float, cell: float, _: np.random.Generator) -> Heights:
     points = np.arange(round(2 * half / cell) + 1) * cell - half
-    distance = np.maximum(np.maximum(np.abs(points)[:, None], np.abs(points)[None, :]) - START, 0.0)
+    distance = np.maximum(np.maximum(np.abs(points)[:, None], np.abs(points)[None, :]) - START_HALF_SIDE, 0.0)
     ground = Ground.from_points(np.tan(np.radians(size)) * distance, cell)
-    return ground.corners, ground.course
+    return ground.corners, ground.smooth_heights
 
 
 def _rough(size: float, half: float, cell: float, rng: np.random.Generator) -> Heights:
     count = round(2 * half / ROUGH_CELL) + 1
     points = np.arange(count) * ROUGH_CELL - half
-    far = np.maximum(np.abs(points)[:, None], np.abs(points)[None, :]) > START
+    far = np.maximum(np.abs(points)[:, None], np.abs(points)[None, :]) > START_HALF_SIDE
     coarse = Ground.from_points(size * (rng.random((count, count)) - 0.5) * far, ROUGH_CELL)
     # Smaller cells have parts of the same triangles.
     fine = np.arange(round(2 * half / cell) + 1) * cell - half
@@ -143,8 +143,8 @@ def _stones(size: float, half: float, cell: float, _: np.random.Generator) -> He
 
 def _downward(make: Callable[[float, float, float, np.random.Generator], Heights]) -> Callable[..., Heights]:
     def made(size: float, half: float, cell: float, rng: np.random.Generator) -> Heights:
-        corners, course = make(size, half, cell, rng)
-        return -corners, -course
+        corners, smooth_heights = make(size, half, cell, rng)
+        return -corners, -smooth_heights
 
     return made
 
@@ -205,9 +205,11 @@ def make_terrain(text: str, seed: int = 0) -> Ground:
         raise SurefootError(f"terrain is '{text}'; the size must be a number") from None
     kind = check_size(name, size)
     # The coarsest cells that have the terrain's edges between them.
-    cell = {"rough": ROUGH_CELL, "slope": START, "slope_down": START}.get(name, GRID if kind.multiple else CELL)
-    corners, course = kind.make(size, HALF, cell, np.random.default_rng(seed))
-    return Ground(corners, cell, course=course)
+    cell = {"rough": ROUGH_CELL, "slope": START_HALF_SIDE, "slope_down": START_HALF_SIDE}.get(
+        name, GRID if kind.multiple else CELL
+    )
+    corners, smooth_heights = kind.make(size, HALF_SIDE, cell, np.random.default_rng(seed))
+    return Ground(corners, cell, smooth_heights=smooth_heights)
 
 
 def read_map(path: Path) -> Ground:
@@ -250,18 +252,18 @@ def read_map(path: Path) -> Ground:
             f"{path}: heights are up to {off:.2f} m off a plane within {START_RADIUS:g} m of the middle, where the "
             f"robot starts; at most {MAX_START_STEP:g}"
         )
-    return Ground.from_points(heights - float(ground.height(np.zeros(2))), cell, course=_smooth(ground))
+    return Ground.from_points(heights - float(ground.height(np.zeros(2))), cell, smooth_heights=_smooth(ground))
 
 
 def _smooth(ground: Ground) -> Array:
     """Return the mean of heights around each cell, over a robot's length, with that of the middle as 0."""
     reach = max(round(0.25 / ground.cell), 1)
-    course = ground.corners.mean(axis=(2, 3)) - float(ground.height(np.zeros(2)))
+    smooth_heights = ground.corners.mean(axis=(2, 3)) - float(ground.height(np.zeros(2)))
     for axis in (0, 1):
-        padded = np.pad(course, [(reach, reach) if k == axis else (0, 0) for k in (0, 1)], mode="edge")
+        padded = np.pad(smooth_heights, [(reach, reach) if k == axis else (0, 0) for k in (0, 1)], mode="edge")
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=axis)
-        course = windows.mean(axis=-1)
-    return course
+        smooth_heights = windows.mean(axis=-1)
+    return smooth_heights
 
 
 def _read_picture(path: Path) -> Array:
@@ -329,17 +331,17 @@ def make_field(
             _tile(name, sizes[name][0] + share * (sizes[name][1] - sizes[name][0]), tile, cell, rng) for name in kinds
         ]
         rows.append([np.concatenate(parts, axis=1) for parts in zip(*made, strict=True)])
-    corners, course = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    corners, smooth_heights = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     center = (0.5 * (levels - 1) * tile, 0.5 * (columns - 1) * tile)
     places = np.stack(np.meshgrid(np.arange(levels), np.arange(columns), indexing="ij"), axis=-1)
     starts: Array = (tile * places).astype(np.float64)
-    return TerrainField(Ground(corners, cell, center, course), starts, kinds)
+    return TerrainField(Ground(corners, cell, center, smooth_heights), starts, kinds)
 
 
 def _tile(name: str, size: float, tile: float, cell: float, rng: np.random.Generator) -> Heights:
     kind = KINDS[name]
     if kind.multiple:
         size = max(round(size / kind.multiple), 1) * kind.multiple
-    corners, course = kind.make(size, tile / 2, cell, rng)
+    corners, smooth_heights = kind.make(size, tile / 2, cell, rng)
     border = corners[0, 0, 0, 0] if name.startswith(("stairs", "slope")) else 0.0
-    return corners - border, course - border
+    return corners - border, smooth_heights - border

@@ -70,7 +70,7 @@ def test_a_log_is_the_same_as_a_trace_and_back(pupper: RobotDescription):
     angle, attitude = np.random.default_rng(1).standard_normal((51, 12)), np.full((51, 3), 0.1)
     motion = moved(motor_angle=angle, motor_velocity=speed, motor_torque=torque, roll_pitch_yaw=attitude)
     trace = trace_from_motion(motion, pupper)
-    assert trace.imported
+    assert trace.is_imported
     assert trace.energy == pytest.approx(np.full(51, 12 * 1.0 * 0.01))
     again = motion_from_trace("log", trace)
     for name, value in vars(motion).items():
