@@ -148,7 +148,7 @@ def test_a_file_of_commands_is_read(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("", "its first line is"),
-        ("t,x\n0,1\n", "its first line is 't,x'; a file of commands is CSV"),
+        ("t,x\n0,1\n", "its first line is 't,x'; a command file is CSV"),
         ("time,forward,sideways,yaw_rate\n", "has no row"),
         ("time,forward,sideways,yaw_rate\n" + "0,1,0,0\n" * 130_000, "it has 1040031 bytes; at most 1000000 are read"),
         ("time," + "x" * 200_000, "field larger than field limit"),

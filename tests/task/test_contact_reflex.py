@@ -45,7 +45,7 @@ def walking(phase: float, forward: float = 0.5) -> CommandState:
 
 def angles(reference: FollowingReference, ahead: float = 0.0) -> np.ndarray:
     """Return motor angles (1, M) of feet some way [m] ahead of the reference's places."""
-    return GO2.to_motors(GO2.leg_geometry.foot_pose(reference.places + np.array([ahead, 0.0, 0.0]))[None])
+    return GO2.to_motors(GO2.leg_geometry.foot_pose(reference.neutral_feet + np.array([ahead, 0.0, 0.0]))[None])
 
 
 def hold_behind(reference: FollowingReference, behind: float, steps: int, **changes: float) -> ContactReflex:
@@ -121,7 +121,7 @@ def test_feet_that_are_lifted_come_back_to_their_leg(reference):
         state = replace(walking(phase), command=np.array([[0.0, 0.3, 0.0]]))
         pair = [reference.pose(0.0, one) for one in (state, replace(state, lift=lift), replace(state, lift=lift / 3))]
         feet = [GO2.leg_geometry.foot_position(GO2.leg_geometry.to_motors(pose))[0, FRONT_LEFT, 1] for pose in pair]
-        beside.append(np.array(feet) - reference.places[FRONT_LEFT, 1])
+        beside.append(np.array(feet) - reference.neutral_feet[FRONT_LEFT, 1])
     for (free, high, low), share in zip(beside, (0.125 / 0.2, 0.125 / 0.25), strict=True):
         assert abs(free) > 0.01
         assert high == pytest.approx((1 - share) * free, abs=1e-5)

@@ -62,7 +62,7 @@ def test_feet_go_sideways_by_abduction() -> None:
 
 def test_turning_moves_the_feet_of_the_left_backward_of_the_right() -> None:
     reference = reference_of("minitaur")
-    x, y = reference.robot.leg_mounts[:, 0], reference.robot.leg_mounts[:, 1] + reference.places[:, 1]
+    x, y = reference.robot.leg_mounts[:, 0], reference.robot.leg_mounts[:, 1] + reference.neutral_feet[:, 1]
     command = np.array([[0.0, 0.0, 0.1]])
     stride = reference.strides(command)[0]
     stance = reference.feet.duty_factor / reference.frequency(command)[0]
@@ -82,7 +82,7 @@ def test_a_robot_that_stands_keeps_its_feet_where_they_are(name: str) -> None:
     reference = reference_of(name)
     still = feet(reference, state((0.0, 0.0, 0.0), activity=0.0))
     assert np.ptp(still, axis=0) == pytest.approx(0.0, abs=1e-12)
-    assert still[0] == pytest.approx(reference.places, abs=1e-9)
+    assert still[0] == pytest.approx(reference.neutral_feet, abs=1e-9)
 
 
 def changed(name: str, params: dict[str, float] | None = None, **reference: float) -> HybridGait:
@@ -97,9 +97,11 @@ def test_clearance_and_height_follow_the_command() -> None:
         heights = feet(reference, state((speed, 0.0, 0.0), phases=2000))[:, :, 2]
         sunk = 0.1 * share * reference.feet.height
         assert heights.max(axis=0) == pytest.approx(
-            reference.places[:, 2] + reference.feet.clearance * (1 + 0.5 * share) + sunk, abs=1e-4
+            reference.neutral_feet[:, 2] + reference.feet.clearance * (1 + 0.5 * share) + sunk, abs=1e-4
         )
-        assert heights.min(axis=0) == pytest.approx(reference.places[:, 2] - reference.feet.depth + sunk, abs=1e-4)
+        assert heights.min(axis=0) == pytest.approx(
+            reference.neutral_feet[:, 2] - reference.feet.depth + sunk, abs=1e-4
+        )
 
 
 def test_commands_lead_by_what_the_weight_bends_the_actuators() -> None:

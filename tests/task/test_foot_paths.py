@@ -73,7 +73,7 @@ def test_legs_bring_the_feet_to_their_paths():
 
 def test_robots_may_have_paths_of_their_own():
     one, other = foot_paths(), foot_paths(frequency=3.0, stroke=0.05, duty_factor=0.5)
-    both = FootPaths.stacked([one, other])
+    both = FootPaths.stack([one, other])
     pose = both.pose([0.21, 0.21])
     for row, single in enumerate((one, other)):
         np.testing.assert_allclose(pose[row], single.pose([0.21])[0], atol=1e-12)

@@ -54,7 +54,7 @@ class Walk:
 
     def standing(self, beside: tuple[float, float]) -> SimState:
         """Return the truth with all feet on the ground, in the heading frame beside their places [m]."""
-        foot = self.reference.places + np.array([*beside, 0.0])
+        foot = self.reference.neutral_feet + np.array([*beside, 0.0])
         angle = GO2.to_motors(GO2.leg_geometry.foot_pose(foot)[None])
         return replace(self.truth, motor_angle=angle, foot_contact=np.ones((1, 4)))
 
@@ -108,6 +108,6 @@ def test_feet_that_never_left_the_ground_do_not_land():
 def test_the_reward_needs_footholds():
     task = seeing_task()
     with pytest.raises(
-        SurefootError, match=r"reward.foothold_error needs footholds, and reference.foothold_radius is 0"
+        SurefootError, match=r"reward.foothold_error needs footholds: set reference.foothold_radius above 0"
     ):
         LocomotionEnv(replace(task, reference=replace(task.reference, foothold_radius=0.0)), 1, SimWorld, threads=1)

@@ -52,7 +52,7 @@ def on_the_spot(phase: float) -> CommandState:
 def standing(reference: FollowingReference, ahead: float = 0.0) -> SensorReadings:
     """Return what a level robot measures, whose feet are some way [m] ahead of the reference's places."""
     legs = GO2.leg_geometry
-    motors = GO2.to_motors(legs.foot_pose(reference.places + np.array([ahead, 0.0, 0.0]))[None])
+    motors = GO2.to_motors(legs.foot_pose(reference.neutral_feet + np.array([ahead, 0.0, 0.0]))[None])
     zero = np.zeros((1, 3))
     return SensorReadings(np.zeros(1), zero, zero, motors, np.zeros_like(motors))
 
@@ -63,13 +63,13 @@ def level_map() -> np.ndarray:
 
 def row_under(reference: FollowingReference, leg: int) -> int:
     """Return the map's row under a foot on its place."""
-    x = (GO2.leg_mounts + reference.places)[leg, 0]
+    x = (GO2.leg_mounts + reference.neutral_feet)[leg, 0]
     return int(np.argmin(np.abs(np.array(POLICY_GRID.scale(GO2)[0]) - x)))
 
 
 def to_point(reference: FollowingReference, leg: int, rows: int = 0) -> list[float]:
     """Return how far [m] it is from a foot on its place to the nearest point of the map, or some rows ahead of it."""
-    x, y = (GO2.leg_mounts + reference.places)[leg, :2]
+    x, y = (GO2.leg_mounts + reference.neutral_feet)[leg, :2]
     ahead, left = (np.array(places) for places in POLICY_GRID.scale(GO2))
     return [float(ahead[row_under(reference, leg) + rows] - x), float(left[np.argmin(np.abs(left - y))] - y)]
 
@@ -257,7 +257,7 @@ def test_feet_go_from_where_they_lift_off_to_where_they_land(reference):
     for phase in (0.0, 0.3, 0.6 + 1e-9, 0.76, 1.0 - 1e-9):
         state = replace(on_the_spot(phase), lift_off=lift_off, landing=landing)
         foot = legs.foot_position(legs.to_motors(reference.pose(0.0, state)))
-        places.append(foot[0, FRONT_LEFT, 0] - reference.places[FRONT_LEFT, 0])
+        places.append(foot[0, FRONT_LEFT, 0] - reference.neutral_feet[FRONT_LEFT, 0])
     # On the spot there is no stride: in stance .1 m ahead, halfway after .4 of the swing, there after .8 of it.
     assert places == pytest.approx([0.1, 0.1, -0.05, 0.025, 0.1], abs=1e-6)
 
@@ -341,7 +341,7 @@ def test_legs_without_abduction_land_ahead_or_behind():
     reference = task.gait(robot).reference
     assert isinstance(reference, FollowingReference)
     leg = robot.leg_names.index("front_left")
-    under = (robot.leg_mounts + reference.places)[leg]
+    under = (robot.leg_mounts + reference.neutral_feet)[leg]
     heights = np.full((len(POLICY_GRID.ahead), len(POLICY_GRID.left)), under[2])
     # The foot is over the middle of a groove, which goes on ahead and behind: aside it would be out of it.
     x, y = (np.array(places) for places in POLICY_GRID.scale(robot))

@@ -73,7 +73,7 @@ def test_the_speed_estimate_is_near_the_true_speed():
 @pytest.mark.parametrize(
     ("text", "piece"),
     [
-        ("reference: {kind: foot}", "handcrafted is missing; the file is of a task"),
+        ("reference: {kind: foot}", "handcrafted is missing; the file is a task"),
         ("handcrafted: {}", "task.reference.kind is 'none'; a handcrafted gait has a reference of kind foot"),
         ("reference: {kind: foot}\nhandcrafted: {gains: 1}", "handcrafted.gains is not a key; choices: raibert, about"),
         (

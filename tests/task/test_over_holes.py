@@ -86,5 +86,5 @@ def test_a_gait_over_holes_is_refused_without_footholds_and_without_its_observat
     task = two_gaits()
     with pytest.raises(SurefootError, match=r"over_holes is given and foothold_radius is 0; holes are found for"):
         replace(task, reference=replace(task.reference, foothold_radius=0.0))
-    with pytest.raises(SurefootError, match=r"over_holes is given and observations lack over_holes; the policy has"):
+    with pytest.raises(SurefootError, match=r"over_holes is given, but observations lack over_holes; the policy needs"):
         replace(task, observations=task.observations[:-1])

@@ -119,7 +119,7 @@ def test_robots_have_gains_and_paths_of_their_own():
     alone = [controller(pitch=gain).feedback(seen[:1])[0] for gain in (0.2, 0.6)]
     column: Any = np.array([[0.2], [0.6]])
     gains = replace(RaibertConfig(lag=0.0), pitch=column)
-    both = RaibertController(ROBOT, FootPaths.stacked([paths()] * 2), gains, OBSERVATIONS, 1)
+    both = RaibertController(ROBOT, FootPaths.stack([paths()] * 2), gains, OBSERVATIONS, 1)
     np.testing.assert_allclose(both.feedback(seen), alone, atol=1e-12)
 
 

@@ -12,7 +12,7 @@ SUCCESS_RANGE = (0.7, 1.25)
 
 
 def step_distances(command: Array, velocity: Array, duration: Array) -> tuple[Array, Array]:
-    """Return the commanded distance and the distance covered along the command [m], per control step (T,) or robot (N,).
+    """Return the commanded distance and the distance covered along it [m], per control step (T,) or robot (N,).
 
     Both are 0 in steps whose command has no linear speed.
 

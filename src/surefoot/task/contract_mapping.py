@@ -1,7 +1,7 @@
-"""The contract of a task's policy, and the task of a policy's contract.
+"""Conversion between a task and the contract of its policy.
 
-A contract states what a robot needs to run the policy: its observation, reference, bounds, commands, gains and delays,
-as numbers for one robot. The rest of the task (reward, randomization, pushes) stands in `Contract.task`.
+A contract states what a robot needs to run the policy (observation, reference, bounds, commands, gains and delays) as
+numbers for one robot. The rest of the task (reward, randomization, pushes) is in `Contract.task`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from surefoot.task.env import LocomotionEnv
 
 _STATED = stated_fields(TaskConfig)
-"""Dotted names of the task's fields that the contract states itself."""
+"""Dotted names of the task's fields that are fields of the contract."""
 
 
 def make_contract(
@@ -50,7 +50,7 @@ def make_contract(
 
     Args:
         env: the environment.
-        config: configuration of the whole run, a dataclass with a `name`: the policy's. The task's, if None.
+        config: configuration of the whole run, a dataclass whose `name` becomes the policy's. Defaults to the task.
         metrics: metrics of the run.
         created: when the policy was made, ISO 8601.
     """
@@ -72,9 +72,9 @@ def contract_from_task(
 
     Args:
         task: the task.
-        robot: the task's.
-        whole_hash: `config_hash` of the configuration of the run; the task's, if empty.
-        name: of the policy; the task's, if empty.
+        robot: the task's robot.
+        whole_hash: `config_hash` of the configuration of the run. Defaults to the hash of the task.
+        name: name of the policy. Defaults to the task's name.
         metrics: metrics of the run.
         created: when the policy was made, ISO 8601.
     """
@@ -112,7 +112,7 @@ def contract_from_task(
 
 
 def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, Any]:
-    """Return a configuration, of a run or a task, with a robot that does not ship by name: its folder may move."""
+    """Return the configuration of a run or task with the robot's name instead of its path, which may change."""
     if robot.ships:
         return config
     if isinstance(config.get("task"), dict):
@@ -121,15 +121,15 @@ def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, 
 
 
 def _task_mapping(task: TaskConfig) -> dict[str, Any]:
-    """Return the part of a task that the contract does not state itself."""
+    """Return the fields of a task that are not fields of the contract."""
     data = to_mapping(task)
     if task.needs_height_map:
-        del data["terrain"]["scan"]["delay"]  # the age of the contract's map
+        del data["terrain"]["scan"]["delay"]  # in the contract as the age of the map
     return _without_stated(data)
 
 
 def _without_stated(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return a task's table without what the contract states itself."""
+    """Return a task's table without the fields of the contract."""
     return {
         key: _without_stated(value, f"{prefix}{key}.") if isinstance(value, Mapping) else value
         for key, value in table.items()
@@ -138,11 +138,11 @@ def _without_stated(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any
 
 
 def task_from_contract(contract: Contract, robot: RobotDescription | None = None) -> TaskConfig:
-    """Return the task that a policy was made for.
+    """Return the task for which a policy was made.
 
     Args:
-        contract: the policy's.
-        robot: the robot's description; the one of the contract's name that ships, if None.
+        contract: contract of the policy.
+        robot: description of the robot. Defaults to the robot of the contract's name that ships with surefoot.
 
     Raises:
         SurefootError: a key that contracts do not have, or values that do not fit the robot.
@@ -168,13 +168,13 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         rest=contract.rest,
         commands=_commands(contract, task.commands),
         params=task.params | _assumed_params(contract, robot),
-        # The terrain of its training is not what a robot stands on that runs it.
+        # The terrain of the training is not the terrain on which the policy runs.
         terrain=TerrainConfig(scan=scan),
     )
 
 
 def _names(table: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names in a table."""
+    """Yield the dotted names of all entries in nested tables."""
     for key, value in table.items():
         yield f"{prefix}{key}"
         if isinstance(value, Mapping):
@@ -182,7 +182,7 @@ def _names(table: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, int, FeedbackConfig]:
-    """Return what the feedback is added to, how many of its numbers are memory, and bounds on each coordinate."""
+    """Return the kind of action, the number of memory outputs, and the bounds of the feedback."""
     prefix = contract.action_names[0].partition(".")[0] if contract.action_names else ""
     kind: ActionKind = "joint" if prefix == "joint" else "angle" if prefix == "angle" else "leg"
     memory = sum(name.startswith(f"{MEMORY}.") for name in contract.action_names)
@@ -193,22 +193,22 @@ def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, 
         )
     ends = np.array([contract.low, contract.high])[:, : len(names) - memory]
     if kind == "angle":
-        least, greatest = robot.motor_limits
-        if wrong := np.flatnonzero((ends[0] < least - 1e-9) | (ends[1] > greatest + 1e-9)).tolist():
-            one = wrong[0]
+        lowest, highest = robot.motor_limits
+        if outside := np.flatnonzero((ends[0] < lowest - 1e-9) | (ends[1] > highest + 1e-9)).tolist():
+            k = outside[0]
             raise SurefootError(
-                f"bounds of {names[one]} are {ends[0, one]:g} to {ends[1, one]:g} rad; the joint of {robot.name} "
-                f"allows {least[one]:g} to {greatest[one]:g}"
+                f"bounds of {names[k]} are {ends[0, k]:g} to {ends[1, k]:g} rad; the joint of {robot.name} "
+                f"allows {lowest[k]:g} to {highest[k]:g}"
             )
         return kind, memory, FeedbackConfig()
     coordinates = ("joint",) if kind == "joint" else robot.coordinates
     low, high = (np.reshape(bound, (len(coordinates), -1)) for bound in ends)
     bounds = zip(coordinates, low.min(axis=1).tolist(), high.max(axis=1).tolist(), strict=True)
-    return kind, memory, FeedbackConfig(**{name: (least, most) for name, least, most in bounds})
+    return kind, memory, FeedbackConfig(**{name: (lowest, highest) for name, lowest, highest in bounds})
 
 
 def _commands(contract: Contract, config: CommandConfig) -> CommandConfig:
-    """Return how commands are drawn, within the contract's limits."""
+    """Return the configuration of commands with the contract's limits as ranges."""
     limits = contract.commands
     if limits is None:
         return replace(config, forward=(0.0, 0.0), sideways=(0.0, 0.0), yaw_rate=(0.0, 0.0))

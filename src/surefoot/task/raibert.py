@@ -102,7 +102,7 @@ class RaibertController:
         the rate of pitch moves it by its distance below the base.
         """
         imu, angle, rate, cycle = self._parts(observation)
-        part = self.reference.shares(cycle - self.gains.lag * np.reshape(self.reference.frequency, -1))
+        part = self.reference.cycle_phase(cycle - self.gains.lag * np.reshape(self.reference.frequency, -1))
         part /= self.reference.duty_factor
         leg, motors = self.robot.leg_geometry, self.robot.leg_motor_index
         theta, turn = angle[..., motors], rate[..., motors]
@@ -126,7 +126,7 @@ class RaibertController:
         nose = gains.pitch * pitch + gains.pitch_rate * pitch_rate
         side = gains.roll * roll + gains.roll_rate * roll_rate
         # Only legs in stance turn the base; they begin and end it at their trajectory's height.
-        weight = np.sin(np.pi * np.minimum(reference.shares(cycle) / reference.duty_factor, 1.0))
+        weight = np.sin(np.pi * np.minimum(reference.cycle_phase(cycle) / reference.duty_factor, 1.0))
         upward = weight * (side * self._place[:, 1] - nose * self._place[:, 0])
         shift = np.clip(np.stack([forward, upward], -1), -gains.reach, gains.reach)
         path = reference.path(cycle)
