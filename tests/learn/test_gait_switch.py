@@ -14,7 +14,7 @@ from surefoot.api.training import check_config
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError
 from surefoot.learn.config import PPOConfig, TrainConfig
-from surefoot.learn.gait_switch import GaitSwitch, GaitSwitchArchitecture
+from surefoot.learn.gait_switch import GaitSwitchArchitecture, GaitSwitchNetwork
 from surefoot.learn.run_folder import RunFolder
 from surefoot.learn.training_loop import TrainingLoop
 from surefoot.policy.graph import Graph
@@ -25,14 +25,14 @@ from surefoot.task.footholds import Footholds
 from surefoot.world.sim_world import SimWorld
 
 
-def both() -> GaitSwitch:
+def both() -> GaitSwitchNetwork:
     """Return a network whose gaits give 1 + the second input, and 10 times it; the first input is the share."""
     first, over = nn.Linear(2, 1), nn.Linear(2, 1)
     with torch.no_grad():
         for layer, weight, bias in ((first, 1.0, 1.0), (over, 10.0, 0.0)):
             layer.weight[:] = torch.tensor([0.0, weight])
             layer.bias.fill_(bias)
-    return GaitSwitch(nn.Sequential(first), nn.Sequential(over), 0, 0.5)
+    return GaitSwitchNetwork(nn.Sequential(first), nn.Sequential(over), 0, 0.5)
 
 
 def test_the_share_blends_both_gaits():
@@ -60,7 +60,7 @@ def test_it_can_be_a_policy_file():
 def test_parameters_of_a_policy_of_one_gait_are_those_of_the_first(bias: float):
     one = {"mlp.0.weight": torch.ones(1), "mlp.0.bias": torch.tensor([bias]), "distribution.std": torch.ones(1)}
     two = {f"mlp.{part}.0.{name}": torch.zeros(1) for part in ("first", "over_holes") for name in ("weight", "bias")}
-    joined = GaitSwitchArchitecture().adopt({**two, "distribution.std": torch.zeros(1)}, one)
+    joined = GaitSwitchArchitecture().initial_parameters({**two, "distribution.std": torch.zeros(1)}, one)
     assert {name: float(value) for name, value in joined.items()} == {
         "mlp.first.0.weight": 1.0,
         "mlp.first.0.bias": bias,

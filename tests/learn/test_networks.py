@@ -38,14 +38,16 @@ class MeanArchitecture:
 
     setting = "thermal_protection"
 
-    def serves(self, task: TaskConfig) -> bool:
+    def applies_to(self, task: TaskConfig) -> bool:
         return task.thermal_protection
 
     def build(self, actor: MLPModel, columns: Sequence[str], make_mlp: Callable[[], nn.Module]) -> None:
         assert list(columns) == ["roll", "pitch", "roll_rate", "pitch_rate"]
         actor.mlp = Mean(actor.mlp, make_mlp())
 
-    def adopt(self, fresh: Mapping[str, torch.Tensor], single: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    def initial_parameters(
+        self, fresh: Mapping[str, torch.Tensor], single: Mapping[str, torch.Tensor]
+    ) -> dict[str, torch.Tensor]:
         return dict(fresh)
 
 

@@ -59,7 +59,7 @@ def test_a_checkpoint_that_can_t_be_written_leaves_the_saved_ones_whole(tmp_path
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
     try:
-        with pytest.raises(SurefootError, match=r"can't be written: .*; what was saved before is untouched"):
+        with pytest.raises(SurefootError, match=r"can't be written: .*; files saved earlier are unchanged"):
             folder.save({"steps": 3, "weights": "w" * 80_000})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

@@ -18,9 +18,9 @@ from surefoot.learn.networks import make_algorithm
 from surefoot.learn.symmetry import (
     MirrorAugmentation,
     MirrorSamples,
+    is_half_period_shifted,
     mirror_columns,
     mirror_name,
-    reference_shift,
 )
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot
@@ -76,17 +76,17 @@ def wave(*phase: float) -> TaskConfig:
     ],
 )
 def test_the_mirror_image_of_a_reference_is_itself_at_once_or_half_a_period_later(phases, half):
-    assert reference_shift(make_env(wave(*phases))) is half
+    assert is_half_period_shifted(make_env(wave(*phases))) is half
 
 
 def test_a_reference_that_is_not_symmetric_is_refused():
     with pytest.raises(SurefootError, match=r"ppo\.symmetry.*not left-right symmetric"):
-        reference_shift(make_env(wave(0.0, 1.0, 2.0, 3.0)))
+        is_half_period_shifted(make_env(wave(0.0, 1.0, 2.0, 3.0)))
 
 
-@pytest.mark.parametrize(("longer", "mirrored"), [(0.0005, True), (0.004, False), (0.02, False)])
+@pytest.mark.parametrize(("longer", "is_mirror"), [(0.0005, True), (0.004, False), (0.02, False)])
 def test_a_robot_whose_sides_differ_trains_with_mirrored_samples_up_to_half_a_percent(
-    longer: float, mirrored: bool, tmp_path: Path
+    longer: float, is_mirror: bool, tmp_path: Path
 ):
     (tmp_path / "odd.urdf").write_text(urdf(longer))
     write_robot(read_robot(tmp_path / "odd.urdf"), tmp_path / "odd", "odd")
@@ -98,9 +98,9 @@ def test_a_robot_whose_sides_differ_trains_with_mirrored_samples_up_to_half_a_pe
     observation, _ = env.reset()
     groups = {"policy": torch.from_numpy(observation), "privileged": torch.from_numpy(env.privileged())}
     algorithm = make_algorithm(config, env, TensorDict(groups, batch_size=[2]))
-    assert isinstance(algorithm.symmetry, MirrorAugmentation) is mirrored
+    assert isinstance(algorithm.symmetry, MirrorAugmentation) is is_mirror
     note = symmetry_note(config)
-    assert (note is None) is mirrored
+    assert (note is None) is is_mirror
     if note is not None:
         for words in (f"back_left's upper link is {1e3 * longer:.2g} mm longer", "up to 2 mm", "--ppo.no-symmetry"):
             assert words in note
@@ -144,7 +144,7 @@ def test_mirroring_twice_gives_the_sample(trot_env):
         assert torch.equal(both[group][:5], values)
         image = both[group][5:]
         assert not torch.equal(image, values)
-        assert torch.equal(mirror.mirrored(group, image), values)
+        assert torch.equal(mirror.mirror(group, image), values)
     assert mirror(None, None, actions)[0] is None
 
 
@@ -173,9 +173,9 @@ def test_a_mirrored_robot_moves_as_the_mirror_image():
     observation, _ = env.reset()
     for _ in range(40):
         actions = draws.uniform(-1, 1, (2, 8)).astype(np.float32)
-        actions[1] = mirror.mirrored("actions", torch.from_numpy(actions[:1])).numpy()[0]
+        actions[1] = mirror.mirror("actions", torch.from_numpy(actions[:1])).numpy()[0]
         observation, *_ = env.step(actions)
-        image = mirror.mirrored("policy", torch.from_numpy(observation[:1])).numpy()[0]
+        image = mirror.mirror("policy", torch.from_numpy(observation[:1])).numpy()[0]
         np.testing.assert_allclose(observation[1], image, atol=5e-3)
     rates = [env.observer.columns.index(name) for name in ("roll_rate", "pitch_rate")]
     assert np.abs(observation[0, rates]).max() > 0.02

@@ -170,7 +170,7 @@ def test_the_error_of_a_cut_off_checkpoint_names_the_one_before(whole: TrainingL
     folder = RunFolder(shutil.copytree(whole.folder.path, tmp_path / "run"))
     content = folder.latest.read_bytes()
     folder.latest.write_bytes(content[: len(content) // 2])
-    with pytest.raises(SurefootError, match=r"broken.*previous\.ckpt beside it is whole, at 1024 steps") as error:
+    with pytest.raises(SurefootError, match=r"broken.*previous\.ckpt next to it is intact, at 1024 steps") as error:
         folder.load()
     assert "\n" not in str(error.value)
     folder.previous.unlink()
@@ -236,7 +236,7 @@ def test_a_full_disk_leaves_the_old_checkpoint_whole(tmp_path: Path, monkeypatch
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(SurefootError, match="No space left on device; what was saved before is untouched"):
+    with pytest.raises(SurefootError, match="No space left on device; files saved earlier are unchanged"):
         write_checkpoint(path, {"steps": 2})
     monkeypatch.undo()
     assert read_checkpoint(path) == {"steps": 1}
@@ -246,8 +246,8 @@ def test_a_full_disk_leaves_the_old_checkpoint_whole(tmp_path: Path, monkeypatch
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_under_the_log_is_one_line_of_error(whole: TrainingLoop) -> None:
     folder = RunFolder(whole.folder.path)
-    folder.figures_log = Path("/dev/full")
-    with pytest.raises(SurefootError, match="No space left on device; what was saved before is untouched"):
+    folder.metrics_log = Path("/dev/full")
+    with pytest.raises(SurefootError, match="No space left on device; files saved earlier are unchanged"):
         folder.log({"steps": 1})
 
 
@@ -359,12 +359,12 @@ def test_a_checkpoint_with_other_content_is_refused_in_one_line(
     state = folder.load()
     change(state)
     write_checkpoint(folder.latest, state)
-    before = folder.figures_log.read_bytes()
+    before = folder.metrics_log.read_bytes()
     assert main(["train", "--resume", str(folder.path)]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"surefoot: error: {folder.latest}: ")
     assert error.count("\n") == 1
-    assert folder.figures_log.read_bytes() == before
+    assert folder.metrics_log.read_bytes() == before
 
 
 @pytest.mark.parametrize("state", [None, [1], {"steps": None}, {}])

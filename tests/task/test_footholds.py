@@ -304,7 +304,7 @@ def test_a_reference_whose_feet_are_lifted_out_of_reach_is_refused(monkeypatch):
     task = load_task("terrain-seeing", "go2")[0]
     # No leg reaches a whole length ahead of its place, where nothing keeps it within its reach.
     monkeypatch.setattr(FootKinematics, "reached", lambda self, step: np.zeros(step.shape[:-1]))
-    with pytest.raises(SurefootError, match=r"foothold_radius and reference.touch_clearance together lead feet out"):
+    with pytest.raises(SurefootError, match=r"foothold_radius and reference.touch_clearance together move feet out"):
         replace(task, reference=replace(task.reference, foothold_radius=1.0)).gait(GO2)
 
 

@@ -84,7 +84,7 @@ def test_a_robot_over_holes_observes_that_and_goes_on_exactly_from_a_state():
 
 def test_a_gait_over_holes_is_refused_without_footholds_and_without_its_observation():
     task = two_gaits()
-    with pytest.raises(SurefootError, match=r"over_holes is given and foothold_radius is 0; holes are found for"):
+    with pytest.raises(SurefootError, match=r"over_holes is given, but foothold_radius is 0; holes are detected"):
         replace(task, reference=replace(task.reference, foothold_radius=0.0))
     with pytest.raises(SurefootError, match=r"over_holes is given, but observations lack over_holes; the policy needs"):
         replace(task, observations=task.observations[:-1])

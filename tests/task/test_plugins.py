@@ -106,7 +106,7 @@ def test_a_policy_records_its_plugins_and_needs_their_observations_alone(write, 
     assert task_from_contract(contract, robot).reward == {"energy": 0.0}
     changed, skipped = plugin_notes(contract)
     assert changed == f"plug-in {path} has changed since the policy was trained with it"
-    assert skipped == "returns are without 'constant'; to have them, name the plug-in: --plugin 'mine.py'"
+    assert skipped == "returns are without 'constant'; to include them, name the plug-in: --plugin 'mine.py'"
 
     remove_plugins()
     with pytest.raises(
@@ -134,7 +134,7 @@ def test_columns_of_motors_and_of_sides_are_mirrored(write, robot) -> None:
     columns = "lambda robot: ['force.' + leg for leg in robot.leg_names] + ['lean']"
     text = OBSERVATION.format(columns, "0").replace('frame="motor"', 'frame="motor", flipped=["lean"]')
     write(text)
-    source, sign = mirror_columns(Observer(robot, ("twice",)).columns, more_flipped=PARTS["twice"].flipped)
+    source, sign = mirror_columns(Observer(robot, ("twice",)).columns, extra_flipped=PARTS["twice"].flipped)
     legs = robot.leg_names
     assert [legs[k] for k in source[:-1]] == [
         leg.replace("left", "*").replace("right", "left").replace("*", "right") for leg in legs

@@ -170,9 +170,15 @@ def test_a_map_of_heights_is_late_and_has_its_errors():
         ({"sizes": {"stair": (0.1, 0.2)}}, "terrain 'stair' does not exist"),
         ({"sizes": {"stairs": (0.1, 2.0)}}, "size is 2 m"),
         ({"sizes": {"stairs": (0.1, 0.2)}, "shares": {"slope": 1.0}}, "terrain.shares.slope is not a kind"),
-        ({"sizes": {"stairs": (0.1, 0.2)}, "columns": 60}, "terrain.columns is 60; it must be 1, the kinds, to 40"),
+        (
+            {"sizes": {"stairs": (0.1, 0.2)}, "columns": 60},
+            "terrain.columns is 60; it must be 1 .the number of kinds. to 40 ",
+        ),
         ({"sizes": {"stairs": (0.1, 0.2)}, "levels": 2}, "terrain.start_level is 2"),
-        ({"sizes": {"stairs": (0.1, 0.2)}, "shares": {"stairs": 0.0}}, "terrain.shares are all 0; one must be more"),
+        (
+            {"sizes": {"stairs": (0.1, 0.2)}, "shares": {"stairs": 0.0}},
+            "terrain.shares are all 0; at least one must be above 0",
+        ),
     ],
 )
 def test_a_field_that_does_not_fit_is_refused(values, message):
@@ -201,5 +207,5 @@ def test_friction_by_place_is_drawn_for_patches_out_to_the_border():
     level = TerrainConfig(friction=(0.4, 1.2)).build(0).ground
     assert level.is_flat
     assert level.friction.shape == (40, 40)
-    with pytest.raises(SurefootError, match="the least factor must come first"):
+    with pytest.raises(SurefootError, match="the smaller factor must come first"):
         TerrainConfig(friction=(1.2, 0.4))

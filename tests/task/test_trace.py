@@ -128,7 +128,7 @@ def test_arrays_are_copies_and_read_only() -> None:
         ("feedback", np.zeros((5, 4)), r"must have \(5, 8\)"),
         ("time", np.array([0.1, 0.2, 0.2, 0.3, 0.4]), "strictly increasing"),
         ("time", np.array([0.0, 0.2, 0.3, 0.4, 0.5]), "strictly increasing"),
-        ("energy", np.array([1.0, 1.0, np.nan, 1.0, 1.0]), "energy row 2 holds nan"),
+        ("energy", np.array([1.0, 1.0, np.nan, 1.0, 1.0]), "energy row 2 is nan"),
         ("energy", -np.ones(5), "0 or above"),
         ("base_position_world", np.full((6, 3), np.inf), "finite or NaN"),
         ("base_quat_world", np.ones((6, 4)), "unit quaternions"),

@@ -1,7 +1,7 @@
-"""Strides and step frequency for commands.
+"""Strides and step frequency as functions of the command.
 
-With the commanded velocity v and yaw rate w, the foot of a leg mounted at r goes backward by (v + w x r) times the time
-of stance, times a gain for what is lost to slip and soft legs. Without commands feet are lifted on the spot.
+For a commanded velocity v and yaw rate w, the foot of a leg mounted at r moves backward by (v + w x r) times the stance
+duration, times a gain that compensates for slip and soft legs. With zero command, feet step in place.
 """
 
 from __future__ import annotations
@@ -16,33 +16,32 @@ from surefoot.task.commands import MAX_HEADING_ERROR, CommandState
 from surefoot.task.foot_kinematics import FootKinematics
 
 _STRIDE_PHASES = 48
-"""Phases of a cycle at which strides are checked."""
+"""Number of phases of a cycle at which the reach of strides is checked."""
 _FOOTHOLD_PHASES = 12
-"""Phases at which lifts and footholds are checked too: this is done whenever a robot is made."""
+"""Number of phases at which lifts and footholds are also checked: few, because every construction of a gait does it."""
 _FOOTHOLD_DIRECTIONS = 8
-"""Directions of footholds that are checked."""
+"""Number of foothold directions that are checked."""
 
 
 @dataclass(frozen=True)
 class StrideChoice:
-    """Strides of a robot's L legs, and their frequency, for N commands."""
+    """Strides of L legs and gait frequency for N commands."""
 
     kinematics: FootKinematics
-    """Feet that take the strides; frequency, stroke and duty factor are those on the spot."""
+    """Kinematics of the feet, with frequency and duty factor when stepping in place, and the maximum stride."""
     limits: CommandLimits
     """Limits of the commands."""
     stride_gain: float
-    """Length of a stride relative to the stride of a foot that does not slip."""
+    """Stride length relative to the stride of a foot that does not slip."""
     frequency_rise: float
-    """Frequency gained at the longest stride, relative to the frequency on the spot."""
+    """Increase of the frequency at the maximum stride, relative to the frequency when stepping in place."""
     turn_gain: float = 1.0
-    """Part of a stride for turning, relative to that of a foot that does not slip. Legs without abduction turn a robot
-    only as far as they make feet slide."""
+    """Gain on the part of a stride that turns the robot. Legs without abduction turn a robot only by sliding feet."""
 
     def _in_place_strides(self, command: Array) -> tuple[Array, Array]:
-        """Return the strides (N, L, 2) [m] that commands (N, 3) need at the frequency on the spot, and their share.
+        """Return the strides (N, L, 2) [m] for commands (N, 3) at the frequency of stepping in place, without limit.
 
-        The share (N,) is the ratio of the longest stride to the longest allowed, at most 1.
+        The second result is the ratio (N,) of the longest stride to the maximum stride, at most 1.
         """
         robot, feet = self.kinematics.robot, self.kinematics.feet
         x, y = robot.leg_mounts[:, 0], robot.leg_mounts[:, 1] + self.kinematics.neutral_feet[:, 1]
@@ -56,10 +55,10 @@ class StrideChoice:
         return stride, np.minimum(share.max(axis=-1), 1.0)
 
     def choose(self, command: Array) -> tuple[Array, Array]:
-        """Return the strides (N, L, 2) [m] forward and to the left for commands (N, 3), and their share (N,).
+        """Return the limited strides forward and to the left (N, L, 2) [m] for commands (N, 3), and their ratio (N,).
 
-        Strides are no longer than allowed; the share is the ratio of the longest to the longest allowed. A higher
-        frequency comes with longer strides, so that feet keep the commanded speed.
+        The ratio of the longest stride to the maximum stride, at most 1, raises the frequency, and strides are
+        shortened by as much, so that feet keep the commanded speed.
         """
         stride, share = self._in_place_strides(command)
         stride = stride / (1.0 + self.frequency_rise * share)[:, None, None]
@@ -68,12 +67,12 @@ class StrideChoice:
         return np.asarray(stride * np.minimum(1.0, longest / np.maximum(length, 1e-9))), share
 
     def frequency(self, command: Array) -> Array:
-        """Return the frequency (N,) [Hz] at commands (N, 3)."""
+        """Return the gait frequency (N,) [Hz] for commands (N, 3)."""
         _, share = self._in_place_strides(command)
         return np.asarray(self.kinematics.feet.frequency * (1.0 + self.frequency_rise * share))
 
     def extremes(self) -> CommandState:
-        """Return the states in which legs are furthest from their places: strides all around, at every phase."""
+        """Return the states in which legs are furthest from their neutral positions: extreme commands at all phases."""
         limits, kinematics = self.limits, self.kinematics
         corners = np.array(np.meshgrid(*zip(limits.low, limits.high, strict=True))).reshape(3, -1).T
         rate = np.max(np.abs(limits.yaw_rate)) + limits.heading_gain * MAX_HEADING_ERROR
@@ -84,7 +83,7 @@ class StrideChoice:
         return CommandState(np.repeat(corners, _STRIDE_PHASES, axis=0), np.ones(len(phase)), phase, lift=lift)
 
     def foothold_extremes(self) -> CommandState:
-        """Return states of `extremes` with feet lifted by all heights, and footholds all around their places."""
+        """Return the states of `extremes` combined with lifts of all heights and footholds in all directions."""
         states, kinematics = self.extremes(), self.kinematics
         legs = len(kinematics.feet.legs)
         every = np.arange(0, len(states.phase), _STRIDE_PHASES // _FOOTHOLD_PHASES)
@@ -94,7 +93,7 @@ class StrideChoice:
             np.linspace(0.25, 1.0, 4),
         )
         turn, lift, radius, k = (grid.ravel() for grid in np.meshgrid(turns, lifts, radii, every, indexing="ij"))
-        way = np.stack([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)], axis=-1)
-        beside = np.repeat((kinematics.foothold_radius * radius[:, None] * way)[:, None], legs, axis=1)
+        direction = np.stack([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)], axis=-1)
+        offset = np.repeat((kinematics.foothold_radius * radius[:, None] * direction)[:, None], legs, axis=1)
         height = np.repeat(kinematics.touch_clearance * lift[:, None], legs, axis=1)
-        return CommandState(states.command[k], states.activity[k], states.phase[k], beside, beside, height)
+        return CommandState(states.command[k], states.activity[k], states.phase[k], offset, offset, height)

@@ -78,7 +78,7 @@ def test_a_log_is_the_same_as_a_trace_and_back(pupper: RobotDescription):
             np.testing.assert_array_equal(getattr(again, name), value, err_msg=name)
     # Without torques nobody knows the energy.
     assert np.isnan(trace_from_motion(moved(motor_angle=angle), pupper).energy).all()
-    with pytest.raises(SurefootError, match="log log: trace: motor_angle row 3 holds inf"):
+    with pytest.raises(SurefootError, match="log log: trace: motor_angle row 3 is inf"):
         trace_from_motion(moved(motor_angle=np.where(np.arange(51)[:, None] == 3, np.inf, angle)), pupper)
 
 
