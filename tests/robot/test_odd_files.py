@@ -161,7 +161,7 @@ def test_units_that_make_no_robot_are_named(scale: float, mass: float, words: st
     [
         (0.0, True, False, "left and right are mirror images"),
         (0.0005, True, False, "mirror images within 0.5 mm"),
-        (0.004, True, True, "back_left's upper link is 4 mm longer than back_right's: training goes without mirrored"),
+        (0.004, True, True, "back_left's upper link is 4 mm longer than back_right's: training does not use mirrored"),
         (0.02, False, False, "back_left's upper link is 20 mm longer than back_right's"),
     ],
 )
@@ -427,4 +427,4 @@ def test_a_drawing_that_ends_beyond_the_foots_sphere_is_a_warning(tmp_path: Path
     assert visual_overhang(RobotDescription.load(robot.folder)) == pytest.approx([0.03, 0, 0, 0], abs=1e-3)
     result = next(one for one in run_description_checks(RobotDescription.load(robot.folder)) if one.name == "feet")
     assert result.warn
-    assert "what is drawn of front_left ends 30 mm below its sphere" in result.message
+    assert "the visual mesh of front_left ends 30 mm below its sphere" in result.message

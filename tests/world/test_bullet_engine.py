@@ -16,7 +16,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import xyzw_matrix
 from surefoot.world import bullet_model
-from surefoot.world.bullet_kernels import NEAR, pin_kernel, sole_kernel
+from surefoot.world.bullet_kernels import CONTACT_RANGE, pin_kernel, sole_kernel
 from surefoot.world.bullet_model import BulletModel, BulletSettings
 from surefoot.world.ground import FLAT, Ground, uneven_floor
 from surefoot.world.ground_contact import sphere_contacts
@@ -246,14 +246,16 @@ def test_planes_touch_the_ground_where_feet_do(make_world):
         model.place_planes()
         for k, foot in enumerate(model.foot_positions()):
             lift, radius = uneven_floor(0.004).height(foot[:2]), model.foot_radius[k]
-            both = sphere_contacts(ground.corners, ground.grid, foot[0], foot[1], foot[2] - lift, radius + NEAR)
+            both = sphere_contacts(
+                ground.corners, ground.grid, foot[0], foot[1], foot[2] - lift, radius + CONTACT_RANGE
+            )
             for (depth, *normal), plane in zip(both, model.planes[k :: len(model.feet)], strict=True):
                 place, quat = pybullet.getBasePositionAndOrientation(plane, model.client)
                 facing = np.array(pybullet.getMatrixFromQuaternion(quat))[2::3]
                 distance = facing @ (foot - place)
                 if depth > 0:
                     np.testing.assert_allclose(facing, normal, atol=1e-9)
-                    assert distance == pytest.approx(radius + NEAR - depth, abs=1e-9)
+                    assert distance == pytest.approx(radius + CONTACT_RANGE - depth, abs=1e-9)
                 else:
                     assert distance > 100.0
 
@@ -361,7 +363,7 @@ def test_bullet_reports_too_many_clients(robot, monkeypatch):
         raise pybullet.error("Can not connect")
 
     monkeypatch.setattr(pybullet, "connect", full)
-    with pytest.raises(SurefootError, match="Bullet has no room for another robot in this process"):
+    with pytest.raises(SurefootError, match="Bullet can't hold another robot in this process"):
         BulletModel(robot, WorldConfig(), BulletSettings())
 
 

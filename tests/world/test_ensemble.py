@@ -45,7 +45,7 @@ def test_robots_keep_the_policys_control_step_and_gains_and_take_no_other_parame
     assert np.all(world.params.control_step == 0.010)
     assert np.all(world.params.servo_kp == 1.2)
     np.testing.assert_array_equal(world.params.knee_play, ensemble_params(robot, 2, SEEDS).knee_play)
-    with pytest.raises(SurefootError, match="voltage is given; robots of the ensemble have their own"):
+    with pytest.raises(SurefootError, match="voltage is given, but robots of the ensemble have their own"):
         make_world("ensemble", robot, 2, nominal.with_values(robot, voltage=15.0), 0, config)
 
 

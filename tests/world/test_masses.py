@@ -15,7 +15,7 @@ from surefoot.world.mujoco_engine import MASS_FIELDS
 from surefoot.world.mujoco_model import build_model
 from surefoot.world.sim_world import SimWorld
 
-RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
+MASS_RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
 NUM = 20
 """Three chunks of eight: two threads share them, and each changes its model's masses again and again."""
 
@@ -23,7 +23,7 @@ NUM = 20
 def masses(num_envs: int = NUM) -> dict[str, np.ndarray]:
     """Other masses and inertias for each robot; every fourth is nominal."""
     draw = np.random.default_rng(12)
-    values = {name: draw.uniform(0.5, 1.5, num_envs) for name in RATIOS}
+    values = {name: draw.uniform(0.5, 1.5, num_envs) for name in MASS_RATIOS}
     for value in values.values():
         value[::4] = 1.0
     return values
@@ -70,11 +70,11 @@ def test_masses_set_later_equal_masses_set_at_the_start(make_world, motion, asse
 
 def test_masses_change_in_the_middle_of_a_motion(make_world, motion, assert_same_motion):
     # The state stays as it is; from then on the robot moves as one of that mass from that state.
-    world, heavy = make_world(1), make_world(1, **{name: 1.3 for name in RATIOS})
+    world, heavy = make_world(1), make_world(1, **{name: 1.3 for name in MASS_RATIOS})
     motion(world, 15)
     state = world.get_state()
     before = world.truth()
-    set_ratios(world, [0], **{name: 1.3 for name in RATIOS})
+    set_ratios(world, [0], **{name: 1.3 for name in MASS_RATIOS})
     for name, value in vars(before).items():
         assert np.array_equal(getattr(world.truth(), name), value), name
     state["params"] = heavy.get_state()["params"]
@@ -88,9 +88,9 @@ def test_masses_change_in_the_middle_of_a_motion(make_world, motion, assert_same
 def test_a_ratio_of_one_is_the_nominal_robot_again(make_world, motion, assert_same_motion):
     world = make_world(NUM, config={"threads": 2}, **masses())
     motion(world, 10)
-    set_ratios(world, list(range(NUM)), **{name: 0.3 for name in RATIOS})
+    set_ratios(world, list(range(NUM)), **{name: 0.3 for name in MASS_RATIOS})
     motion(world, 10)
-    set_ratios(world, list(range(NUM)), **{name: 1.0 for name in RATIOS})
+    set_ratios(world, list(range(NUM)), **{name: 1.0 for name in MASS_RATIOS})
     world.reset()
     nominal = motion(make_world(1))
     now = motion(world)

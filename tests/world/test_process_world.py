@@ -20,7 +20,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world import registry
 from surefoot.world.actuation import SHARED_ARRAYS, new_actuation
 from surefoot.world.interface import WorldConfig
-from surefoot.world.process_world import ProcessWorld, processes_for, worker_pool
+from surefoot.world.process_world import ProcessWorld, process_count, worker_pool
 from surefoot.world.sim_world import SimWorld
 
 # Most tests are of the processes, whatever they simulate: MuJoCo starts and steps faster.
@@ -149,7 +149,7 @@ def test_an_error_in_a_process_is_raised_here_and_the_world_goes_on(robot, sprea
     assert spread.params.voltage.max() < 17
     with pytest.raises(ValueError, match="broadcast") as caught:
         spread._call("push", [(np.zeros((7, 2)),)] * 3)
-    assert "in a process of the world" in caught.value.__notes__[0]
+    assert "in a worker process of the world" in caught.value.__notes__[0]
     assert spread.step(trot(0)).motor_angle.shape == (NUM, 8)
     with pytest.raises(IndexError, match="the world has 5 robots"):
         spread.reset([5])
@@ -181,7 +181,7 @@ def test_a_process_that_dies_is_one_clear_error(pair, trot):
     with pytest.raises(SurefootError, match=r"a process of the simulated world ended on its own \(exit code -9\)"):
         pair.step(trot(0))
     assert all(map(gone, pids))
-    with pytest.raises(SurefootError, match="this world is closed, or one of its processes is gone"):
+    with pytest.raises(SurefootError, match="this world is closed, or one of its processes has ended"):
         pair.step(trot(0))
 
 
@@ -251,8 +251,8 @@ def test_no_process_outlives_an_owner_that_is_killed():
 
 @pytest.mark.parametrize(("threads", "num_envs", "expected"), [(3, 5, 3), (8, 5, 5), (1, 5, 1), (0, 1, 1)])
 def test_never_more_processes_than_robots(threads, num_envs, expected):
-    assert processes_for(num_envs, WorldConfig(threads=threads)) == expected
-    assert processes_for(1000, WorldConfig()) == os.cpu_count()
+    assert process_count(num_envs, WorldConfig(threads=threads)) == expected
+    assert process_count(1000, WorldConfig()) == os.cpu_count()
 
 
 def test_bullet_in_processes_is_bullet_in_one(robot, trot, assert_same):

@@ -67,7 +67,7 @@ def check_trot(robot: RobotDescription) -> Iterator[CheckResult]:
     )
     share, fastest = float(shares[worst]), float(np.quantile(np.abs(own.speed[:, worst]), _USUAL))
     message = (
-        f"{robot.motor_names[worst]} is asked for {asked[worst]:.3g} N m, {describe_torque(robot, worst, fastest)}"
+        f"{robot.motor_names[worst]} needs {asked[worst]:.3g} N m, {describe_torque(robot, worst, fastest)}"
         f"; at its limit in {share:.0%} of the time"
     )
     if share >= SATURATION:

@@ -77,7 +77,7 @@ class CommandConfig:
             if time < 0 or (k and time <= self.schedule[k - 1][0]):
                 raise SurefootError(f"commands: row {k + 1} is at {time:g} s; times start at 0 s or later and increase")
         if self.schedule and self.each:
-            raise SurefootError("commands.schedule and commands.each are both given; give only one of them")
+            raise SurefootError("commands.schedule and commands.each are given; give one of them")
 
     @property
     def enabled(self) -> bool:
