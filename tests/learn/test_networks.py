@@ -1,4 +1,4 @@
-"""The networks of a run, and architectures of policies that the learner does not know."""
+"""Networks of a run, and additional policy architectures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Mean(nn.Module):
 
 
 class MeanArchitecture:
-    """Policies of robots that can overheat."""
+    """Architecture of policies for robots that can overheat."""
 
     setting = "thermal_protection"
 
@@ -57,7 +57,7 @@ def config(**task: Any) -> TrainConfig:
     return replace(preset, **counts, task=replace(preset.task, **task))
 
 
-def test_an_architecture_is_taken_for_the_tasks_that_it_serves(monkeypatch: pytest.MonkeyPatch):
+def test_an_architecture_is_used_for_the_tasks_to_which_it_applies(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(networks, "ARCHITECTURES", (GaitSwitchArchitecture(), MeanArchitecture()))
     learner = PpoLearner(config(thermal_protection=True), SimWorld)
     assert isinstance(learner.policy.mlp, Mean)

@@ -1,4 +1,4 @@
-"""Mirror images: worked by hand, and measured in the physics."""
+"""Mirror images: worked by hand, and compared in the physics."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ def test_mirrored_columns_worked_by_hand():
     assert sign.tolist() == [1, 1, -1, -1]
 
 
-def test_a_column_without_counterpart_is_refused():
+def test_a_column_without_counterpart_is_rejected():
     with pytest.raises(SurefootError, match=r"angle\.right_1.*no counterpart"):
         mirror_columns(["angle.left_1"])
 
 
 def wave(*phase: float) -> TaskConfig:
-    """A task whose reference has these phases: front left, back left, front right, back right."""
+    """Return a task whose reference has these phases: front left, back left, front right, back right."""
     phases = dict(zip(("front_left", "back_left", "front_right", "back_right"), phase, strict=True))
     waves = SineReferenceConfig(
         swing=WaveConfig(amplitude=0.2, frequency=2.0, phase=phases),
@@ -75,11 +75,11 @@ def wave(*phase: float) -> TaskConfig:
         ((0.0, np.pi, 0.0, np.pi), False),  # bound
     ],
 )
-def test_the_mirror_image_of_a_reference_is_itself_at_once_or_half_a_period_later(phases, half):
+def test_the_mirror_image_of_a_reference_is_itself_or_half_a_period_later(phases, half):
     assert is_half_period_shifted(make_env(wave(*phases))) is half
 
 
-def test_a_reference_that_is_not_symmetric_is_refused():
+def test_a_reference_that_is_not_symmetric_is_rejected():
     with pytest.raises(SurefootError, match=r"ppo\.symmetry.*not left-right symmetric"):
         is_half_period_shifted(make_env(wave(0.0, 1.0, 2.0, 3.0)))
 
@@ -102,12 +102,12 @@ def test_a_robot_whose_sides_differ_trains_with_mirrored_samples_up_to_half_a_pe
     note = symmetry_note(config)
     assert (note is None) is is_mirror
     if note is not None:
-        for words in (f"back_left's upper link is {1e3 * longer:.2g} mm longer", "up to 2 mm", "--ppo.no-symmetry"):
+        for words in (f"back_left's upper link is {1e3 * longer:.2g} mm longer", "limit 2 mm", "--ppo.no-symmetry"):
             assert words in note
     assert symmetry_note(replace(config, ppo=replace(config.ppo, symmetry=False))) is None
 
 
-def test_a_gait_that_is_not_symmetric_is_refused_before_there_is_a_run_and_names_the_option():
+def test_a_gait_that_is_not_symmetric_is_rejected_before_a_run_is_made():
     config = TrainConfig(task=wave(0.0, 1.0, 2.0, 3.0), ppo=PPOConfig(symmetry=True), threads=1)
     with pytest.raises(SurefootError, match=r"--ppo\.no-symmetry learns without mirrored samples"):
         check_config(config)
@@ -148,13 +148,13 @@ def test_mirroring_twice_gives_the_sample(trot_env):
     assert mirror(None, None, actions)[0] is None
 
 
-def test_privileged_columns_name_every_number(trot_env):
+def test_privileged_observations_have_column_names(trot_env):
     assert len(trot_env.privileged_columns) == trot_env.privileged().shape[1]
     assert len(set(trot_env.privileged_columns)) == len(trot_env.privileged_columns)
 
 
-def test_a_mirrored_robot_moves_as_the_mirror_image():
-    # The second robot gets the mirrored actions half a period later: all that it sees must be the mirror image.
+def test_a_mirrored_robot_moves_like_the_mirror_image():
+    # The second robot gets the mirrored actions half a period later: its observations must be mirror images.
     task = replace(
         load_task("trot")[0],
         observations=tuple(

@@ -54,7 +54,7 @@ def run(gait: HandcraftedGait, **params) -> EpisodeTrace:
 
 
 def test_raiberts_controller_corrects_a_measured_tilt():
-    """An IMU that shows a nose .1 rad too low makes the front legs longer, so that the nose is too high."""
+    """An IMU that measures a pitch of 0.1 rad (nose down) makes the front legs longer and the nose too high."""
     low, high = (run(GAIT, imu_bias=(0.0, bias)).roll_pitch_yaw[50:, 1].mean() - bias for bias in (0.1, -0.1))
     assert low < high - 0.02
     left, right = (run(GAIT, imu_bias=(bias, 0.0)).roll_pitch_yaw[50:, 0].mean() - bias for bias in (0.1, -0.1))
@@ -84,7 +84,7 @@ def test_the_speed_estimate_is_near_the_true_speed():
         ("reference: {kind: foot, foot: {strok: 1}}\nhandcrafted: {}", "reference.foot.strok is not a key"),
     ],
 )
-def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path: Path, text: str, piece: str):
+def test_an_invalid_file_is_rejected_in_one_line(tmp_path: Path, text: str, piece: str):
     path = tmp_path / "hand.yaml"
     path.write_text(text + "\n")
     with pytest.raises(SurefootError) as caught:

@@ -1,4 +1,4 @@
-"""What compiled loops share between threads."""
+"""The counter that compiled loops share between threads."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -17,7 +17,7 @@ def _take_all(counter, taken, thread):
         taken[thread, number] += 1
 
 
-def test_threads_that_share_a_counter_take_every_number_once():
+def test_threads_that_share_a_counter_get_every_number_once():
     counter, taken = np.zeros(1, np.int64), np.zeros((4, 200_000), np.int64)
     _take_all(np.zeros(1, np.int64), taken[:, :0], 0)
     with ThreadPoolExecutor(4) as pool:
