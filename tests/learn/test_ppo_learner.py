@@ -41,8 +41,8 @@ def rewards_of_an_update(fall_cost: float) -> tuple[torch.Tensor, torch.Tensor, 
         process(observation, rewards, dones, extras)
 
     learner.algorithm.process_env_step = keep  # type: ignore[method-assign]
-    figures = learner.update()
-    assert figures.falls > 0
+    metrics = learner.update()
+    assert metrics.falls > 0
     rewards, dones = zip(*samples, strict=True)
     return torch.stack(rewards), torch.stack(dones), learner
 

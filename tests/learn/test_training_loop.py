@@ -36,7 +36,7 @@ def train(root: Path, config: TrainConfig, stop_after: int | None = None) -> Tra
     loop = TrainingLoop.create(config, RunFolder.create(config, root), SimWorld)
     updates = []
     loop.run(
-        lambda *figures: updates.append(figures),
+        lambda *metrics: updates.append(metrics),
         lambda: stop_after is not None and len(updates) >= stop_after,
     )
     return loop
@@ -78,7 +78,7 @@ def test_a_run_with_a_custom_robot_resumes_after_both_were_moved(whole: Training
 def test_a_run_has_its_best_policy_from_the_first_evaluation_on(tmp_path: Path) -> None:
     loop = TrainingLoop.create(tiny_config(), RunFolder.create(tiny_config(), tmp_path), SimWorld)
     seen = []
-    loop.run(lambda figures, evaluation: seen.append((evaluation is not None, loop.folder.policy.exists())))
+    loop.run(lambda metrics, evaluation: seen.append((evaluation is not None, loop.folder.policy.exists())))
     first = [evaluated for evaluated, _ in seen].index(True)
     assert [exists for _, exists in seen] == [False] * first + [True] * (len(seen) - first)
 

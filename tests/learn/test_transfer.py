@@ -45,7 +45,7 @@ def tiny_config(**changes: object) -> TrainConfig:
 def train(root: Path, config: TrainConfig, stop_after: int | None = None) -> TrainingLoop:
     loop = TrainingLoop.create(config, RunFolder.create(config, root), SimWorld)
     updates: list[Any] = []
-    loop.run(lambda *figures: updates.append(figures), lambda: len(updates) == stop_after)
+    loop.run(lambda *metrics: updates.append(metrics), lambda: len(updates) == stop_after)
     return loop
 
 

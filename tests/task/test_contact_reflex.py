@@ -116,13 +116,13 @@ def test_lift_rises_early_in_swing_and_ends_with_it(reference):
 
 def test_lifted_feet_move_below_their_hips(reference):
     lift = np.full((1, 4), 0.3 * LENGTH)
-    beside = []
+    offsets = []
     for phase in (0.65, 0.95):
         state = replace(walking(phase), command=np.array([[0.0, 0.3, 0.0]]))
         pair = [reference.pose(0.0, one) for one in (state, replace(state, lift=lift), replace(state, lift=lift / 3))]
         feet = [GO2.leg_geometry.foot_position(GO2.leg_geometry.to_motors(pose))[0, FRONT_LEFT, 1] for pose in pair]
-        beside.append(np.array(feet) - reference.neutral_feet[FRONT_LEFT, 1])
-    for (free, high, low), share in zip(beside, (0.125 / 0.2, 0.125 / 0.25), strict=True):
+        offsets.append(np.array(feet) - reference.neutral_feet[FRONT_LEFT, 1])
+    for (free, high, low), share in zip(offsets, (0.125 / 0.2, 0.125 / 0.25), strict=True):
         assert abs(free) > 0.01
         assert high == pytest.approx((1 - share) * free, abs=1e-5)
         assert low == pytest.approx((1 - share / 3) * free, abs=1e-5)

@@ -52,9 +52,9 @@ class Walk:
         phase = float(self.reference.feet.phase[FRONT_LEFT]) + duty + part * (1.0 - duty)
         return CommandState(np.zeros((1, 3)), np.ones(1), np.array([phase % 1.0]))
 
-    def standing(self, beside: tuple[float, float]) -> SimState:
+    def standing(self, offset: tuple[float, float]) -> SimState:
         """Return the true state with all feet on the ground at an offset [m] from neutral, in the heading frame."""
-        foot = self.reference.neutral_feet + np.array([*beside, 0.0])
+        foot = self.reference.neutral_feet + np.array([*offset, 0.0])
         angle = GO2.to_motors(GO2.leg_geometry.foot_pose(foot)[None])
         return replace(self.truth, motor_angle=angle, foot_contact=np.ones((1, 4)))
 
@@ -63,20 +63,20 @@ class Walk:
         for part in parts:
             self.landings.plan(self.truth, self.state(part))
 
-    def judge(self, truth: SimState, part: float) -> float:
+    def error_at(self, truth: SimState, part: float) -> float:
         """Return the foothold error at a swing phase of the front left foot."""
         self.go(part)
         return float(self.landings.compute(truth)[0])
 
-    def land(self, beside: tuple[float, float], landing: tuple[float, float]) -> float:
-        """Return the error of a foot that lands at the offset `beside` [m] with its foothold at `landing` [m]."""
+    def land(self, offset: tuple[float, float], landing: tuple[float, float]) -> float:
+        """Return the error of a foot that lands at the offset `offset` [m] with its foothold at `landing` [m]."""
         self.footholds.landing[:] = landing
         air = replace(self.truth, foot_contact=np.zeros((1, 4)))
         for _ in range(5):
-            self.judge(air, 0.2)
+            self.error_at(air, 0.2)
         self.go(0.2, 0.35)
         # Both diagonal feet land.
-        return 0.5 * self.judge(self.standing(beside), 0.95)
+        return 0.5 * self.error_at(self.standing(offset), 0.95)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.2])
@@ -94,7 +94,7 @@ def test_a_foot_that_misses_the_ground_has_maximum_cost_once():
     air = replace(walk.truth, foot_contact=np.zeros((1, 4)))
     duty = float(walk.reference.feet.duty_factor[FRONT_LEFT])
     late = (0.35 - duty) / (1.0 - duty)  # 0.35 of a cycle after the planned touchdown
-    counts = [walk.judge(air, part) for part in (0.9, late, late)]
+    counts = [walk.error_at(air, part) for part in (0.9, late, late)]
     # Both diagonal feet swing.
     assert counts == [0.0, 8.0, 0.0]
 
@@ -102,7 +102,7 @@ def test_a_foot_that_misses_the_ground_has_maximum_cost_once():
 def test_feet_that_never_left_the_ground_do_not_land():
     walk = Walk()
     walk.go(0.2, 0.35)
-    assert walk.judge(walk.standing((0.1, 0.0)), 0.95) == 0.0
+    assert walk.error_at(walk.standing((0.1, 0.0)), 0.95) == 0.0
 
 
 def test_the_reward_needs_footholds():

@@ -43,9 +43,9 @@ def test_a_saved_gait_is_read_back_as_gait_and_as_task(tmp_path: Path, gait: Han
 
 def test_a_gait_without_gains_is_open_loop():
     assert isinstance(GAIT.policy(), RaibertController)
-    alone = replace(GAIT, raibert=None).policy()
-    assert isinstance(alone, OpenLoop)
-    assert alone.feedback(np.ones((3, 5))).tolist() == [[0.0] * 8] * 3
+    open_loop = replace(GAIT, raibert=None).policy()
+    assert isinstance(open_loop, OpenLoop)
+    assert open_loop.feedback(np.ones((3, 5))).tolist() == [[0.0] * 8] * 3
 
 
 def run(gait: HandcraftedGait, **params) -> EpisodeTrace:

@@ -117,11 +117,11 @@ def test_a_shift_is_limited_and_a_foot_out_of_reach_stays_on_its_path():
 
 def test_robots_may_have_different_gains_and_paths():
     seen = np.stack([observation(0.125, (0.0, 0.1, 0.0, 0.0), stroke=0.125)] * 2)
-    alone = [controller(pitch=gain).feedback(seen[:1])[0] for gain in (0.2, 0.6)]
+    single = [controller(pitch=gain).feedback(seen[:1])[0] for gain in (0.2, 0.6)]
     column: Any = np.array([[0.2], [0.6]])
     gains = replace(RaibertConfig(lag=0.0), pitch=column)
     both = RaibertController(ROBOT, FootPaths.stack([paths()] * 2), gains, OBSERVATIONS, 1)
-    np.testing.assert_allclose(both.feedback(seen), alone, atol=1e-12)
+    np.testing.assert_allclose(both.feedback(seen), single, atol=1e-12)
 
 
 def test_other_observations_are_rejected():

@@ -257,10 +257,10 @@ def test_an_invalid_reference_is_rejected_in_one_line(data, pieces):
 )
 @pytest.mark.filterwarnings("ignore:.*input contained no data")
 def test_an_invalid_file_is_rejected_in_one_line(tmp_path: Path, name: str, table, piece: str):
-    refused(write(tmp_path / name, table), piece)
+    assert_rejected(write(tmp_path / name, table), piece)
 
 
-def refused(path: Path, piece: str) -> None:
+def assert_rejected(path: Path, piece: str) -> None:
     with pytest.raises(SurefootError) as caught:
         from_file(path)
     message = str(caught.value)
@@ -289,10 +289,10 @@ def refused(path: Path, piece: str) -> None:
 def test_a_file_without_a_table_is_rejected_in_one_line(tmp_path: Path, name: str, content: bytes | None, piece: str):
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    refused(tmp_path / name, piece)
+    assert_rejected(tmp_path / name, piece)
 
 
 def test_npz_columns_of_unequal_length_are_rejected(tmp_path: Path):
-    refused(
+    assert_rejected(
         write(tmp_path / "gait.npz", columns() | {"swing_back_left": [0.0, 0.1]}), "columns differ in length (2, 4)"
     )

@@ -102,9 +102,9 @@ def mirror_note(robot: RobotDescription) -> str | None:
     if is_mirrored(robot):
         return None
     difference = side_difference(robot)
-    most = 1e3 * MIRRORED * robot.leg_geometry.length
+    limit = 1e3 * MIRRORED * robot.leg_geometry.length
     return (
-        f"{difference.text}: training does not use mirrored samples (limit {most:.2g} mm); if the real robot is "
+        f"{difference.text}: training does not use mirrored samples (limit {limit:.2g} mm); if the real robot is "
         "symmetric, correct its URDF; --ppo.no-symmetry turns this note off"
     )
 

@@ -77,7 +77,7 @@ class FootKinematics:
         longest = float(self.feet.stroke.max()) / 2 + self.foothold_radius
         length = np.linspace(0.0, longest, _REACH_LENGTHS)[:, None]
         turn = np.linspace(0.0, 2 * np.pi, _REACH_DIRECTIONS, endpoint=False)
-        aside = np.stack(
+        offsets = np.stack(
             [
                 length * np.cos(turn),
                 _REACH_ASPECT_RATIO * length * np.sin(turn),
@@ -88,9 +88,9 @@ class FootKinematics:
         lowest = self.neutral_feet - [
             [0.0, 0.0, depth] for depth in np.broadcast_to(self.feet.depth, len(self.neutral_feet))
         ]
-        poses = self.robot.leg_geometry.foot_pose(aside[..., None, :] + lowest)
-        reach_ratio = np.isfinite(poses).all(axis=(1, 2, 3))
-        return float(length[int(np.argmin(reach_ratio)) - 1 if not reach_ratio.all() else -1, 0])
+        poses = self.robot.leg_geometry.foot_pose(offsets[..., None, :] + lowest)
+        is_reached = np.isfinite(poses).all(axis=(1, 2, 3))
+        return float(length[int(np.argmin(is_reached)) - 1 if not is_reached.all() else -1, 0])
 
     def pose(self, state: CommandState, strides: Array, stride_fraction: Array) -> Array:
         """Return the leg poses (N, C, L) in leg space for the state's phases; NaN out of reach.

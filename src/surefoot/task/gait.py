@@ -101,16 +101,16 @@ class HybridGait:
         robot, reference, action, coordinates = self.robot, self.reference, self.action_kind, self.robot.coordinates
         feedback = bounds if action == "leg" else [(0.0, 0.0)] * len(coordinates)
         spans = zip(robot.leg_space.items(), robot.leg_geometry.units, reference.extent(), feedback, strict=True)
-        for (name, (allowed_low, allowed_high)), unit, (least, most), (low, high) in spans:
+        for (name, (allowed_low, allowed_high)), unit, (lowest, highest), (low, high) in spans:
             if reference.is_clipped:
-                self._ranges.append((max(least + low, allowed_low), min(most + high, allowed_high)))
+                self._ranges.append((max(lowest + low, allowed_low), min(highest + high, allowed_high)))
                 continue
-            self._ranges.append((least + low, most + high))
-            if least + low < allowed_low - 1e-9 or most + high > allowed_high + 1e-9:
+            self._ranges.append((lowest + low, highest + high))
+            if lowest + low < allowed_low - 1e-9 or highest + high > allowed_high + 1e-9:
                 unit = "" if unit == "1" else f" {unit}"
                 raise SurefootError(
-                    f"{name} can be {least + low:.3f} to {most + high:.3f}{unit} "
-                    f"(reference {least:.3f} to {most:.3f}, feedback {low:g} to {high:g}); "
+                    f"{name} can be {lowest + low:.3f} to {highest + high:.3f}{unit} "
+                    f"(reference {lowest:.3f} to {highest:.3f}, feedback {low:g} to {high:g}); "
                     f"a leg of {robot.name} allows {allowed_low:g} to {allowed_high:g}"
                 )
 
@@ -131,13 +131,14 @@ class HybridGait:
         motors = self.robot.num_motors
         if self.action_kind == "angle":
             return self.low[:motors], self.high[:motors]
-        ahead = self.reference.feedforward
-        ranges = list(self.robot.leg_space.values()) if ahead.moves_poses or ahead.weight else self._ranges
-        least, greatest = self.robot.angle_extent(*ranges)
+        feedforward = self.reference.feedforward
+        is_clipped = feedforward.moves_poses or feedforward.weight
+        ranges = list(self.robot.leg_space.values()) if is_clipped else self._ranges
+        lowest, highest = self.robot.angle_extent(*ranges)
         return (
-            (least + self.low[:motors], greatest + self.high[:motors])
+            (lowest + self.low[:motors], highest + self.high[:motors])
             if self.action_kind == "joint"
-            else (least, greatest)
+            else (lowest, highest)
         )
 
     def feedback(self, action: ArrayLike) -> Array:
@@ -163,18 +164,18 @@ class HybridGait:
         feedback = feedback[:, : len(self.low) - self.memory]
         if self.action_kind == "angle":
             return feedback
-        reference, ahead = self.reference, self.reference.feedforward
+        reference, feedforward = self.reference, self.reference.feedforward
         pose = reference.pose(time, state)
         joint = self.action_kind == "joint"
         if not joint:
             pose = pose + feedback.reshape(len(feedback), *self._shape)
-        if ahead.moves_poses:
-            lead = ahead.velocity * reference.pose_rate(time, state)
-            if ahead.acceleration:
-                lead += ahead.acceleration * reference.pose_acceleration(time, state)
+        if feedforward.moves_poses:
+            lead = feedforward.velocity * reference.pose_rate(time, state)
+            if feedforward.acceleration:
+                lead += feedforward.acceleration * reference.pose_acceleration(time, state)
             pose = np.clip(pose + lead, *self._space)
         motors = self.robot.to_motors(pose)
-        if ahead.weight:
+        if feedforward.weight:
             motors = np.clip(motors + self._weight_lead(motors, state), *self._allowed)
         return motors + feedback if joint else motors
 

@@ -46,13 +46,13 @@ class StrideChoice:
         robot, feet = self.kinematics.robot, self.kinematics.feet
         x, y = robot.leg_mounts[:, 0], robot.leg_mounts[:, 1] + self.kinematics.neutral_feet[:, 1]
         turn = self.turn_gain * command[:, 2:]
-        forward, aside = command[:, :1] - turn * y, command[:, 1:2] + turn * x
+        forward, lateral = command[:, :1] - turn * y, command[:, 1:2] + turn * x
         if "abduction" not in robot.coordinates:
-            aside = np.zeros_like(aside)
+            lateral = np.zeros_like(lateral)
         stance = feet.duty_factor / feet.frequency
-        stride = self.stride_gain * stance[:, None] * np.stack([forward, aside], -1)
-        share = np.linalg.norm(stride, axis=-1) / np.maximum(feet.stroke, 1e-9)
-        return stride, np.minimum(share.max(axis=-1), 1.0)
+        stride = self.stride_gain * stance[:, None] * np.stack([forward, lateral], -1)
+        stride_fraction = np.linalg.norm(stride, axis=-1) / np.maximum(feet.stroke, 1e-9)
+        return stride, np.minimum(stride_fraction.max(axis=-1), 1.0)
 
     def choose(self, command: Array) -> tuple[Array, Array]:
         """Return the limited strides forward and to the left (N, L, 2) [m] for commands (N, 3), and their ratio (N,).
@@ -60,16 +60,16 @@ class StrideChoice:
         The ratio of the longest stride to the maximum stride, at most 1, raises the frequency, and strides are
         shortened by as much, so that feet keep the commanded speed.
         """
-        stride, share = self._in_place_strides(command)
-        stride = stride / (1.0 + self.frequency_rise * share)[:, None, None]
+        stride, stride_fraction = self._in_place_strides(command)
+        stride = stride / (1.0 + self.frequency_rise * stride_fraction)[:, None, None]
         length = np.linalg.norm(stride, axis=-1, keepdims=True)
         longest = self.kinematics.feet.stroke[:, None]
-        return np.asarray(stride * np.minimum(1.0, longest / np.maximum(length, 1e-9))), share
+        return np.asarray(stride * np.minimum(1.0, longest / np.maximum(length, 1e-9))), stride_fraction
 
     def frequency(self, command: Array) -> Array:
         """Return the gait frequency (N,) [Hz] for commands (N, 3)."""
-        _, share = self._in_place_strides(command)
-        return np.asarray(self.kinematics.feet.frequency * (1.0 + self.frequency_rise * share))
+        _, stride_fraction = self._in_place_strides(command)
+        return np.asarray(self.kinematics.feet.frequency * (1.0 + self.frequency_rise * stride_fraction))
 
     def extremes(self) -> CommandState:
         """Return the states in which legs are furthest from their neutral positions: extreme commands at all phases."""

@@ -84,7 +84,7 @@ def check_sides(robot: RobotDescription) -> CheckResult:
         rule = f"{choices(differing)}: no mirror image within {MIRROR_TOLERANCE:.0%} of the leg length and mass"
         return CheckResult("left and right", False, rule, remedy)
     difference, length = side_difference(robot), robot.leg_geometry.length
-    most = 1e3 * MIRRORED * length
+    limit = 1e3 * MIRRORED * length
     if difference.length > MIRROR_TOLERANCE * length:
         rule = (
             f"; lengths may differ by at most {MIRROR_TOLERANCE:.0%} of the leg length, "
@@ -92,7 +92,7 @@ def check_sides(robot: RobotDescription) -> CheckResult:
         )
         return CheckResult("left and right", False, difference.text + rule, remedy)
     if difference.length > MIRRORED * length:
-        rule = f"{difference.text}: training does not use mirrored samples (limit {most:.2g} mm)"
+        rule = f"{difference.text}: training does not use mirrored samples (limit {limit:.2g} mm)"
         return warn_if("left and right", rule, "", remedy)
     near = "" if difference.length < 1e-6 else f" within {1e3 * difference.length:.1g} mm"
     return CheckResult("left and right", True, f"left and right are mirror images{near}")

@@ -150,9 +150,13 @@ def _triangle(
         elif corner == 1:
             to_y, to_z = side, third
         along_x, along_y, along_z = to_x - from_x, to_y - from_y, to_z - from_z
-        share = (x - from_x) * along_x + (y - from_y) * along_y + (z - from_z) * along_z
-        share = _clip(share / (along_x * along_x + along_y * along_y + along_z * along_z))
-        off_x, off_y, off_z = x - from_x - share * along_x, y - from_y - share * along_y, z - from_z - share * along_z
+        fraction = (x - from_x) * along_x + (y - from_y) * along_y + (z - from_z) * along_z
+        fraction = _clip(fraction / (along_x * along_x + along_y * along_y + along_z * along_z))
+        off_x, off_y, off_z = (
+            x - from_x - fraction * along_x,
+            y - from_y - fraction * along_y,
+            z - from_z - fraction * along_z,
+        )
         distance = off_x * off_x + off_y * off_y + off_z * off_z
         if distance < least:
             least, dx, dy, dz = distance, off_x, off_y, off_z
@@ -424,8 +428,8 @@ def shape_clearance(
     cover, fine = math.sqrt(radius * radius + square), math.sqrt(radius * radius + square / SUBSPHERES**2)
     # From the lowest part up.
     for k in range(count):
-        share = k - spread
-        x, y, z = middle[0] + share * dx, middle[1] + share * dy, middle[2] + share * dz
+        index = k - spread
+        x, y, z = middle[0] + index * dx, middle[1] + index * dy, middle[2] + index * dz
         if z - reach[2] - top >= least:
             break
         far = -np.inf

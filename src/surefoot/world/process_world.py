@@ -150,11 +150,11 @@ class ProcessWorld:
                 [
                     {
                         **shared,
-                        "num_envs": share.stop - share.start,
-                        "params": self.params.rows(np.arange(share.start, share.stop)),
-                        "first": share.start,
+                        "num_envs": part.stop - part.start,
+                        "params": self.params.rows(np.arange(part.start, part.stop)),
+                        "first": part.start,
                     }
-                    for share in self._slices
+                    for part in self._slices
                 ],
             )
         except BaseException:
