@@ -57,5 +57,5 @@ class GaitSwitchArchitecture:
     def initial_parameters(
         self, fresh: Mapping[str, torch.Tensor], single: Mapping[str, torch.Tensor]
     ) -> dict[str, torch.Tensor]:
-        """Return the parameters with those of a single-gait policy as the first network."""
+        """Return the parameters, with a single-gait policy as the first network."""
         return {**fresh, **{name.replace("mlp.", "mlp.first."): value for name, value in single.items()}}

@@ -152,7 +152,7 @@ class RunFolder:
         Args:
             config: configuration of the run.
             path: path of the folder.
-            arguments: arguments of the command `surefoot`, for `run.json`. Defaults to those of this process.
+            arguments: arguments of the command `surefoot`, for `run.json`. Defaults to the arguments of this process.
 
         Raises:
             SurefootError: it can't be made.

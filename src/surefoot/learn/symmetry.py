@@ -28,7 +28,7 @@ _SIGN_FLIPPED_COLUMNS = (
 )
 """Columns, or prefixes of columns before a point, that change sign in the mirror image."""
 _ANGLE_COLUMNS = ("angle", "speed", "joint", "last_joint")
-"""Prefixes of motor columns whose sign in the mirror image is that of the motor angle."""
+"""Prefixes of motor columns that change sign in the mirror image together with the motor angle."""
 _PHASE = ("phase_sin", "phase_cos")
 _LEG_SPACE_GAIN = 4.0
 """Ratio of the difference of poses in leg space to the relative difference of leg lengths; bent legs magnify it."""

@@ -50,7 +50,7 @@ class FootPaths:
     offset: Array
     """Position of the middle of the stroke, forward from the motor axis [m]."""
     depth: Array
-    """Depth below that height to which the foot is commanded in the middle of the stance [m]."""
+    """Depth below `height` to which the foot is commanded in the middle of the stance [m]."""
     extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
     """Minimum and maximum of each coordinate of leg space over all legs and times."""
 
@@ -105,7 +105,7 @@ class FootPaths:
         return np.where(stance, 0.5 - part, forward), bump
 
     def path(self, cycle: ArrayLike) -> Array:
-        """Return the foot positions (..., N, L, 2) [m], x forward and z up of the motor axis, after cycles (..., N)."""
+        """Return foot positions (..., N, L, 2) [m] after cycles (..., N): x forward and z up from the motor axis."""
         along, bump = self.curve(cycle)
         return np.stack(np.broadcast_arrays(self.offset + self.stroke * along, bump - self.height), -1)
 

@@ -168,7 +168,7 @@ class Footholds(RobotComponent):
 
     @property
     def is_active(self) -> NDArray[np.bool_]:
-        """Whether the gait uses the chosen footholds (N,), not (partly) another gait's."""
+        """Whether feet fully use the chosen footholds (N,); false while another gait is blended in."""
         return self.over_holes == 1.0 if self._has_gait_over_holes else np.ones(len(self.over_holes), np.bool_)
 
     def landing_places(self, state: CommandState) -> Array:

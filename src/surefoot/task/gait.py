@@ -22,8 +22,8 @@ ActionKind = Literal["leg", "joint", "angle"]
 def action_names(robot: RobotDescription, kind: ActionKind, memory: int = 0) -> list[str]:
     """Return the names of the feedback's columns.
 
-    They are COORDINATE.LEG, coordinate by coordinate for all legs, or KIND.MOTOR for all motors, and then those of the
-    policy's memory.
+    They are COORDINATE.LEG, coordinate by coordinate for all legs, or KIND.MOTOR for all motors, followed by the
+    columns of the policy's memory.
     """
     names = [f"{part}.{leg}" for part in robot.coordinates for leg in robot.leg_names]
     if kind != "leg":

@@ -18,7 +18,7 @@ class GaitSwitch(FollowingReference):
     """A reference that switches to a second gait while the map of heights shows holes, see `Footholds`.
 
     Poses and frequencies are blended with the weight `CommandState.over_holes`. Strides, contact reflex and feedforward
-    are those of the first gait. Footholds are chosen for the second gait.
+    belong to the first gait. Footholds are chosen for the second gait.
     """
 
     holes_gait: FollowingReference = field(kw_only=True)

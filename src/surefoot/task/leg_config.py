@@ -40,7 +40,7 @@ class WaveConfig:
 
 @dataclass(frozen=True)
 class FootConfig:
-    """Foot trajectories in the legs' planes. The duty factor excludes 0 and 1, which need an infinite speed."""
+    """Foot trajectories in the legs' planes. A duty factor of 0 or 1 would need an infinite foot speed."""
 
     frequency: Annotated[float, Within(0.01, 50)] = 2.0
     """Cycles a second [Hz]."""
@@ -57,7 +57,7 @@ class FootConfig:
     offset: Annotated[PerLeg, Within(-10, 10)] = 0.0
     """Position of the middle of the stroke, forward from the motor axis [m]."""
     depth: Length = 0.0
-    """Depth below that height to which a foot is commanded in the middle of its stance [m]."""
+    """Depth below `height` to which a foot is commanded in the middle of its stance [m]."""
 
     def paths(self, robot: RobotDescription, relative: bool = False) -> FootPaths:
         """Return the foot trajectories of a robot.

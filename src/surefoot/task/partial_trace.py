@@ -42,7 +42,7 @@ def row_layout(names: tuple[str, ...], sizes: Mapping[str, int]) -> RowLayout:
 
 @dataclass(frozen=True)
 class TraceHeader:
-    """Header of a partial trace: everything besides its rows, of which there is one per control step."""
+    """Header of a partial trace: everything except its rows, one per control step."""
 
     layout: RowLayout
     """Columns of the rows. Columns that traces do not have are dropped from the trace."""

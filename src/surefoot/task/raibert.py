@@ -61,7 +61,7 @@ class RaibertConfig:
 
 
 class RaibertController:
-    """Raibert's controller as a policy, without memory besides the history of observations.
+    """Raibert's controller as a policy, whose only memory is the history of observations.
 
     Args:
         robot: the robot.

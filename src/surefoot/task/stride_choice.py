@@ -55,10 +55,10 @@ class StrideChoice:
         return stride, np.minimum(stride_fraction.max(axis=-1), 1.0)
 
     def choose(self, command: Array) -> tuple[Array, Array]:
-        """Return the limited strides forward and to the left (N, L, 2) [m] for commands (N, 3), and their ratio (N,).
+        """Return strides forward and to the left (N, L, 2) [m] for commands (N, 3), up to the maximum stride.
 
-        The ratio of the longest stride to the maximum stride, at most 1, raises the frequency, and strides are
-        shortened by as much, so that feet keep the commanded speed.
+        The second result (N,) is the ratio of the longest stride to the maximum stride, at most 1. It raises the
+        frequency, and strides become shorter accordingly, so that feet keep the commanded speed.
         """
         stride, stride_fraction = self._in_place_strides(command)
         stride = stride / (1.0 + self.frequency_rise * stride_fraction)[:, None, None]

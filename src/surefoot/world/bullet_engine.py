@@ -206,7 +206,7 @@ class BulletEngine:
         )
 
     def observe(self, rows: Index) -> None:
-        """Write states to `actuation.sample`."""
+        """Write the current motor and IMU states of robots to `actuation.sample`."""
         for i in rows:
             observe(self._layout, self.actuation, i, self._gather_measured(i))
 

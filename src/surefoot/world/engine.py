@@ -33,7 +33,7 @@ class Engine(Protocol):
         """
 
     def observe(self, rows: Index) -> None:
-        """Write states to `actuation.sample`."""
+        """Write the current motor and IMU states of robots to `actuation.sample`."""
 
     def get_state(self, rows: Index) -> Array:
         """Return the complete states (n, size) in the engine."""

@@ -216,7 +216,7 @@ class MujocoEngine:
             other.result()
 
     def observe(self, rows: Index) -> None:
-        """Write states to `actuation.sample`."""
+        """Write the current motor and IMU states of robots to `actuation.sample`."""
         for i in rows:
             observe(self._native, self.actuation, i)
 
