@@ -102,7 +102,7 @@ def test_speed_is_along_the_heading_and_progress_along_the_worlds_x_axis():
 
 
 def test_yaw_rate_is_continuous_where_yaw_wraps():
-    np.testing.assert_allclose(moved_state(yaw=(np.pi - 0.05, 0.05 - np.pi)).turn[0, 2], 1.0 / SCALES.rate)
+    np.testing.assert_allclose(moved_state(yaw=(np.pi - 0.05, 0.05 - np.pi)).attitude_rates[0, 2], 1.0 / SCALES.rate)
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,7 @@ def warm_start(learner: PpoLearner, path: Path, make_world: SimulationFactory) -
             )
     networks = dict(state["learner"]["algorithm"])
     critic = Network(networks["critic_state_dict"], old["critic"])
-    networks["actor_state_dict"] = _take_actor(state, fresh["actor_state_dict"], other, env)
+    networks["actor_state_dict"] = _convert_actor(state, fresh["actor_state_dict"], other, env)
     for part in ("actor", "critic"):
         key = f"{part}_state_dict"
         networks[key] = move_inputs(Network(networks[key], old[part]), Network(fresh[key], new[part]), critic)
@@ -95,7 +95,7 @@ def network_inputs(env: LocomotionEnv, privileged_critic: bool) -> dict[str, lis
     return {"actor": policy, "critic": policy + privileged}
 
 
-def _take_actor(state: Mapping[str, Any], fresh: Parameters, other: LocomotionEnv, env: LocomotionEnv) -> Parameters:
+def _convert_actor(state: Mapping[str, Any], fresh: Parameters, other: LocomotionEnv, env: LocomotionEnv) -> Parameters:
     """Convert the policy in another run's state to this run's architecture and bounds, with unchanged inputs."""
     architecture, former = find_architecture(env.task), find_architecture(other.task)
     if former not in (architecture, None):

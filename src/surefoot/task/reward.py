@@ -70,7 +70,7 @@ TERMS: dict[str, RewardTerm] = {
     ),
     "heading_error": RewardTerm("|e|, rad", lambda m: np.abs(m.heading_error), "heading that is held"),
     "vertical_speed": RewardTerm("v_z^2, g l", lambda m: m.velocity[:, 2] ** 2, _RUDIN),
-    "roll_pitch_rate": RewardTerm("w^2, g / l", lambda m: (m.turn[:, :2] ** 2).sum(axis=1), _RUDIN),
+    "roll_pitch_rate": RewardTerm("w^2, g / l", lambda m: (m.attitude_rates[:, :2] ** 2).sum(axis=1), _RUDIN),
     "tilt": RewardTerm("angle^2, rad^2", lambda m: (base_tilt(m.truth, m.ground) ** 2).sum(axis=1), _RUDIN),
     "height": RewardTerm("height^2, l^2", lambda m: (m.height / m.scales.length) ** 2, _RUDIN),
     "torque": RewardTerm(

@@ -262,7 +262,7 @@ class EnvState(RobotState):
         return self._rates[0] / self.scales.speed
 
     @property
-    def turn(self) -> Array:
+    def attitude_rates(self) -> Array:
         """Mean rates of roll, pitch and yaw (N, 3) [sqrt(g / l)]."""
         return self._rates[1] / self.scales.rate
 

@@ -277,7 +277,7 @@ class BulletEngine:
         """Set the forces (N, 3) [N] on the bases' centres of mass, in the world frame."""
         self._force[:] = force_world
 
-    def turn(self, rows: Index, angles: Array) -> None:
+    def rotate(self, rows: Index, angles: Array) -> None:
         """Rotate robots by angles (n,) [rad] about the vertical axis through the world's origin."""
         if self._config.rack:
             return

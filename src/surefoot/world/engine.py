@@ -44,7 +44,7 @@ class Engine(Protocol):
     def set_motors(self, rows: Index, angles: Array, speeds: Array) -> None:
         """Set true motor angles [rad] and speeds [rad/s] (n, M) of robots without closed loops."""
 
-    def turn(self, rows: Index, angles: Array) -> None:
+    def rotate(self, rows: Index, angles: Array) -> None:
         """Rotate robots by angles (n,) [rad] about the vertical axis through the world's origin."""
 
     def move_base(self, rows: Index, offset_world: Array) -> None:

@@ -243,7 +243,7 @@ class MujocoEngine:
             self.datas[i].qvel[native.motor_dof] = speed
         native.moved[rows] = True
 
-    def turn(self, rows: Index, angles: Array) -> None:
+    def rotate(self, rows: Index, angles: Array) -> None:
         """Rotate robots by angles (n,) [rad] about the vertical axis through the world's origin."""
         native = self._native
         if native.base_qpos < 0:

@@ -119,7 +119,7 @@ class SimWorld:
         self._draw_noise(rows)
         self.engine.set_state(rows, self._settled_state)
         turned = rows[self._headings[rows] != 0.0]
-        self.engine.turn(turned, self._headings[turned])
+        self.engine.rotate(turned, self._headings[turned])
         offset = self._starts[rows]
         offset[:, 2] += self._nominal_depth - self._weight / self.params.contact_stiffness[rows]
         moved = offset.any(axis=1)

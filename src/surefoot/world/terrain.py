@@ -228,7 +228,7 @@ def read_map(path: Path) -> Ground:
         SurefootError: a map that is too large, too coarse, not finite, too high, or too uneven at the start.
     """
     if path.suffix.lower() == ".png":
-        heights, cell = _read_picture(path), PNG_SPACING
+        heights, cell = _read_image(path), PNG_SPACING
     else:
         with prefix_errors(path):
             arrays = read_npz(path)
@@ -272,7 +272,7 @@ def _moving_average(ground: Ground) -> Array:
     return smooth_heights
 
 
-def _read_picture(path: Path) -> Array:
+def _read_image(path: Path) -> Array:
     from PIL import Image
 
     with describe_os_errors(path):
