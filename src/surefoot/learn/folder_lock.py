@@ -34,7 +34,7 @@ def folder_lock(path: Path, timeout: float = 0.0) -> Iterator[None]:
     except Timeout:
         raise SurefootError(f"{path}: another process trains in this folder; wait for it, or end it") from None
     except OSError as error:
-        raise SurefootError(f"{path}: can't be trained in: {error.strerror}") from error
+        raise SurefootError(f"{path}: can't be used for training: {error.strerror}") from error
     with held:
         for folder in (path, path / "checkpoints"):
             remove_abandoned(folder)
