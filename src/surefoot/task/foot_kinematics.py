@@ -50,7 +50,7 @@ class FootKinematics:
     neutral_feet: Array = field(init=False, repr=False, compare=False)
     """Neutral foot positions relative to the legs' mounts (L, 3) [m]; z is the height."""
     _reach: float = field(init=False, repr=False, compare=False, default=0.0)
-    """Longitudinal half axis [m] of the ellipse around the neutral positions that all feet reach at their lowest."""
+    """Longitudinal semi-axis [m] of the ellipse around the neutral positions that all feet can reach at full depth."""
 
     def __post_init__(self) -> None:
         """Compute neutral foot positions and reach."""

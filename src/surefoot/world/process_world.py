@@ -214,7 +214,7 @@ class ProcessWorld:
         return _join(readings)
 
     def _split_index(self, index: ArrayLike | None) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        """Return for each process the positions of its robots in `index`, and their indices in the process."""
+        """Split robot indices between processes: for each, positions in `index` and robot indices in that process."""
         rows = np.arange(self.num_envs) if index is None else np.atleast_1d(np.asarray(index, np.int64))
         rows = np.where(rows < 0, rows + self.num_envs, rows)
         if np.any((rows < 0) | (rows >= self.num_envs)):
