@@ -1,4 +1,4 @@
-"""A world without physics that returns scripted states."""
+"""Simulation without physics that returns scripted states."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COMMAND_LIMITS = CommandLimits(
     deadband=(0.02, 0.02, 0.02),
     heading_gain=2.0,
 )
-"""What a policy can be commanded."""
+"""Limits of the commands of a policy."""
 
 
 class ScriptedWorld:

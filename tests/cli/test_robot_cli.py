@@ -90,8 +90,8 @@ def test_check_names_the_motor_that_is_too_weak_and_the_torque_that_is_asked_for
     wrong = {item["name"]: item for item in json.loads(result.stdout)["checks"] if item["passed"] is False}
     assert set(wrong) == {"stands", "torque to stand", "torque to trot"}
     for item in wrong.values():
-        assert "0.5 N m are there" in item["message"]
-        assert "KFE is asked for 0.7" in item["message"] or item["name"] == "torque to trot"
+        assert "has 0.5 N m" in item["message"]
+        assert "KFE needs 0.7" in item["message"] or item["name"] == "torque to trot"
         assert "stronger motors" in item["remedy"]
         assert "stiffer gains" not in item["remedy"]
 

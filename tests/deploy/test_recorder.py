@@ -20,7 +20,7 @@ from surefoot.deploy.background_file import BackgroundFile
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.run_saver import next_free_path
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import TraceHead, recover, row_bytes
+from surefoot.task.partial_trace import TraceHeader, recover, row_bytes
 
 STEP = 0.006
 META = {
@@ -32,7 +32,7 @@ META = {
     "observation_names": ["x", "y", "z"],
     "ended": "time",
 }
-HEAD = TraceHead.of_robot(META, actions=8, commands=False, robot_archive=b"")
+HEAD = TraceHeader.of_robot(META, actions=8, commands=False, robot_archive=b"")
 LAYOUT = HEAD.layout
 
 
@@ -154,24 +154,24 @@ def test_a_partial_file_of_version_1_is_read(recorded, tmp_path, commands):
     ("content", "match"),
     [
         (None, "can't be read: No such file"),
-        (b"", "is not one"),
-        (b"{}\n", "is not one"),
-        (b"[1]\n", "is not one"),
-        (b'{"kind": "other"}\n', "is not one"),
-        (b"\xff\xfe\n", "is not one"),
-        (TraceHead(LAYOUT, {}).line(), "holds no whole control step"),
-        (TraceHead(RowLayout({}), {}).line() + bytes(800), "holds no whole control step"),
-        (TraceHead(LAYOUT, {}).line() + bytes(8 * LAYOUT.width), "trace: meta.robot, meta.world, .* are missing"),
+        (b"", "is not a partial trace file"),
+        (b"{}\n", "is not a partial trace file"),
+        (b"[1]\n", "is not a partial trace file"),
+        (b'{"kind": "other"}\n', "is not a partial trace file"),
+        (b"\xff\xfe\n", "is not a partial trace file"),
+        (TraceHeader(LAYOUT, {}).line(), "holds no complete control step"),
+        (TraceHeader(RowLayout({}), {}).line() + bytes(800), "holds no complete control step"),
+        (TraceHeader(LAYOUT, {}).line() + bytes(8 * LAYOUT.width), "trace: meta.robot, meta.world, .* are missing"),
         (HEAD.line().replace(b'"version": 2', b'"version": 3'), "is of version 3; surefoot reads versions 1 and 2"),
-        (TraceHead(RowLayout({"time": -1}), META).line() + bytes(800), "columns.time is -1; it must be 0 or more"),
+        (TraceHeader(RowLayout({"time": -1}), META).line() + bytes(800), "columns.time is -1; it must be 0 or more"),
         (
-            TraceHead(RowLayout({"base_quat_world": 4}), META, {"base_quat_world": np.zeros(3)}).line() + bytes(32),
+            TraceHeader(RowLayout({"base_quat_world": 4}), META, {"base_quat_world": np.zeros(3)}).line() + bytes(32),
             r"column base_quat_world \(T\+1, 4\) has 4 numbers in a row",
         ),
-        (TraceHead(RowLayout({"roll_pitch_yaw": 6}), META).line() + bytes(48), "has 6 numbers in a row"),
-        (TraceHead(RowLayout({"foot_position_world": 7}), META).line() + bytes(56), "has 7 numbers in a row"),
-        (TraceHead(RowLayout({"time": 1}), META).line() + bytes(8), "has shape"),
-        (b'{"kind": "surefoot-partial-trace", "meta": {}, "motors": 8}', "is not one: 'legs'"),
+        (TraceHeader(RowLayout({"roll_pitch_yaw": 6}), META).line() + bytes(48), "has 6 numbers in a row"),
+        (TraceHeader(RowLayout({"foot_position_world": 7}), META).line() + bytes(56), "has 7 numbers in a row"),
+        (TraceHeader(RowLayout({"time": 1}), META).line() + bytes(8), "has shape"),
+        (b'{"kind": "surefoot-partial-trace", "meta": {}, "motors": 8}', "is not a partial trace file: 'legs'"),
     ],
 )
 def test_a_file_that_is_not_a_partial_trace_is_rejected(content, match, tmp_path):

@@ -24,7 +24,7 @@ def step(height: float, axis: int = 1, course: float = 1.0) -> Ground:
     """Return a ground that rises by a step at x = 0 or y = 0, and its course by a share of it."""
     corners = np.zeros((4, 4, 2, 2))
     np.moveaxis(corners, axis, 0)[2:] = height
-    return Ground(corners, 1.0, course=course * corners.mean(axis=(2, 3)))
+    return Ground(corners, 1.0, smooth_heights=course * corners.mean(axis=(2, 3)))
 
 
 def picture(ground: Ground, camera: Camera, place: tuple[float, float], box: tuple[float, float, float]) -> np.ndarray:
@@ -47,7 +47,7 @@ def test_part_has_the_grounds_heights_and_goes_on_beyond_its_border(text: str):
     assert (np.abs(points) > 10.0).any()
     np.testing.assert_allclose(part.height(points), ground.height(points), atol=1e-9)
     inside = points[(np.abs(points) < 9.9).all(axis=1)]
-    np.testing.assert_allclose(part.level(inside), ground.level(inside), atol=1e-9)
+    np.testing.assert_allclose(part.smooth_height(inside), ground.smooth_height(inside), atol=1e-9)
 
 
 def test_fine_cells_of_a_part_are_joined():
@@ -124,7 +124,7 @@ def test_ground_is_sand_above_zero_and_blue_below():
 
 def test_squares_are_those_of_the_flat_ground():
     camera = Camera(offset=(0.0, -1.5, 1.0), height=0.1, field_of_view=40.0)
-    level = Ground(np.zeros((2, 2, 2, 2)), 1.0, course=np.zeros((2, 2)))
+    level = Ground(np.zeros((2, 2, 2, 2)), 1.0, smooth_heights=np.zeros((2, 2)))
     pictures = [picture(ground, camera, (0.3, 0.2), (0.0, 0.0, 0.1)) for ground in (level, FLAT)]
     assert np.abs(pictures[0] - pictures[1])[60:].mean() < 3.0
 
@@ -133,7 +133,7 @@ def test_the_eye_stays_above_a_slope_that_rises_towards_it():
     camera, ground = Camera(), make_terrain("slope:40")
     place = np.array([4.0, 0.0])
     view = View(camera, place, (200, 200), ground)
-    assert view.eye[2] > ground.level(view.eye[:2]) + 0.2
-    pixel, depth = view.project(np.array([*place, ground.level(place) + camera.height]))
+    assert view.eye[2] > ground.smooth_height(view.eye[:2]) + 0.2
+    pixel, depth = view.project(np.array([*place, ground.smooth_height(place) + camera.height]))
     np.testing.assert_allclose(pixel, [100.0, 100.0], atol=1e-6)
     assert depth > 1.0

@@ -19,7 +19,7 @@ from surefoot.robot.importing.writer import write_robot
 from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, is_symmetric, side_difference
 from surefoot.robot.rigid_body import box_moments
 from surefoot.world.body_checks import check_file, check_masses, check_sides
-from surefoot.world.description_checks import drawn_beyond_feet, run_description_checks
+from surefoot.world.description_checks import run_description_checks, visual_overhang
 
 
 def read(text: str, folder: Path, name: str = "odd.urdf") -> ImportedRobot:
@@ -161,7 +161,7 @@ def test_implausible_units_are_rejected_with_a_likely_unit(
     [
         (0.0, True, False, "left and right are mirror images"),
         (0.0005, True, False, "mirror images within 0.5 mm"),
-        (0.004, True, True, "back_left's upper link is 4 mm longer than back_right's: training goes without mirrored"),
+        (0.004, True, True, "back_left's upper link is 4 mm longer than back_right's: training does not use mirrored"),
         (0.02, False, False, "back_left's upper link is 20 mm longer than back_right's"),
     ],
 )
@@ -193,7 +193,7 @@ def test_one_sided_position_errors_are_reported(old: str, new: str, words: str, 
 def test_built_in_robots_are_symmetric(name: str) -> None:
     robot = RobotDescription.load(name)
     assert side_difference(robot).length < 1e-6
-    assert np.abs(drawn_beyond_feet(robot)).max() < 0.01 * robot.leg_geometry.length
+    assert np.abs(visual_overhang(robot)).max() < 0.01 * robot.leg_geometry.length
 
 
 def test_a_link_with_a_missing_mesh_is_drawn_as_primitive_shape(tmp_path: Path) -> None:
@@ -419,12 +419,12 @@ def test_a_speed_limit_too_low_for_a_trot_is_reported(
 
 def test_a_visual_that_extends_beyond_the_foot_sphere_is_a_warning(tmp_path: Path) -> None:
     robot = make(urdf(), tmp_path)
-    assert np.abs(drawn_beyond_feet(robot)).max() < 1e-3
+    assert np.abs(visual_overhang(robot)).max() < 1e-3
     text = robot.urdf.path.read_text()
     shorter, count = re.subn(r'(<joint name="front_left_ankle".*?xyz="0 0 )-0.2"', r'\1-0.17"', text, flags=re.DOTALL)
     assert count == 1
     robot.urdf.path.write_text(shorter)
-    assert drawn_beyond_feet(RobotDescription.load(robot.folder)) == pytest.approx([0.03, 0, 0, 0], abs=1e-3)
+    assert visual_overhang(RobotDescription.load(robot.folder)) == pytest.approx([0.03, 0, 0, 0], abs=1e-3)
     result = next(one for one in run_description_checks(RobotDescription.load(robot.folder)) if one.name == "feet")
     assert result.warn
-    assert "what is drawn of front_left ends 30 mm below its sphere" in result.message
+    assert "the visual mesh of front_left ends 30 mm below its sphere" in result.message

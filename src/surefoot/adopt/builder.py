@@ -315,7 +315,7 @@ class PolicyBuilder:
         kept = to_mapping(self.specification)
         notes = kept.pop("notes")
         figures = {"adopted": {**source, "notes": notes, "specification": kept}}
-        return contract_from_task(self.task, self.robot, figures=figures, name=name)
+        return contract_from_task(self.task, self.robot, metrics=figures, name=name)
 
     def _find_rows(self) -> list[_Row]:
         """Return the rows of the network's observation, in its order."""

@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.task.contract_mapping import task_from_contract
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.policy_plugins import check_plugins
 
@@ -56,7 +56,7 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
                     f"'{part.name}' is in {units[0]} in the policy and in {units[1]} here; they must be the same"
                 )
         task = task_from_contract(contract, robot)
-        if (error := _grid_error(contract, robot, task.sees)) is not None:
+        if (error := _grid_error(contract, robot, task.needs_height_map)) is not None:
             raise SurefootError(error)
         task.gait(robot)
         if len(contract.rest) != len(robot.coordinates):
@@ -174,7 +174,9 @@ def _grid_error(contract: Contract, robot: RobotDescription, perceptive: bool) -
         return "height_map is the grid of height_scan and footholds; it must be there with these, and only then"
     if grid is None:
         return None
-    for what, places, expected in zip(("ahead", "left"), (grid.ahead, grid.left), MAP.scale(robot), strict=True):
+    for what, places, expected in zip(
+        ("ahead", "left"), (grid.ahead, grid.left), POLICY_GRID.scale(robot), strict=True
+    ):
         if len(places) != len(expected) or not np.allclose(places, expected, atol=1e-4):
             return f"its height map has {len(places)} other points {what} than the {len(expected)} of {robot.name} here"
     return None

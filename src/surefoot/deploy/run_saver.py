@@ -15,7 +15,7 @@ from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.trace_file import TraceFile
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import SUFFIX, TraceHead
+from surefoot.task.partial_trace import SUFFIX, TraceHeader
 from surefoot.task.trace import EpisodeTrace, run_meta
 
 
@@ -67,7 +67,7 @@ class RunSaver:
         if contract.height_map is not None:
             meta["height_map"] = {"ahead": contract.height_map.ahead, "left": contract.height_map.left}
         commands = contract.commands is not None
-        self._head = TraceHead.of_robot(meta, len(contract.action_names), commands, robot.archive)
+        self._head = TraceHeader.of_robot(meta, len(contract.action_names), commands, robot.archive)
         self.recorder = Recorder(self._head.layout, contract.control_step, max_steps, self._keep)
         self._file: TraceFile | None = None
         self._stop_reported = False

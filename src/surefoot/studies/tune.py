@@ -284,7 +284,7 @@ class Tuner:
         """Return the costs of all episodes (C, starts) [W]: power, and penalties for missing speed or time."""
         config, env, starts = self.config, self._env, self.config.starts
         each = [self._paths(values) for values in candidates for _ in range(starts)]
-        paths = FootPaths.stacked(each)
+        paths = FootPaths.stack(each)
         env.gait = HybridGait(self.robot, FootReference(paths), *self.feedback.bounds(self.robot.coordinates))
         policy: OpenLoop | RaibertController = OpenLoop(len(env.gait.action_names))
         if config.raibert:

@@ -71,7 +71,7 @@ def test_a_log_is_the_same_as_a_trace_and_back(pupper: RobotDescription):
     angle, attitude = np.random.default_rng(1).standard_normal((51, 12)), np.full((51, 3), 0.1)
     motion = moved(motor_angle=angle, motor_velocity=speed, motor_torque=torque, roll_pitch_yaw=attitude)
     trace = trace_from_motion(motion, pupper)
-    assert trace.imported
+    assert trace.is_imported
     assert trace.energy == pytest.approx(np.full(51, 12 * 1.0 * 0.01))
     again = motion_from_trace("log", trace)
     for name, value in vars(motion).items():
@@ -79,7 +79,7 @@ def test_a_log_is_the_same_as_a_trace_and_back(pupper: RobotDescription):
             np.testing.assert_array_equal(getattr(again, name), value, err_msg=name)
     # Without torques the energy is unknown.
     assert np.isnan(trace_from_motion(moved(motor_angle=angle), pupper).energy).all()
-    with pytest.raises(SurefootError, match="log log: trace: motor_angle row 3 holds inf"):
+    with pytest.raises(SurefootError, match="log log: trace: motor_angle row 3 is inf"):
         trace_from_motion(moved(motor_angle=np.where(np.arange(51)[:, None] == 3, np.inf, angle)), pupper)
 
 

@@ -15,7 +15,7 @@ from surefoot.identify.motion.recorded import IMU, RecordedMotion
 from surefoot.npz import read_npz
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import param_table
-from surefoot.task.trace import LOG, EpisodeTrace, robot_meta
+from surefoot.task.trace import IMPORTED_LOG, EpisodeTrace, robot_meta
 
 
 def deployed_motion(name: str, trace: EpisodeTrace) -> RecordedMotion:
@@ -30,7 +30,7 @@ def motion_from_trace(name: str, trace: EpisodeTrace) -> RecordedMotion:
     Raises:
         SurefootError: there are no two consecutive rows with targets, or the motion can't be replayed.
     """
-    if not trace.imported:
+    if not trace.is_imported:
         return deployed_motion(name, trace).require_replayable()
     rows = _longest_run(np.asarray(np.isfinite(trace.target).all(axis=1)))
     if rows.stop - rows.start < 2:
@@ -53,7 +53,7 @@ def _longest_run(rows: NDArray[np.bool_]) -> slice:
 
 
 def trace_from_motion(motion: RecordedMotion, robot: RobotDescription) -> EpisodeTrace:
-    """Return a log as a trace of the world `LOG`; missing values are NaN.
+    """Return a log as a trace of the world `IMPORTED_LOG`; missing values are NaN.
 
     Raises:
         SurefootError: the log has values that a trace can't hold, such as infinite ones.
@@ -72,7 +72,7 @@ def trace_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Episod
             energy=power * np.diff(motion.time, prepend=motion.time[:1] - step),
             meta={
                 **robot_meta(robot),
-                "world": LOG,
+                "world": IMPORTED_LOG,
                 "observation_names": [],
                 "ended": "time",
                 "max_steps": round(float(np.ptp(motion.time)) / step) + 1,

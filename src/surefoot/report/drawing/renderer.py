@@ -78,10 +78,10 @@ class View:
         self.place, self.above = at, camera.height + offset[2]
         """Where it looks; and the height of the eye over level ground [m]."""
         self.ground = ground
-        level = float(ground.level(at))
+        level = float(ground.smooth_height(at))
         if not ground.is_flat:
             # Not into a slope that rises towards the camera.
-            rise = float(ground.level(at + offset[:2])) - level
+            rise = float(ground.smooth_height(at + offset[:2])) - level
             offset[2] += max(rise - (1.0 - _CLEARANCE) * self.above, 0.0)
         self.eye = np.array([*at, level + camera.height]) + offset
         axis = -offset / np.linalg.norm(offset)
@@ -170,7 +170,9 @@ def _paint_ground(picture: NDArray[np.uint8], view: View, light: Light, base: fl
     highest, radius = max(float(light.occluder.max()), 1e-6), _SPREAD / light.texel
     cover = np.maximum(_blurred(light.occluder > 0.0, radius, 1.0), 0.02)
     top = highest * _blurred(light.occluder, radius, highest) / cover
-    ground = VisibleGround(np.column_stack([normals, away]), step_edges(part), part.course, part.grid, top, base)
+    ground = VisibleGround(
+        np.column_stack([normals, away]), step_edges(part), part.smooth_heights, part.grid, top, base
+    )
     color, haze = 255.0 * _GROUND, 255.0 * _HAZE
     look = GroundLook(color, haze, TILE, _DARK, _SHADOW, float(_FAR * view.above), float(_HAZY * view.above))
     rays = view.rays(np.zeros(2), _PARTS)

@@ -73,7 +73,7 @@ def _picture(part: Ground) -> Image.Image:
     for end, near in enumerate((within < width, within > 1.0 - width)):
         picture[edges[index][:, index, 0, end] & near[:, None]] = _EDGE
         picture[edges[index][:, index, 1, end] & near] = _EDGE
-    below = np.maximum(part.course - part.corners.mean(axis=(2, 3)), 0.0)
+    below = np.maximum(part.smooth_heights - part.corners.mean(axis=(2, 3)), 0.0)
     bright = 1.0 - _DEPTH_DARK * (1.0 - np.exp(-below / _DEPTH))
     tint = np.stack(height_tint(part.corners.mean(axis=(2, 3))), axis=-1) * bright[..., None]
     picture = (picture * tint[index][:, index]).astype(np.uint8)

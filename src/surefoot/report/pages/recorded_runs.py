@@ -90,7 +90,7 @@ class ShownTrace:
     @property
     def time(self) -> Array:
         """Times of the rows (T,) [s] since the start. Logs have no start: their first row is at 0."""
-        return self.trace.time - (self.trace.time[0] if self.trace.imported else 0.0)
+        return self.trace.time - (self.trace.time[0] if self.trace.is_imported else 0.0)
 
     @property
     def duration(self) -> float:
@@ -174,7 +174,7 @@ def _run(shown: ShownTrace, rate: float, node: str, ground: Ground) -> tuple[dic
         "contact": trace.foot_contact,
     }
     if not ground.is_flat:
-        columns["level"] = ground.level(position[:, :2])[:, None]
+        columns["level"] = ground.smooth_height(position[:, :2])[:, None]
     columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
     for name, values in columns.items():
         if (greatest := np.nanmax(np.abs(values))) > _MAX_VALUE:

@@ -184,7 +184,7 @@ class RobotView:
         with contextlib.suppress(SurefootError), self._server.atomic():  # a diverged state is not drawn
             placed = [poses(one.robot, *state) for one, state in zip(self._robots, states, strict=True)]
             at, ground = np.asarray(states[0][0], float), self._ground
-            under = np.array([*at[:2], ground.level(at[:2])])
+            under = np.array([*at[:2], ground.smooth_height(at[:2])])
             far = np.linalg.norm((under - self._at)[:2]) > 2 * self._size
             self._at = under if far else self._at + _FOLLOW * (under - self._at)
             self._world.position = -self._at
