@@ -12,7 +12,7 @@ from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription
 
 
-class Examined(NamedTuple):
+class ExaminationResult(NamedTuple):
     """An adopted policy, examined; `files` are those that were written."""
 
     name: str
@@ -29,7 +29,7 @@ def examine_policy(
     threads: int = 0,
     out: Path | None = None,
     correct: Path | None = None,
-) -> Examined:
+) -> ExaminationResult:
     """Simulate an adopted policy as it is, with each of the usual mistakes corrected, and on other robots.
 
     Args:
@@ -85,4 +85,4 @@ def examine_policy(
             videos.append((f"{title}; it fell after {trace.duration:.1f} s" if trace.fell else title, path))
         page = write_page(out / "examination.html", runtime.contract.name, world, diagnosis, checks, videos)
         files += [page, *(path for _, path in videos)]
-    return Examined(runtime.contract.name, description, checks, files)
+    return ExaminationResult(runtime.contract.name, description, checks, files)

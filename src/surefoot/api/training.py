@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
 
-EPISODE = "episode.npz"
+EPISODE_FILE = "episode.npz"
 """File of the median episode's trace among the figures of a run."""
 _LISTED = 4
 """Changes that a note names."""
@@ -261,5 +261,5 @@ def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], No
     draw_episode(figures, median, robot)
     # That of the median's environment, whose seed it has.
     film(robot, median, figures / "video.mp4", task.terrain.build(0).ground)
-    median.save(figures / EPISODE)
+    median.save(figures / EPISODE_FILE)
     return summaries

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from surefoot.deploy.pacer import LoopTiming
     from surefoot.deploy.run_saver import SavedRun
 
-_DRIVEN = 600.0
+_BROWSER_DURATION = 600.0
 """Length of a run that is driven from the page [s], if none is given."""
 SAFETY = 3
 """Exit code of a run that safety ended."""
@@ -159,7 +159,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     contract = deployment.contract
     step = contract.control_step
     steps = deployment.controller.task.max_steps
-    duration = command.duration or (_DRIVEN if command.browser else None)
+    duration = command.duration or (_BROWSER_DURATION if command.browser else None)
     if duration is not None:
         steps = max(round(duration / step), 1)
     elif isinstance(deployment.commands, FileCommands):

@@ -175,7 +175,7 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     return params
 
 
-def _servo_every(robot: RobotDescription, fault: InjectedFault | None) -> int:
+def _servo_stride(robot: RobotDescription, fault: InjectedFault | None) -> int:
     """Return the physics steps between two steps of the servo, with its fault if it has one."""
     if fault is None:
         return 1
@@ -208,7 +208,7 @@ def make_loop(
     from surefoot.emulator.serial.lockstep import HOST_TIMEOUT, LockstepLoop
     from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
-    plant = make_plant(command, robot, servo_every=_servo_every(robot, faults.get("slow-servo")))
+    plant = make_plant(command, robot, servo_every=_servo_stride(robot, faults.get("slow-servo")))
     if command.lockstep:
         link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=HOST_TIMEOUT)
         return LockstepLoop(_make_board(command, plant, link, faults), link, port, summary)

@@ -16,7 +16,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import parse_settings
 
 RUNS = Path("runs/identify")
-UNEXPLAINED = 3
+FIT_FAILED = 3
 """Exit code of a fit that does not explain its logs."""
 
 
@@ -94,7 +94,7 @@ def identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
                            command.duration, command.generations, command.seed, report, tuple(stated))  # fmt: skip
     if result.failure:
         print_failure(result, command.json)
-        return UNEXPLAINED
+        return FIT_FAILED
     folder, more = command.out or new_folder("logs"), {"logs": [str(path) for path in paths]}
     save_and_print(robot, prior, result, command.params, folder, command.trace.name, more, command.json)
     return 0

@@ -44,7 +44,7 @@ def train_many(
         SurefootError: no cluster at the address.
     """
 
-    def say(count: int) -> None:
+    def announce(count: int) -> None:
         if count == 1:
             console.print("Stopping after the updates under way; once more stops at once.")
 
@@ -59,7 +59,7 @@ def train_many(
         display.report_change(training, what)
 
     # Ray listens to signals as well, and only the last one who began to listen hears them.
-    with ray_cluster(address, workers), StopSignals(on_signal=say, respect_nohup=True) as stops, display:
+    with ray_cluster(address, workers), StopSignals(on_signal=announce, respect_nohup=True) as stops, display:
         return run_trainings(trainings, workers, report, changed, lambda: stops.count)
 
 

@@ -163,7 +163,7 @@ def main(words: Sequence[str]) -> int:
         2 after an error, which is printed.
     """
     file, forward, meshes, memory, time = words
-    output = sandbox.take_output()
+    output = sandbox.claim_stdout()
     from surefoot.robot.importing import reader
 
     sandbox.limit_resources(Limits(int(memory), float(time), 0.0))
