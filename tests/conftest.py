@@ -180,7 +180,7 @@ def robot() -> RobotDescription:
 @pytest.fixture(scope="session")
 def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a run of `trot` that was trained a little. It is shared: copy it to change it."""
-    from trained import trained_run
+    from trained_policy import trained_run
 
     cache = getattr(request.config, "cache", None)  # none with `-p no:cacheprovider`
     return trained_run(tmp_path_factory.mktemp("trained") if cache is None else cache.mkdir("trained"))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from markdown_pages import COMMENT, FENCED, ROOT, lines
-from processes import served, surefoot
+from processes import serve_page, surefoot
 
 LIMITS = {"--steps": 256, "--episodes": 2, "--duration": 1, "--trials": 2}
 """Greatest values of options."""
@@ -89,7 +89,7 @@ class PageRun:
         words = shortened(command, words)
         print("surefoot", command, shlex.join(words))
         if serves_a_page(command, words):
-            with served(command, *words, cwd=self.folder) as address:
+            with serve_page(command, *words, cwd=self.folder) as address:
                 assert urllib.request.urlopen(address).status == 200
         else:
             done = surefoot(command, *words)

@@ -48,7 +48,7 @@ def printed_commands(text: str) -> dict[str, list[str]]:
     return {purpose: shlex.split(command) for purpose, command in re.findall(r"^to ([^:\n]+): (.+)$", text, re.M)}
 
 
-def refused(done: subprocess.CompletedProcess[str], *parts: str) -> None:
+def assert_rejected(done: subprocess.CompletedProcess[str], *parts: str) -> None:
     """Exit code 2, nothing on stdout, one line on stderr that has all parts."""
     assert done.returncode == 2, done.stderr
     assert done.stdout == ""
@@ -72,7 +72,7 @@ def run_surefoot(*words: object, timeout: float = 200, **how: Any) -> subprocess
 
 
 @contextmanager
-def served(*words: object, cwd: Path | None = None) -> Iterator[str]:
+def serve_page(*words: object, cwd: Path | None = None) -> Iterator[str]:
     """Run a command that serves a page, at a free port; give the page's address."""
     command = [*SUREFOOT, *map(str, words), "--page-port", "0"]
     process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, text=True)

@@ -20,15 +20,15 @@ class Pair:
     """A record of two columns."""
 
     time: Array = column("T", "s", "time")
-    force: Array = column("T, L, 3", "N", "force of the ground", "world", known=False)
+    force: Array = column("T, L, 3", "N", "force of the ground", "world", required=False)
     name: str = ""
 
 
 def test_columns_are_the_declared_fields_with_sizes_of_a_record():
     assert list(columns_of(Pair)) == ["time", "force"]
     force = columns_of(Pair)["force"]
-    assert (force.unit, force.frame, force.known) == ("N", "world", False)
-    assert force.sized({"T": 7, "L": 4}) == (7, 4, 3)
+    assert (force.unit, force.frame, force.required) == ("N", "world", False)
+    assert force.shape_for({"T": 7, "L": 4}) == (7, 4, 3)
     assert Pair().time.size == 0
 
 
@@ -50,13 +50,13 @@ def test_every_column_of_a_record_says_what_it_is(record: type):
 )
 def test_other_shapes_and_values_are_refused(value: Any, message: str):
     with pytest.raises(SurefootError, match=message):
-        columns_of(Pair)["force"].checked("force", value, {"T": 3, "L": 2})
+        columns_of(Pair)["force"].validate("force", value, {"T": 3, "L": 2})
 
 
 def test_a_column_that_is_left_out_is_nan_where_it_may_be():
     force = columns_of(Pair)["force"]
-    assert np.isnan(force.checked("force", [], {"T": 3, "L": 2}, may_be_nan=True)).all()
-    whole = force.checked("force", [[[1, 2, 3]]], {"T": 1, "L": 1})
+    assert np.isnan(force.validate("force", [], {"T": 3, "L": 2}, may_be_nan=True)).all()
+    whole = force.validate("force", [[[1, 2, 3]]], {"T": 1, "L": 1})
     assert whole.dtype == np.float64
     assert not whole.flags.writeable
 

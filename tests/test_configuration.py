@@ -69,7 +69,7 @@ def test_hostile_toml_is_refused_in_one_line(tmp_path: Path, text: str):
 class Config:
     """Fields of all kinds."""
 
-    number: Annotated[float, Within(0, 1, above=True)] = 0.5
+    number: Annotated[float, Within(0, 1, exclusive=True)] = 0.5
     count: Annotated[int, Within(1, 10)] | None = None
     units: tuple[Annotated[int, Within(1, 10)], ...] = ()
     free: float = 0.0

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from markdown_pages import PAGES, ROOT, anchors, blocks, commands, dead_links, lines, links
 from page_commands import shortened
-from processes import Emulator, emulators, served, surefoot
+from processes import Emulator, emulators, serve_page, surefoot
 
 from surefoot.cli.main import COMMANDS
 
@@ -189,7 +189,7 @@ def test_commands_of_readme_run_in_an_empty_folder(tmp_path: Path, monkeypatch: 
         _, command, *words = shlex.split(line)
         words = [word for one in words for word in (glob.glob(one) if "*" in one else [one])]
         if command == "drive":
-            with served(command, *words, cwd=tmp_path) as address:
+            with serve_page(command, *words, cwd=tmp_path) as address:
                 assert urllib.request.urlopen(address).status == 200
         elif command == "emulate":
             with emulators(Emulator) as start:

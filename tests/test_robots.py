@@ -15,7 +15,7 @@ for module in ("mujoco", "torch", "imageio_ffmpeg"):
     pytest.importorskip(module)
 
 from fault_bench import QUICK  # noqa: E402
-from processes import EmulatorHere, emulators, refused, surefoot  # noqa: E402
+from processes import EmulatorHere, assert_rejected, emulators, surefoot  # noqa: E402
 
 from surefoot.evaluation.sensitivity import make_test_worlds  # noqa: E402
 from surefoot.learn.config import load_train_config  # noqa: E402
@@ -92,4 +92,4 @@ def test_a_policy_is_evaluated_played_and_deployed(robot, policy, emulate, tmp_p
 def test_identification_runs_or_refuses_in_one_line(robot: RobotDescription, tmp_path: Path) -> None:
     result = surefoot("identify", "motor", "--robot", robot.name, "--port", "none", cwd=tmp_path)
     message = "say so with --yes" if robot.name == "minitaur" else robot.name
-    refused(result, message)
+    assert_rejected(result, message)

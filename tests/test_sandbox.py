@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from surefoot import sandbox
-from surefoot.sandbox import Ending, Limits, run_module
+from surefoot.sandbox import Limits, ProcessResult, run_module
 
-LIMITS = "sandbox.Limits(memory=16 << 30, time=60, patience=60)"
+LIMITS = "sandbox.Limits(memory=16 << 30, time=60, timeout=60)"
 
 
 @pytest.mark.skipif(not sandbox.is_supported(), reason="this machine has no filter of system calls that surefoot knows")
@@ -31,7 +31,8 @@ LIMITS = "sandbox.Limits(memory=16 << 30, time=60, patience=60)"
     ],
 )
 def test_a_process_without_rights_can_only_compute(deed: str):
-    script = f"import socket, os\nfrom surefoot import sandbox\nsandbox.enter({LIMITS})\nprint(sum(range(9)))\n{deed}"
+    enter = f"import socket, os\nfrom surefoot import sandbox\nsandbox.enter_sandbox({LIMITS})\n"
+    script = f"{enter}print(sum(range(9)))\n{deed}"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.stdout == "36\n"
     assert done.returncode != 0
@@ -43,7 +44,7 @@ from ctypes import CDLL, get_errno
 libc = CDLL(None, use_errno=True)
 def signal(process):
     return libc.tgkill(process, process, 0), get_errno()
-sandbox.enter(sandbox.LIMITS)
+sandbox.enter_sandbox(sandbox.LIMITS)
 print(signal(os.getppid()), signal(1), signal(os.getpid()))
 libc.abort()
 """
@@ -61,7 +62,7 @@ def test_a_process_without_rights_can_end_itself_and_signal_no_other():
 def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A function that runs Python text as a module within limits."""
 
-    def run(text: str, limits: Limits, data: bytes = b"") -> Ending:
+    def run(text: str, limits: Limits, data: bytes = b"") -> ProcessResult:
         start = f"from surefoot import sandbox\nsandbox.limit_resources(sandbox.{limits})\n"
         (tmp_path / "stranger_program.py").write_text(start + text)
         monkeypatch.syspath_prepend(tmp_path)
@@ -70,13 +71,15 @@ def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return run
 
 
-QUICK = Limits(memory=1 << 30, time=1.0, patience=20.0)
+QUICK = Limits(memory=1 << 30, time=1.0, timeout=20.0)
 
 
 def test_output_and_messages_are_told_apart(program):
-    text = "import sys\nfile = sandbox.take_output()\nprint('noise')\nfile.write(sys.stdin.buffer.read() * 2)"
-    assert program(text, QUICK, b"\0x") == Ending(0, b"\0x\0x", "noise")
-    assert program("import sys\nprint(sys.argv[1], file=sys.stderr)\nsys.exit(2)", QUICK) == Ending(2, b"", "a word")
+    text = "import sys\nfile = sandbox.claim_stdout()\nprint('noise')\nfile.write(sys.stdin.buffer.read() * 2)"
+    assert program(text, QUICK, b"\0x") == ProcessResult(0, b"\0x\0x", "noise")
+    assert program("import sys\nprint(sys.argv[1], file=sys.stderr)\nsys.exit(2)", QUICK) == ProcessResult(
+        2, b"", "a word"
+    )
 
 
 def test_a_process_sees_no_passwords(program, monkeypatch: pytest.MonkeyPatch):
@@ -103,7 +106,7 @@ def test_a_process_that_fails_says_why(program, text: str, reason: str):
 
 def test_a_process_that_waits_is_killed_by_the_clock(program):
     start = time.monotonic()
-    ending = program("import time\ntime.sleep(60)", Limits(memory=1 << 30, time=1.0, patience=0.5))
+    ending = program("import time\ntime.sleep(60)", Limits(memory=1 << 30, time=1.0, timeout=0.5))
     assert (ending.code, ending.reason) == (-signal.SIGKILL, "its time was over")
     assert time.monotonic() - start < 30
 

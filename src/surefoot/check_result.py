@@ -33,7 +33,7 @@ def fail_if(name: str, error: str | None, message: str, remedy: str, value: floa
     return CheckResult(name, False, error, remedy, value)
 
 
-def judge(
+def pass_if(
     name: str, passed: bool, message: str, rule: str, remedy: str, value: float | str | None = None
 ) -> CheckResult:
     """Return a result; only if it failed, its message ends with the rule."""
@@ -47,7 +47,7 @@ def warn_if(name: str, warning: str | None, message: str, remedy: str, value: fl
     return CheckResult(name, True, warning, remedy, value, warn=True)
 
 
-def skipped(names: Iterable[str], reason: str, remedy: str = "repair that first") -> list[CheckResult]:
+def skip_checks(names: Iterable[str], reason: str, remedy: str = "repair that first") -> list[CheckResult]:
     """Return the results of checks that were not done."""
     return [CheckResult(name, None, reason, remedy) for name in names]
 

@@ -31,24 +31,24 @@ class Column:
     """What it is."""
     frame: str = ""
     """Frame of vectors: base, heading or world; empty for columns without a frame."""
-    known: bool = True
+    required: bool = True
     """Whether every record has the column; other columns may hold NaN, and are all NaN where they are left out."""
     always_in_file: bool = True
     """Whether a file has the column even if all of it is NaN."""
     is_fraction: bool = False
     """Whether values lie between 0 and 1."""
 
-    def sized(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    def shape_for(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
         """Return the shape for sizes by letter."""
         return tuple(int(size) if size.isdigit() else sizes[size] for size in self.shape.split(", "))
 
-    def checked(self, name: str, value: ArrayLike, sizes: Mapping[str, int], may_be_nan: bool = False) -> Array:
+    def validate(self, name: str, value: ArrayLike, sizes: Mapping[str, int], may_be_nan: bool = False) -> Array:
         """Return a read-only copy in double precision; all NaN for a value that is left out, if it may be.
 
         Raises:
             SurefootError: values that are no numbers, or another shape.
         """
-        array, shape = np.asarray(value), self.sized(sizes)
+        array, shape = np.asarray(value), self.shape_for(sizes)
         if array.dtype.kind not in "biuf":
             raise SurefootError(f"{name} holds {array.dtype}, but must hold numbers")
         if may_be_nan and not array.size:

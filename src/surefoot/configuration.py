@@ -36,11 +36,11 @@ _KEY = 100
 class Within:
     """Bounds of a field: `Annotated[float, Within(0, 1)]`; they hold for each number in lists and tables too."""
 
-    least: float
+    minimum: float
     """Least number that is allowed."""
-    greatest: float
+    maximum: float
     """Greatest number that is allowed."""
-    above: bool = False
+    exclusive: bool = False
     """Whether the least number itself is refused."""
 
     def check(self, where: str, value: Any) -> None:
@@ -68,9 +68,9 @@ class Within:
         """Return the rule that a number breaks; empty if it breaks none."""
         if isinstance(value, float) and math.isnan(value):
             return "a finite number"
-        if value < self.least or (self.above and value == self.least):
-            return f"over {self.least:.15g}" if self.above else f"{self.least:.15g} or more"
-        return f"{self.greatest:.15g} or less" if value > self.greatest else ""
+        if value < self.minimum or (self.exclusive and value == self.minimum):
+            return f"over {self.least:.15g}" if self.exclusive else f"{self.least:.15g} or more"
+        return f"{self.greatest:.15g} or less" if value > self.maximum else ""
 
 
 _ANY = Within(-1e15, 1e15)
@@ -80,11 +80,11 @@ Seed = Annotated[int, Within(0, 2**32 - 1)]
 """The seed of random numbers."""
 Threads = Annotated[int, Within(0, 1024)]
 """Number of threads; 0 means one a core."""
-Duration = Annotated[float, Within(0, 3600, above=True)]
+Duration = Annotated[float, Within(0, 3600, exclusive=True)]
 """Length of a run [s]."""
 NoOption = Annotated[T, tyro.conf.Fixed, tyro.conf.Suppress]
 """A field that has no option by its dotted name, since commands have one of their own for it."""
-Positive = Annotated[float, Within(0, 1e9, above=True)]
+Positive = Annotated[float, Within(0, 1e9, exclusive=True)]
 NotNegative = Annotated[float, Within(0, 1e9)]
 
 

@@ -20,7 +20,7 @@ def stdout_to_stderr() -> Iterator[None]:
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
+def discard_output() -> Iterator[None]:
     """Discard what C code prints to stdout or stderr."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -49,7 +49,7 @@ def mujoco_errors(path: Path, explain: Callable[[str, Path], SurefootError] = _r
     # A C function without effect. It stays: engines are made silent in the same way.
     mujoco.set_mju_user_warning(ctypes.CDLL(None).strlen)
     try:
-        with quiet():
+        with discard_output():
             yield
     except (ValueError, MemoryError, RecursionError, mujoco.FatalError) as error:
         raise explain(str(error) or type(error).__name__, path) from error

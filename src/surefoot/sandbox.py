@@ -1,10 +1,11 @@
-"""Processes of their own for files that others made: with bounded memory and time, or without any rights.
+"""Isolated processes for untrusted files: with limits on memory and time, or without any privileges.
 
-Parsers written in C may crash, fill the memory or never end on a hostile file. `run_module` runs one in a process that
-limits itself (`limit_resources`), and returns how it ended.
+Parsers written in C may crash, exhaust the memory or never return on a hostile file. `run_module` runs one in a process
+that limits itself (`limit_resources`), and returns its exit code and output.
 
-On Linux such a process can give up all rights (`enter`): a filter of system calls (seccomp) lets it compute, and read
-and write what is open; every other call fails. It can't be taken off again. See man 2 seccomp.
+On Linux such a process can also drop all privileges (`enter_sandbox`): a filter of system calls (seccomp) lets it
+compute, and read and write files that are already open; every other call fails. The filter can't be removed again. See
+man 2 seccomp.
 """
 
 from __future__ import annotations
@@ -78,18 +79,18 @@ class Limits:
     """Address space [byte]."""
     time: float
     """Processor time of all its threads from when it limits itself [s]; whole seconds are counted."""
-    patience: float
+    timeout: float
     """Time by the clock [s]."""
 
 
 @dataclass(frozen=True)
-class Ending:
+class ProcessResult:
     """How a process ended, and what it gave."""
 
     code: int
     """Exit code; the negative number of the signal that ended it."""
     output: bytes
-    """What it wrote to `take_output`."""
+    """What it wrote to `claim_stdout`."""
     message: str
     """Last line of what it printed."""
 
@@ -104,10 +105,10 @@ class Ending:
         return self.message or f"it ended with code {self.code}"
 
 
-def run_module(module: str, words: Sequence[str], limits: Limits, data: bytes = b"") -> Ending:
+def run_module(module: str, words: Sequence[str], limits: Limits, data: bytes = b"") -> ProcessResult:
     """Run a module as a program in a process of its own, which is killed when it takes too long or at Ctrl-C.
 
-    The process must limit its memory and processor time: see `limit_resources` and `enter`.
+    The process must limit its memory and processor time: see `limit_resources` and `enter_sandbox`.
 
     Args:
         module: dotted name of the module.
@@ -130,17 +131,17 @@ def run_module(module: str, words: Sequence[str], limits: Limits, data: bytes = 
     with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
         try:
             code = subprocess.run(
-                command, input=data, stdout=output, stderr=errors, timeout=limits.patience, env=environment, check=False
+                command, input=data, stdout=output, stderr=errors, timeout=limits.timeout, env=environment, check=False
             ).returncode
         except subprocess.TimeoutExpired:
             code = -signal.SIGKILL
         errors.seek(max(errors.seek(0, os.SEEK_END) - _MESSAGE_BYTES, 0))
         lines = errors.read().decode(errors="replace").strip().splitlines()
         output.seek(0)
-        return Ending(code, output.read(), lines[-1] if lines else "")
+        return ProcessResult(code, output.read(), lines[-1] if lines else "")
 
 
-def take_output() -> BufferedWriter:
+def claim_stdout() -> BufferedWriter:
     """Return this process's standard output, to which only a result is written; what else prints goes to stderr."""
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -171,7 +172,7 @@ def limit_resources(limits: Limits) -> None:
         os._exit(1)
 
 
-def enter(limits: Limits) -> None:
+def enter_sandbox(limits: Limits) -> None:
     """Give up all rights of this process, for good, and limit what it uses.
 
     Raises:

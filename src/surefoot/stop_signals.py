@@ -12,7 +12,7 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, Self
 
-ALL = ("SIGINT", "SIGTERM", "SIGHUP")
+STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 SIT, DAMP = 1, 2
 """Requests to a robot, see `StopSignals.stops`."""
 
@@ -85,7 +85,7 @@ class StopSignals:
 
     def __init__(
         self,
-        names: tuple[str, ...] = ALL,
+        names: tuple[str, ...] = STOP_SIGNALS,
         on_signal: Callable[[int], object] | None = None,
         respect_nohup: bool = False,
     ) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from edited import edited_policy
+from shipped_variants import modified_policy
 
 pytest.importorskip("gymnasium")
 
@@ -27,7 +27,7 @@ def edited(path: Path, changes: dict[str, Any]) -> Path:
             *tables, key = name.split(".")
             functools.reduce(dict.__getitem__, tables, contract)[key] = value
 
-    return edited_policy(path, edit, "trot")
+    return modified_policy(path, edit, "trot")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("mujoco")
 
-from foreign import perceptron
+from third_party_policies import perceptron
 
 from surefoot.adopt.adoption import FORMATS
 from surefoot.adopt.exporting import EXPORTERS

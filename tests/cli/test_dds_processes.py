@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edited import edited_policy
 from fault_bench import QUICK, QUICK_UP
-from processes import refused, run_surefoot
+from processes import assert_rejected, run_surefoot
+from shipped_variants import modified_policy
 
 pytest.importorskip("cyclonedds")
 pytest.importorskip("mujoco")
@@ -109,7 +109,9 @@ def link(domain: int) -> tuple[str, ...]:
 
 
 def test_a_domain_without_a_robot_is_refused() -> None:
-    refused(run_surefoot("deploy", "go2-steer", *link(EMPTY)), f"interface lo, domain {EMPTY}: no state of a robot")
+    assert_rejected(
+        run_surefoot("deploy", "go2-steer", *link(EMPTY)), f"interface lo, domain {EMPTY}: no state of a robot"
+    )
 
 
 def test_messages_of_another_robots_type_are_refused(tmp_path: Path) -> None:
@@ -121,19 +123,21 @@ def test_messages_of_another_robots_type_are_refused(tmp_path: Path) -> None:
     done = run_surefoot("deploy", "go2-steer", *link(EMPTY))
     del writer
     other.close()  # a process has one domain
-    refused(done, "rt/lowstate is of type", "unitree_hg", types.GO_LOW_STATE)
+    assert_rejected(done, "rt/lowstate is of type", "unitree_hg", types.GO_LOW_STATE)
 
 
 def test_messages_of_another_length_are_refused(body: Go2) -> None:
     body.set(short=True)
-    refused(run_surefoot("deploy", "go2-steer", *link(DOMAIN)), "no state of a Go2 comes on rt/lowstate", "bytes")
+    assert_rejected(
+        run_surefoot("deploy", "go2-steer", *link(DOMAIN)), "no state of a Go2 comes on rt/lowstate", "bytes"
+    )
     assert body.read() == []
     body.reset()
 
 
 def test_a_policy_of_another_rate_is_refused(body: Go2, tmp_path: Path) -> None:
     body.reset()
-    policy = edited_policy(tmp_path / "p.onnx", lambda contract: contract.update(control_step=0.011), "go2-steer")
+    policy = modified_policy(tmp_path / "p.onnx", lambda contract: contract.update(control_step=0.011), "go2-steer")
     done = run_surefoot("deploy", policy, *link(DOMAIN), cwd=tmp_path)
     assert done.returncode == 2
     phase, error = done.stderr.splitlines()

@@ -17,7 +17,7 @@ from unittest import mock
 import numpy as np
 import pytest
 from fault_bench import QUICK
-from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
+from processes import SUREFOOT, EmulatorHere, assert_rejected, emulators, surefoot
 
 from surefoot.deploy.motion_capture import read_capture
 from surefoot.evaluation.recorded import find_traces
@@ -110,7 +110,7 @@ def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
     (tmp_path / "way.csv").write_text("\n".join(rows))
     words = ("deploy", "go2-steer", "--port", robot.port, "--lockstep", "--out", tmp_path / "out")
     # Invalid commands are refused before anything is sent to the robot.
-    refused(surefoot(*words, "--commands", tmp_path / "none.csv"), "none.csv")
+    assert_rejected(surefoot(*words, "--commands", tmp_path / "none.csv"), "none.csv")
     done = surefoot(
         *(*words, "--commands", tmp_path / "way.csv", "--duration", "6"),
         *("--motion-capture", tmp_path / "capture.csv", "--json"),
@@ -133,7 +133,7 @@ def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
 
 
 def test_a_policy_without_commands_is_not_steered(emulate):
-    refused(deploy(emulate().port, "--commands", "5555"), "--commands is given; policy 'trot' has no commands")
+    assert_rejected(deploy(emulate().port, "--commands", "5555"), "--commands is given; policy 'trot' has no commands")
 
 
 @pytest.fixture
@@ -164,7 +164,7 @@ def test_a_policy_sees_the_step_that_an_emulated_robot_stands_before(seeing: Pat
     ground = ("--terrain", tmp_path / "step.npz", "--height-map", port, *exact, "--out", capture)
     with emulators() as start:
         words = ("deploy", seeing, "--port", start(*robot, *ground).port, "--lockstep", "--out", tmp_path / "out")
-        refused(surefoot(*words), "policy 'seeing' sees the ground; give --height-map PORT")
+        assert_rejected(surefoot(*words), "policy 'seeing' sees the ground; give --height-map PORT")
         done = surefoot(*words, "--height-map", port, "--duration", "0.5", "--json")
     assert done.returncode == 0, done.stderr
     (run,) = json.loads(done.stdout)["runs"]

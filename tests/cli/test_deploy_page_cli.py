@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from processes import SUREFOOT, Emulator, refused, run_surefoot
+from processes import SUREFOOT, Emulator, assert_rejected, run_surefoot
 
 from surefoot.task.trace import EpisodeTrace
 
@@ -217,5 +217,5 @@ def test_buttons_and_a_killed_page_stop_the_robot(
 
 def test_drive_page_refuses_incompatible_options():
     command = ("deploy", "go2-steer", "--port", "x", "--browser")
-    refused(run_surefoot(*command, "--commands", "5555"), "commands come from one place")
-    refused(run_surefoot(*command, "--lockstep"), "a page drives in real time")
+    assert_rejected(run_surefoot(*command, "--commands", "5555"), "commands come from one place")
+    assert_rejected(run_surefoot(*command, "--lockstep"), "a page drives in real time")

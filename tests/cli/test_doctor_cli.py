@@ -13,7 +13,7 @@ from typing import Any
 from unittest import mock
 
 import pytest
-from processes import Emulator, EmulatorHere, emulators, refused, run_surefoot, surefoot
+from processes import Emulator, EmulatorHere, assert_rejected, emulators, run_surefoot, surefoot
 
 pytest.importorskip("mujoco")
 onnx = pytest.importorskip("onnx")
@@ -145,7 +145,7 @@ def test_a_line_that_damages_frames_fails(port_of: Callable[..., str]):
 def test_without_a_terminal_motors_move_only_with_yes(option: str, place: str):
     with open(os.devnull) as nothing, mock.patch("sys.stdin", nothing):
         done = surefoot("doctor", "trot", "--port", "/dev/none", option)
-    refused(done, f"motors will move and the robot must {place}")
+    assert_rejected(done, f"motors will move and the robot must {place}")
     assert done.stderr.endswith("say so with --yes\n")
 
 

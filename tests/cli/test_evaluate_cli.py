@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import edited_policy
-from processes import SUREFOOT, refused, run_surefoot, surefoot
+from processes import SUREFOOT, assert_rejected, run_surefoot, surefoot
+from shipped_variants import modified_policy
 
 pytest.importorskip("torch")
 pytest.importorskip("mujoco")
@@ -45,7 +45,7 @@ def policy(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         contract["name"] = "beginner"
         contract["task"] |= {"max_steps": 240, "params": {}, "pushes": {"enabled": False}}
 
-    return edited_policy(tmp_path_factory.mktemp("policy") / "beginner.onnx", change, trained / "policy.onnx")
+    return modified_policy(tmp_path_factory.mktemp("policy") / "beginner.onnx", change, trained / "policy.onnx")
 
 
 def test_help_is_fast_and_names_the_commands():
@@ -125,7 +125,7 @@ def test_a_missing_simulator_is_named_with_the_command_that_installs_it(policy: 
     script = f"{hide}\nfrom surefoot.cli.main import main\nsys.exit(main())"
     command = [sys.executable, "-c", script, "evaluate", str(policy)]
     without = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    refused(without, f"this needs mujoco, which is not installed: {install_command('sim')}")
+    assert_rejected(without, f"this needs mujoco, which is not installed: {install_command('sim')}")
 
 
 def test_an_interrupt_ends_with_130():

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import edited_policy
-from processes import refused, surefoot
+from processes import assert_rejected, surefoot
+from shipped_variants import modified_policy
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
@@ -31,14 +31,14 @@ RUNS = ["run_000.npz", "run_001.npz", "run_002.npz"]
 def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with trot.onnx and gallop.onnx, whose episodes last 60 control steps; the trot has constraint motors."""
     folder = tmp_path_factory.mktemp("policies")
-    edited_policy(folder / "gallop.onnx", lambda contract: contract["task"].update(max_steps=60))
+    modified_policy(folder / "gallop.onnx", lambda contract: contract["task"].update(max_steps=60))
     latencies = {"control_latency": 0.0, "servo_latency": 0.0}
 
     def make_ideal(contract: dict[str, Any]) -> None:
         contract["task"].update(max_steps=60, actuator="constraint")
         contract.update(latencies)
 
-    edited_policy(folder / "trot.onnx", make_ideal, "trot")
+    modified_policy(folder / "trot.onnx", make_ideal, "trot")
     return folder
 
 
@@ -133,7 +133,9 @@ def test_runs_have_the_same_duration_in_every_world(here: Path):
     result([*words, "--duration", "0.12"])
     assert [int(run["steps"]) for run in read(Path("gap/episodes.csv"))] == [20, 10]
     message = "its run was to last 0.12 s, the others last 0.36 s; give --duration 0.12 to compare"
-    refused(surefoot("gap", "gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "other", *ONE), message)
+    assert_rejected(
+        surefoot("gap", "gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "other", *ONE), message
+    )
     assert not Path("other").exists()
     output = result(["gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "other", "--duration", "0.12"])
     assert output["policies"][0]["worlds"][1]["runs"] == 1

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import SUREFOOT, EmulatorHere, emulators, printed_commands, refused, surefoot
+from processes import SUREFOOT, EmulatorHere, assert_rejected, emulators, printed_commands, surefoot
 
 from surefoot.api.extras import install_command
-from surefoot.cli.helpers.identify_run import refuse_another_robot
+from surefoot.cli.helpers.identify_run import check_robot
 from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
 from surefoot.identify.registry import EXPERIMENTS
@@ -143,7 +143,7 @@ def test_identify_never_overwrites_a_recording(recorded: Recorded):
     path = recorded[0] / "recording.npz"
     before = path.read_bytes()
     done = identify("contact", "--port", "/dev/none", "--yes", "--record-only", "--out", path.parent)
-    refused(done, f"{path} exists and is not written over; give another folder with --out")
+    assert_rejected(done, f"{path} exists and is not written over; give another folder with --out")
     assert path.read_bytes() == before
 
 
@@ -212,12 +212,12 @@ def test_ctrl_c_ends_an_experiment_and_keeps_the_recording(hanging: EmulatorHere
     assert "to fit it" not in message
     assert [path.name for path in out.iterdir()] == ["recording.npz"]
     # What was stopped is not fitted later either.
-    refused(identify("motor", "--recording", out), "did not come to its end: stopped by the operator")
+    assert_rejected(identify("motor", "--recording", out), "did not come to its end: stopped by the operator")
 
 
 def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDescription):
     message = make_handshake(robot, Limits.from_robot(robot), "", robot.timing.servo_step)
-    refuse_another_robot(message, robot)
+    check_robot(message, robot)
     signs = np.array(message.motor_signs, float)
     signs[3] *= -1
     for other, why in (
@@ -227,7 +227,7 @@ def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDe
         (replace(message, motor_signs=signs), f"motor signs: {robot.motor_names[3]} has "),
     ):
         with pytest.raises(SurefootError, match=re.escape(f"the robot is not as on its data sheet: {why}")):
-            refuse_another_robot(other, robot)
+            check_robot(other, robot)
 
 
 class Terminal(io.StringIO):
@@ -297,7 +297,7 @@ def test_identify_from_traces(tmp_path: Path):
     assert np.mean(overlay["params"]["motor_strength"]) == pytest.approx(0.9, abs=0.03)
     assert overlay["identified"]["traces"]["file"] == str(traces)
     done = identify("--trace", traces, "--fit", "contact_friction")
-    refused(done, "traces can't identify 'contact_friction'; choices: motor_strength")
+    assert_rejected(done, "traces can't identify 'contact_friction'; choices: motor_strength")
 
 
 def test_identify_from_logs_with_one_held_out(tmp_path: Path):
@@ -319,8 +319,10 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
         blank = RecordedMotion(name, time, command, read)
         output = replayer.run(segment_from_motion(blank, pupper), truth)
         np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=output.motor_angle[0])
-    refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick', which is no log; choices: fast, slow")
-    refused(identify("--trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
+    assert_rejected(
+        identify(*words, "--hold-out", "quick"), "--hold-out names 'quick', which is no log; choices: fast, slow"
+    )
+    assert_rejected(identify("--trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
     how = ("--rack", "fast", "slow", "--hold-out", "fast", "--fit", "control_latency", "--out", out)
     done = identify(*words, *how, "--json")
     assert done.returncode == 0, done.stderr

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 
 import pytest
-from processes import refused, surefoot
+from processes import assert_rejected, surefoot
 
 from surefoot.cli import identify, robot, robot_firmware, study
 from surefoot.cli.main import COMMANDS, FORMER, GROUPS
@@ -22,7 +22,7 @@ ACTIONS = {
 @pytest.mark.parametrize("name", FORMER)
 def test_a_former_command_answers_with_the_present_one(name: str):
     done = surefoot(name, "x", "--help")
-    refused(done, f"'{name}' is no command any more; type surefoot ")
+    assert_rejected(done, f"'{name}' is no command any more; type surefoot ")
     assert name not in COMMANDS
     for text in FORMER[name].split("surefoot ")[1:]:
         command, *rest = text.split()

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from edited import maxitaur
 from processes import surefoot
+from shipped_variants import maxitaur
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")

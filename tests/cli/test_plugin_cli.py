@@ -10,7 +10,7 @@ from typing import Any
 from unittest import mock
 
 import pytest
-from processes import EmulatorHere, emulators, refused, served, surefoot
+from processes import EmulatorHere, assert_rejected, emulators, serve_page, surefoot
 
 pytest.importorskip("torch")
 pytest.importorskip("viser")
@@ -42,7 +42,9 @@ def run(repository: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory
     """Return the folder of a run with the example's plug-in."""
     folder = tmp_path_factory.mktemp("runs")
     task = repository / "examples/plugin.yaml"
-    refused(surefoot("train", task, *TINY, cwd=folder), "reward.foot_clearance is not a term; choices: progress")
+    assert_rejected(
+        surefoot("train", task, *TINY, cwd=folder), "reward.foot_clearance is not a term; choices: progress"
+    )
     done = surefoot("train", task, "--plugin", plugin, *TINY, cwd=folder)
     remove_plugins()
     assert done.returncode == 0, done.stderr
@@ -52,7 +54,9 @@ def run(repository: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory
 
 def test_evaluation_needs_the_observation_and_skips_the_reward_term(run: Path, plugin: Path, tmp_path: Path) -> None:
     policy, words = run / "policy.onnx", ("--episodes", "1", "--json")
-    refused(surefoot("evaluate", policy, *words), "needs observation 'lean' of a plug-in", "--plugin 'plugin.py'")
+    assert_rejected(
+        surefoot("evaluate", policy, *words), "needs observation 'lean' of a plug-in", "--plugin 'plugin.py'"
+    )
     whole = surefoot("evaluate", policy, *words, "--plugin", plugin)
     assert (whole.returncode, whole.stderr) == (0, "")
     remove_plugins()
@@ -67,14 +71,16 @@ def test_evaluation_needs_the_observation_and_skips_the_reward_term(run: Path, p
 
 
 def test_a_run_is_resumed_with_the_plugin_that_is_named_again(run: Path, plugin: Path) -> None:
-    refused(surefoot("train", "--resume", run), "was trained with 'foot_clearance', 'lean' of a plug-in; name the")
+    assert_rejected(
+        surefoot("train", "--resume", run), "was trained with 'foot_clearance', 'lean' of a plug-in; name the"
+    )
     load_plugins([plugin])
     assert RunFolder.open(run)[1].task.observations[0] == "lean"
 
 
 def test_the_drive_page_answers(run: Path, plugin: Path) -> None:
     with (
-        served("drive", run / "policy.onnx", "--plugin", plugin) as address,
+        serve_page("drive", run / "policy.onnx", "--plugin", plugin) as address,
         urllib.request.urlopen(address, timeout=20) as page,
     ):
         assert page.status == 200
@@ -89,7 +95,7 @@ def emulate() -> Iterator[Callable[..., Any]]:
 
 def test_a_robot_runs_the_policy(run: Path, plugin: Path, emulate: Callable[..., Any], tmp_path: Path) -> None:
     words = ("deploy", run / "policy.onnx", "--port", emulate("--lockstep").port, "--lockstep", "--duration", "0.3")
-    refused(surefoot(*words, cwd=tmp_path), "needs observation 'lean' of a plug-in")
+    assert_rejected(surefoot(*words, cwd=tmp_path), "needs observation 'lean' of a plug-in")
     done = surefoot(*words, "--json", "--plugin", plugin, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     (result,) = json.loads(done.stdout)["runs"]

@@ -15,8 +15,8 @@ pytest.importorskip("torch")
 pytest.importorskip("mujoco")
 pytest.importorskip("viser")
 
-from edited import maxitaur
-from processes import EmulatorHere, emulators, printed_commands, served, surefoot
+from processes import EmulatorHere, emulators, printed_commands, serve_page, surefoot
+from shipped_variants import maxitaur
 
 from surefoot.cli.helpers.output import next_command
 from surefoot.robot import RobotDescription
@@ -85,7 +85,7 @@ def test_a_printed_command_works_in_another_folder_without_the_robots_folder(
 @pytest.mark.parametrize(("purpose", "first"), [("look at", "show"), ("drive it", "drive")])
 def test_a_printed_page_answers(purpose: str, first: str, printed: dict[str, dict[str, list[str]]], tmp_path: Path):
     words = printed["train"][purpose]
-    with served(*words[words.index(first) :], cwd=tmp_path) as address:
+    with serve_page(*words[words.index(first) :], cwd=tmp_path) as address:
         assert urllib.request.urlopen(address).status == 200
 
 

@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from processes import SUREFOOT, refused, surefoot, wait_until
+from processes import SUREFOOT, assert_rejected, surefoot, wait_until
 
 from surefoot.api.extras import install_command
 from surefoot.files import read_json_lines
@@ -104,7 +104,7 @@ def test_a_study_resumes_after_kills_and_interrupts(tmp_path: Path) -> None:
     check_results(tmp_path / "results" / "tiny")
 
     (tmp_path / "tiny.yaml").write_text(TINY.replace("max_steps: 40", "max_steps: 41"))
-    refused(
+    assert_rejected(
         surefoot("study", "tiny.yaml", cwd=tmp_path),
         "surefoot: error: runs/tiny/plain/seed_0: was trained with task.max_steps 40, and the study asks for 41; move "
         "the folder away to train it anew, give another --out, or change the study back\n",
@@ -213,9 +213,9 @@ def test_identify_takes_a_study_with_robots_and_skips_those_that_are_identified(
     assert (done.returncode, done.stdout) == (0, "hidden: all 2 robots are identified\n"), done.stderr
     (folder / "tiny.yaml").write_text(TINY)
     done = surefoot("study", "identify", "tiny.yaml", cwd=folder)
-    refused(done, "tiny.yaml: the study has no robots to identify")
+    assert_rejected(done, "tiny.yaml: the study has no robots to identify")
     (folder / "hidden.yaml").write_text(ROBOTS.replace("world: mujoco", "world: ensemble"))
-    refused(surefoot("study", "hidden.yaml", cwd=folder), "world is 'ensemble'")
+    assert_rejected(surefoot("study", "hidden.yaml", cwd=folder), "world is 'ensemble'")
 
 
 GAP = """

@@ -10,7 +10,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from processes import SUREFOOT, refused, surefoot, wait_until
+from processes import SUREFOOT, assert_rejected, surefoot, wait_until
 from ray_nodes import cluster, free_port
 
 from surefoot.files import read_json_lines
@@ -88,7 +88,9 @@ def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> Non
     assert result.returncode == 0, result.stderr
     assert [(tmp_path / "out" / name).read_text() for name in tables] == before
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/trials/*/evaluations/fresh_*.json")} == fresh
-    refused(surefoot(*SEARCH, cwd=tmp_path), "out: holds a search; go on with it by --resume, or give another --out")
+    assert_rejected(
+        surefoot(*SEARCH, cwd=tmp_path), "out: holds a search; go on with it by --resume, or give another --out"
+    )
 
 
 def check(folder: Path, trials: int) -> None:
@@ -137,5 +139,5 @@ def test_an_address_without_ray_is_refused(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr("surefoot.studies.workers._CONNECT_TIMEOUT", 0.5)
     port = free_port()
     done = surefoot("study", "search", "trot", "--ray", f"127.0.0.1:{port}", cwd=tmp_path)
-    refused(done, f"ray is 127.0.0.1:{port}: no Ray answers there within 0.5 s")
+    assert_rejected(done, f"ray is 127.0.0.1:{port}: no Ray answers there within 0.5 s")
     assert not list(tmp_path.iterdir())

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exact_resume import assert_resumes_exactly
 from numpy.typing import NDArray
-from resuming import assert_resumes_exactly
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.task import components as registry
 from surefoot.task.component import Component, Privileged

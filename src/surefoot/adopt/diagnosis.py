@@ -23,7 +23,7 @@ from surefoot.adopt.examination import (
 )
 from surefoot.adopt.mistakes import corrections
 from surefoot.adopt.robot_guesses import RobotGuess, robot_guesses
-from surefoot.check_result import CheckResult, judge
+from surefoot.check_result import CheckResult, pass_if
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import Progress
 from surefoot.policy.runtime import PolicyRuntime
@@ -187,7 +187,7 @@ def check_answers(diagnosis: Diagnosis, notes: Mapping[str, str] = MappingProxyT
         message = f"asked {asked}; {end}"
         if name == "stand" and "stand" in notes:
             message += f"; {notes['stand']}"
-        results.append(judge(name, bool(score >= GOOD), message, "", remedy, float(score)))
+        results.append(pass_if(name, bool(score >= GOOD), message, "", remedy, float(score)))
     if diagnosis.constants is not None:
         results.append(_judge_constants(diagnosis))
     return [*results, _judge_specification(diagnosis)]
@@ -197,14 +197,14 @@ def _judge_constants(diagnosis: Diagnosis) -> CheckResult:
     assert diagnosis.constants is not None
     walking = walks(diagnosis.own)
     remedy = "give the quantities that the training had there, or train without them"
-    return judge("constant inputs", walking, diagnosis.constants.text, "", remedy, float(diagnosis.constants.count))
+    return pass_if("constant inputs", walking, diagnosis.constants.text, "", remedy, float(diagnosis.constants.count))
 
 
 def _judge_specification(diagnosis: Diagnosis) -> CheckResult:
     own, mistake, guess = diagnosis.own, diagnosis.mistake, diagnosis.explained
     if diagnosis.constants is not None:
         message = f"no mistake is named while inputs are constants (score {own.score:.2f})"
-        return judge("specification", walks(own), message, "", "see the line constant inputs", own.score)
+        return pass_if("specification", walks(own), message, "", "see the line constant inputs", own.score)
     tried = f"{len(diagnosis.ranked)} usual mistakes tried"
     if mistake is not None and mistake.correction is not None and diagnosis.is_shown:
         message = f"{tried}; {mistake.text} (score {own.score:.2f}, then {mistake.score:.2f})"
@@ -225,4 +225,4 @@ def _judge_specification(diagnosis: Diagnosis) -> CheckResult:
     message += f", best {diagnosis.ranked[0].score:.2f})" if diagnosis.ranked else ")"
     passed = bool(not own.fell.any() and (own.scores[1:] >= GOOD).any())
     rule = "; what is wrong is another thing, or several things"
-    return judge("specification", passed, message, rule, "compare with the training, field by field", own.score)
+    return pass_if("specification", passed, message, rule, "compare with the training, field by field", own.score)

@@ -101,7 +101,7 @@ class PolicySpecification:
     """Least and greatest joint angle [rad]; None: the joints' own limits. These hold in any case."""
     joint_signs: Annotated[tuple[float, ...] | None, Within(-1, 1)] = None
     """1 or -1 for each joint: its sense over that of the robot's URDF; None: the same."""
-    observation_clip: Annotated[float | None, Within(0, 1e6, above=True)] = None
+    observation_clip: Annotated[float | None, Within(0, 1e6, exclusive=True)] = None
     """Greatest size of a number of the observation, after the scale; None: not clipped."""
     history_by: Literal["step", "term"] = "step"
     """Order of an observation with several ages. step: all terms of an age, then all terms of the next one; term: all

@@ -87,7 +87,7 @@ class EmulateCommand:
     out: tuple[Path, ...] = ()
     """Files to write: what a motion capture system sees of the robot, 200 times a second (.csv), and the physical
     parameters that --hidden-seed draws (.toml), for checking later."""
-    duration: Annotated[float, Within(0, 1e7, above=True)] | None = None
+    duration: Annotated[float, Within(0, 1e7, exclusive=True)] | None = None
     """End after so much robot time [s]."""
     firmware: Path | None = None
     """Program of a firmware in C, which `make host` compiles in a folder of `surefoot robot firmware new`; the robot's

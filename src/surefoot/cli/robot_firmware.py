@@ -49,7 +49,7 @@ class MotorCommand(SerialOptions):
     """Name or folder of the robot."""
     duty: Annotated[float, Within(-MAX_DUTY, MAX_DUTY)] = 0.05
     """Of a joint actuator a share of its greatest torque."""
-    duration: Annotated[float, Within(0, 2, above=True)] = 0.3
+    duration: Annotated[float, Within(0, 2, exclusive=True)] = 0.3
     """Time [s] after which it has no duty any more; it has none beyond .3 rad either."""
     yes: Yes = False
 

@@ -34,7 +34,7 @@ class PPOConfig:
     symmetry: bool = False
     """Learn from every sample's mirror image too: for reference gaits that are left-right symmetric. A robot whose
     sides differ by more than 0.5 % of its legs' length learns without, and a note says so."""
-    init_std: Annotated[float, Within(0, 100, above=True)] = 0.6
+    init_std: Annotated[float, Within(0, 100, exclusive=True)] = 0.6
     """Standard deviation of the first policy's normalized actions, which go from -1 to 1."""
     final_std: Annotated[float, Within(0, 100)] = 0.0
     """Greatest standard deviation at the end of the run; the limit falls linearly from init_std. 0: no limit."""
@@ -47,28 +47,28 @@ class PPOConfig:
     """Passes over the samples of an update."""
     minibatches: Annotated[int, Within(1, 1_000_000)] = 4
     """Parts that a pass is split into."""
-    learning_rate: Annotated[float, Within(0, 1, above=True)] = 1e-3
+    learning_rate: Annotated[float, Within(0, 1, exclusive=True)] = 1e-3
     """Adam's learning rate at the start."""
     schedule: Literal["adaptive", "fixed"] = "adaptive"
     """adaptive: the learning rate follows the Kullback-Leibler divergence of the updates."""
-    desired_kl: Annotated[float, Within(0, 100, above=True)] = 0.01
+    desired_kl: Annotated[float, Within(0, 100, exclusive=True)] = 0.01
     """Divergence that the adaptive schedule aims at."""
     gamma: Annotated[float, Within(0, 1)] = 0.99
     """Discount factor for a control step."""
     lam: Annotated[float, Within(0, 1)] = 0.95
     """Lambda of the generalized advantage estimate."""
-    clip: Annotated[float, Within(0, 100, above=True)] = 0.2
+    clip: Annotated[float, Within(0, 100, exclusive=True)] = 0.2
     """Clip range of the probability ratio, and of the value."""
     value_coefficient: Annotated[float, Within(0, 1e6)] = 1.0
     """Weight of the value loss."""
     entropy_coefficient: Annotated[float, Within(0, 1e6)] = 0.003
     """Weight of the entropy bonus."""
-    max_grad_norm: Annotated[float, Within(0, 1e6, above=True)] = 1.0
+    max_grad_norm: Annotated[float, Within(0, 1e6, exclusive=True)] = 1.0
     """Gradients are clipped to this norm."""
     fall_cost: Annotated[float, Within(0, 1e6)] = 0.0
     """Return [m] that a fall takes away in learning, besides what could have come after it; the paper's is 0. Figures
     are reported without it."""
-    reward_scale: Annotated[float, Within(0, 1e6, above=True)] = 50.0
+    reward_scale: Annotated[float, Within(0, 1e6, exclusive=True)] = 50.0
     """Rewards are multiplied by this for learning; figures are reported unscaled."""
 
     def __post_init__(self) -> None:

@@ -30,7 +30,7 @@ class DcMotorData:
     resistance: Positive
     voltage: Positive
     voltage_clip: Positive
-    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, above=True)]
+    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, exclusive=True)]
     kd: _Each
     torque_table_current: tuple[float, ...]
     torque_table_torque: tuple[float, ...]
@@ -61,7 +61,7 @@ class DcMotorData:
 class JointActuatorData:
     """Torque-controlled joint actuator with a PD controller of the joint's angle, nominal; all at the joint."""
 
-    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, above=True)]
+    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, exclusive=True)]
     """N m/rad"""
     kd: _Each
     """N m s/rad"""

@@ -33,7 +33,7 @@ class CommandLimits:
     """Range of speeds to the left [m/s]; (0, 0) for legs without abduction."""
     yaw_rate: tuple[float, float]
     """Range of yaw rates [rad/s]."""
-    acceleration: Annotated[tuple[float, float, float], Within(0.0, _MAX, above=True)]
+    acceleration: Annotated[tuple[float, float, float], Within(0.0, _MAX, exclusive=True)]
     """How fast each command that the gait follows may change [m/s^2, m/s^2, rad/s^2]."""
     deadband: Annotated[tuple[float, float, float], Within(0.0, _MAX)]
     """Commands that are all no greater than this mean stand [m/s, m/s, rad/s]."""

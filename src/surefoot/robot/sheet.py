@@ -162,7 +162,7 @@ class Sheet:
     motors: Motors
     legs: dict[str, Any]
     actuator: dict[str, Any]
-    body_length: Annotated[float | None, Within(0, 1e9, above=True)] = None
+    body_length: Annotated[float | None, Within(0, 1e9, exclusive=True)] = None
     leg_geometry: FiveBar | None = None
     looks: str | None = None
     loops: tuple[Loop, ...] = ()

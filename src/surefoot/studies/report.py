@@ -11,7 +11,16 @@ import numpy as np
 import pandas as pd
 
 from surefoot.evaluation.statistics import Interval, decimal
-from surefoot.report.figures.style import BLUE, GREEN, ORANGE, QUIET, capital, heading, new_figure, place_labels
+from surefoot.report.figures.style import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    QUIET,
+    capitalize_first,
+    heading,
+    new_figure,
+    place_labels,
+)
 from surefoot.studies.search_space import short_name
 
 if TYPE_CHECKING:
@@ -59,7 +68,7 @@ def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str])
             for row, group in enumerate(groups):
                 values = comparison.of_group(group)[figure.name]
                 _group_bar(ax, row, comparison.interval(group, figure), values, f"C{row}")
-            ax.set_title(capital(figure.heading))
+            ax.set_title(capitalize_first(figure.heading))
             ax.set_ylim(len(groups) - 0.4, -0.6)
             place_labels(
                 ax, [comparison.study.label(group) if ax is axes[0] else "" for group in groups], vertical=True

@@ -12,7 +12,7 @@ import pandas as pd
 from surefoot.evaluation.statistics import CONFIDENCE, decimal
 from surefoot.files import atomic_write
 from surefoot.report.figures.robots import GroupOnRobots, robots_figure
-from surefoot.report.figures.style import capital
+from surefoot.report.figures.style import capitalize_first
 from surefoot.studies.hidden_robots import OTHER, OWN, robot_name
 from surefoot.studies.questions import FIGURES, LEVEL, Answer, ComparedPair
 from surefoot.studies.report import image, readme
@@ -91,11 +91,11 @@ def _claims(comparison: RobotComparison) -> list[str]:
         return []
     primary = comparison.study.primary_questions
     lines = [
-        f"- {'**Primary.** ' if name in primary else ''}{capital(one.question.text)}: **{one.verdict}**"
+        f"- {'**Primary.** ' if name in primary else ''}{capitalize_first(one.question.text)}: **{one.verdict}**"
         + ("" if np.isnan(one.p) else f" (p {_p(one.p)})")
         for name, one in claims.items()
     ]
-    out = [f"- {capital(reason)}." for reason in comparison.not_learned.values()]
+    out = [f"- {capitalize_first(reason)}." for reason in comparison.not_learned.values()]
     parts = [part for one in claims.values() for part in _answer(comparison, one)]
     return ["## Claims", "\n".join([*lines, *out]), *parts]
 
@@ -118,7 +118,7 @@ def _answer(comparison: RobotComparison, one: Answer) -> list[str]:
         cells |= {"p": _p(pair.p)}
         return cells | ({"left out": pair.left_out or "-"} if one.question.is_claim else {"p, Holm": _p(pair.p_holm)})
 
-    return [f"{capital(one.question.text)}:", markdown([row(pair) for pair in one.comparisons])]
+    return [f"{capitalize_first(one.question.text)}:", markdown([row(pair) for pair in one.comparisons])]
 
 
 def _p(value: float) -> str:
@@ -136,7 +136,11 @@ def _results(comparison: RobotComparison, family: str, file: str) -> list[str]:
             for figure, (title, unit, digits) in FIGURES.items():
                 cells[with_unit(title, unit)] = comparison.interval(group, figure, family).text(digits)
             table.append(cells)
-    return [f"## {capital(label)}", image(f"Return in simulation and on the robot: {label}", file), markdown(table)]
+    return [
+        f"## {capitalize_first(label)}",
+        image(f"Return in simulation and on the robot: {label}", file),
+        markdown(table),
+    ]
 
 
 def _every_robot(comparison: RobotComparison) -> list[str]:

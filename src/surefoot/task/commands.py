@@ -44,7 +44,7 @@ class CommandConfig:
     relative: bool = False
     """Speeds count sqrt(g l), of a leg of length l, and yaw rates sqrt(g / l), else m/s and rad/s. The square of a
     relative speed is the Froude number."""
-    acceleration: Annotated[float, Within(0, 100, above=True)] = 0.3
+    acceleration: Annotated[float, Within(0, 100, exclusive=True)] = 0.3
     """How fast the gait follows: speeds in g, yaw rates in g / l."""
     heading_gain: Annotated[float, Within(0, 100)] = 0.0
     """Yaw rate [rad/s] that is added per heading error [rad]; 0: the heading is not held."""

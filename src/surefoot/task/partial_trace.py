@@ -37,7 +37,7 @@ _VERSION = 2
 def row_layout(names: tuple[str, ...], sizes: Mapping[str, int]) -> RowLayout:
     """Return the layout of rows of a trace's columns; `sizes` are those of `trace_sizes`."""
     columns, one_row = columns_of(EpisodeTrace), {**sizes, "T": 1, "T+1": 1}
-    return RowLayout({name: math.prod(columns[name].sized(one_row)) for name in names})
+    return RowLayout({name: math.prod(columns[name].shape_for(one_row)) for name in names})
 
 
 @dataclass(frozen=True)

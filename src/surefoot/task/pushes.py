@@ -23,7 +23,7 @@ class PushConfig:
 
     enabled: NoOption[bool] = False
     """Whether robots are pushed at all."""
-    period: Annotated[float, Within(0, 3600, above=True)] = 1.2
+    period: Annotated[float, Within(0, 3600, exclusive=True)] = 1.2
     """Time from one push to the next [s]; the first comes after one period."""
     duration: float = 0.06
     """How long a push lasts [s]."""

@@ -110,7 +110,7 @@ class TableReferenceConfig(ReferenceConfig):
     """Kind of the reference: none, sine, table, foot or follow. Each has keys of its own."""
     file: str | None = None
     """CSV or NPZ file with columns COORDINATE_LEG, such as swing_front_left."""
-    period: Annotated[float, Within(0, 3600, above=True)] | None = None
+    period: Annotated[float, Within(0, 3600, exclusive=True)] | None = None
     """Time [s] in which the table is gone through once."""
     rows: dict[str, dict[str, tuple[float, ...]]] | None = None
     """The table itself instead of `file`: under each coordinate of leg space, each leg's poses."""

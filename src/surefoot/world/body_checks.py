@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, fail_if, judge, warn_if
+from surefoot.check_result import CheckResult, fail_if, pass_if, warn_if
 from surefoot.errors import choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.rules import read_warnings
@@ -36,7 +36,7 @@ def check_masses(robot: RobotDescription) -> CheckResult:
         rule = (
             f"; no rigid body has the inertia of {choices(odd)}: none of the moments may be over the sum of the others"
         )
-        return judge("masses", False, message, rule, "correct these inertias in the URDF", total)
+        return pass_if("masses", False, message, rule, "correct these inertias in the URDF", total)
     ends: dict[str, list[Array]] = {name: [] for name in links}
     for joint in urdf.joints.values():
         ends[joint.parent].append(joint.frame[:3, 3])

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge, warn_if
+from surefoot.check_result import CheckResult, pass_if, warn_if
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import GRAVITY, RobotDescription, SerialLegs
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE, JointActuatorData
@@ -57,7 +57,7 @@ def run_description_checks(robot: RobotDescription) -> Iterator[CheckResult]:
     yield CheckResult("frequencies", True, frequencies, value=math.sqrt(GRAVITY / robot.leg_geometry.length) / math.tau)
     step, cause, longest = robot.timing.servo_step, min(limits, key=lambda name: limits[name]), _round_down(limits)
     message = f"{1e3 * step:g} ms; at most {1e3 * limits[cause]:.2g} ms by {cause}"
-    yield judge("physics step", step <= limits[cause], message, "", f"set timing.servo_step to {longest:g}", longest)
+    yield pass_if("physics step", step <= limits[cause], message, "", f"set timing.servo_step to {longest:g}", longest)
 
 
 def longest_servo_step(robot: RobotDescription) -> float:
@@ -78,7 +78,7 @@ def _check_torque_limits(robot: RobotDescription) -> CheckResult:
     rule = f"; over {PLACEHOLDER_TORQUE:g} m g l is a placeholder"
     remedy = "state the actuator's real torque in actuator.torque_limit"
     real = bool((torque <= PLACEHOLDER_TORQUE * unit).all())
-    return judge("torque limits", real, message, rule, remedy, float(torque.max()))
+    return pass_if("torque limits", real, message, rule, remedy, float(torque.max()))
 
 
 def _check_feet(robot: RobotDescription, model: mujoco.MjModel) -> CheckResult:
@@ -152,13 +152,13 @@ def _check_stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Che
     if not stands and saturated:
         rule += f"; {asks}"
         remedy = f"{_STRONGER}, or correct actuator.torque_limit" if stands_unlimited else remedy
-    yield judge("stands", stands, message, rule, remedy, tilt)
+    yield pass_if("stands", stands, message, rule, remedy, tilt)
     share = float(asked[worst] / there[worst])
     long = continuous_torque(robot, worst)
     passed = share <= MAX_STANDING_TORQUE and bool(asked[worst] <= long)
     rule = f"; at most {MAX_STANDING_TORQUE:.0%} of it, as a trot stands on half of the legs, and no more than for long"
     if stands or stands_unlimited:
-        yield judge("torque to stand", passed, f"{asks}: {share:.0%}", rule, _STRONGER, share)
+        yield pass_if("torque to stand", passed, f"{asks}: {share:.0%}", rule, _STRONGER, share)
 
 
 def _stand(robot: RobotDescription) -> MotorLoad:

@@ -30,7 +30,7 @@ class MotorFigureCommand:
     """Name of the motor; the robot's first one, if not given."""
     amplitude: Annotated[float, Within(-10, 10)] = 0.3
     """Amplitude of the sine [rad], if no log is given."""
-    frequency: Annotated[float, Within(0, 1000, above=True)] = 3.0
+    frequency: Annotated[float, Within(0, 1000, exclusive=True)] = 3.0
     """Frequency of the sine [Hz], if no log is given."""
     duration: Duration = 1.0
     """Length of the sine [s], if no log is given."""

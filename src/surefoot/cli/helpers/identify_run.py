@@ -104,14 +104,14 @@ def _connect(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tu
     link = command.open_robot(robot)
     try:
         handshake = link.connect()
-        refuse_another_robot(handshake, robot)
+        check_robot(handshake, robot)
         yield link, handshake
     finally:
         with contextlib.suppress(LinkLostError, OSError):
             link.close()
 
 
-def refuse_another_robot(handshake: Handshake, robot: RobotDescription) -> None:
+def check_robot(handshake: Handshake, robot: RobotDescription) -> None:
     """Refuse a robot that is not the one of the data sheet."""
     error = first_failure(check_handshake(handshake, robot))
     if error is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, fail_if, judge
+from surefoot.check_result import CheckResult, fail_if, pass_if
 from surefoot.deploy.dds import types
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus, check_interface
 from surefoot.deploy.dds.low_level import LOW_STATE, MOTOR_NAMES, SERVO, STATE_PERIOD, BadMessageError, Record, decode
@@ -195,7 +195,7 @@ def _check_controller(name: str | None, sport: int) -> CheckResult:
 
 def _check_strangers(seen: Observation, writers: Sequence[str]) -> CheckResult:
     announced = f"; announced as its writers: {choices(writers)}" if writers else ""
-    return judge(
+    return pass_if(
         "other programs",
         not seen.commands,
         f"{seen.commands} messages on {LOW_COMMAND_TOPIC} in {seen.time:.1f} s{announced}",
@@ -233,7 +233,7 @@ def check_cells(record: Record, low: float) -> CheckResult:
         message = f"the state names no cells; {float(record['power_v']):.1f} V"
         return CheckResult("cells", None, message, "look at the battery's own display")
     least, soc, limit = float(cells.min()), int(record["bms_state"]["soc"]), low / len(cells)
-    return judge(
+    return pass_if(
         "cells",
         least >= limit,
         f"{len(cells)} cells, {least:.2f} to {float(cells.max()):.2f} V, {soc} %",
@@ -246,7 +246,7 @@ def check_cells(record: Record, low: float) -> CheckResult:
 def check_gains(kp: ArrayLike, kd: ArrayLike) -> CheckResult:
     """Judge the gains that every command carries."""
     highest, damping = float(np.max(kp)), float(np.max(kd))
-    return judge(
+    return pass_if(
         "drive gains",
         float(np.min(kp)) > 0 and highest <= MAX_KP and float(np.min(kd)) >= 0 and damping <= MAX_KD,
         f"kp {float(np.min(kp)):g} to {highest:g}, kd {float(np.min(kd)):g} to {damping:g}",
@@ -281,7 +281,7 @@ def check_gravity(records: list[Record]) -> CheckResult:
     size = float(np.linalg.norm(force))
     angle = float(np.arccos(np.clip(up @ force / max(size, 1e-9), -1, 1)))
     passed = angle <= GRAVITY_ANGLE and abs(size / GRAVITY - 1) <= GRAVITY_SHARE
-    return judge(
+    return pass_if(
         "gravity",
         bool(passed),
         f"the accelerometer says {size:.2f} m/s2, {angle:.3f} rad from where the orientation has it",

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge, skipped
+from surefoot.check_result import CheckResult, pass_if, skip_checks
 from surefoot.deploy.doctor.doctor_motion import DoctorMotion, MotionStoppedError
 from surefoot.deploy.doctor.rest_check import TimedState
 from surefoot.deploy.robot_link import RobotLink
@@ -71,7 +71,7 @@ def tilt_robot(
     """
     if not all(0 < sum(side in leg for leg in robot.leg_names) < len(robot.legs) for side in SIDES):
         message = f"the names of the legs ({choices(robot.leg_names)}) do not say which stand in front and which left"
-        return skipped(NAMES, message, "name them so in the data sheet")
+        return skip_checks(NAMES, message, "name them so in the data sheet")
     gyro_bias = np.mean([timed.state.angular_velocity_base for timed in at_rest], axis=0)
     stand = robot.pose_angles(*contract.rest)
     motion = DoctorMotion(link, robot, contract.control_step, operator, MAX_ERROR, sits=True)
@@ -121,7 +121,7 @@ def check_tilts(front: TiltReading, left: TiltReading) -> list[CheckResult]:
     return [
         _check_tilt(NAMES[0], "front legs shorter", front.angles, 1, 1.0),
         _check_tilt(NAMES[1], "left legs shorter", left.angles, 0, -1.0),
-        judge(
+        pass_if(
             NAMES[2],
             agree,
             "; ".join(rates),
@@ -145,7 +145,7 @@ def _check_tilt(name: str, condition: str, angles: Array, axis: int, sign: float
         remedy = (
             "the legs did not tilt the robot: check the ground, the legs' cables, and that the IMU is fixed to the body"
         )
-    return judge(
+    return pass_if(
         name,
         sign * main >= MIN_TILT and abs(other) <= MAX_OTHER * abs(main),
         f"{condition}: {AXES[axis]} {main:+.3f}, {AXES[1 - axis]} {other:+.3f} rad",

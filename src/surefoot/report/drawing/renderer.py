@@ -18,7 +18,7 @@ from surefoot.arrays import Array
 from surefoot.report.drawing.ground_part import faces, ground_around, step_edges
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.raster import Light, SurfaceArrays, paint_faces, paint_ground, rasterize
-from surefoot.report.drawing.uneven_ground import GroundLook, VisibleGround, clip, paint_uneven
+from surefoot.report.drawing.uneven_ground import GroundStyle, VisibleGround, clip, paint_uneven
 from surefoot.world.ground import FLAT, Ground
 
 TILE = 0.25
@@ -172,7 +172,7 @@ def _paint_ground(picture: NDArray[np.uint8], view: View, light: Light, base: fl
     top = highest * _blurred(light.occluder, radius, highest) / cover
     ground = VisibleGround(np.column_stack([normals, away]), step_edges(part), part.course, part.grid, top, base)
     color, haze = 255.0 * _GROUND, 255.0 * _HAZE
-    look = GroundLook(color, haze, TILE, _DARK, _SHADOW, float(_FAR * view.above), float(_HAZY * view.above))
+    look = GroundStyle(color, haze, TILE, _DARK, _SHADOW, float(_FAR * view.above), float(_HAZY * view.above))
     rays = view.rays(np.zeros(2), _PARTS)
     paint_uneven(picture, face_at, _PARTS, ground, view.eye, rays, light, look)
     return nearest

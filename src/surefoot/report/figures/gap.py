@@ -11,7 +11,7 @@ import pandas as pd
 
 from surefoot.evaluation.gap import PolicyGap
 from surefoot.evaluation.statistics import CONFIDENCE, MeanEstimate, crossed_interval
-from surefoot.report.figures.style import INK, QUIET, new_figure, place_labels, scattered
+from surefoot.report.figures.style import INK, QUIET, new_figure, place_labels, spread_dots
 from surefoot.tables import with_unit
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def _return_bar(ax: Axes, place: int, number: int, count: int, policy: PolicyGap
         ax.bar(x, estimate.mean, 0.9 * wide, color=color, alpha=_PALE, linewidth=0)
         ax.errorbar(x, estimate.mean, error, color=INK, linewidth=1.3, capsize=4.0, zorder=3)
         if 1 < len(measured) <= _MAX_DOTS:
-            across = x + scattered(len(measured), 0.5 * wide)
+            across = x + spread_dots(len(measured), 0.5 * wide)
             for some, marker in ((~measured.fell, "o"), (measured.fell, "x")):
                 ax.plot(across[some], measured["return"][some], marker, color=color, markersize=3.6, alpha=0.9)
         top = max(estimate.mean + error, float(measured["return"].max()), 0.0)

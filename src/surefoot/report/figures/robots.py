@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.evaluation.statistics import CONFIDENCE, t_interval
-from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, new_figure, place_labels, scattered
+from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, new_figure, place_labels, spread_dots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,7 +69,7 @@ def robots_figure(groups: Sequence[GroupOnRobots], path: str | Path, marked: str
 
 
 def _group(ax: Axes, place: int, group: GroupOnRobots, marked: bool) -> None:
-    across = scattered(len(group.home), 0.4 * _WIDTH)
+    across = spread_dots(len(group.home), 0.4 * _WIDTH)
     places = [place - _WIDTH / 2 - 0.01 + across, place + _WIDTH / 2 + 0.01 + across]
     ax.plot(places, [group.home, group.on_robot], color=QUIET, linewidth=0.6, alpha=0.45, zorder=2)
     crosses = group.marked if marked else np.zeros(len(group.home), np.bool_)

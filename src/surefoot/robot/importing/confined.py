@@ -24,7 +24,7 @@ from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.urdf_file import read_xml
 from surefoot.sandbox import Limits
 
-LIMITS = Limits(memory=2 << 30, time=4.0, patience=20.0)
+LIMITS = Limits(memory=2 << 30, time=4.0, timeout=20.0)
 """What reading a description may take, besides the time for its meshes. Robots take a tenth of a second."""
 _MESH_SPEED = 5e6
 """Bytes of meshes for which the process has another second; it reads twice as many."""
@@ -55,7 +55,7 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True, limi
             importlib.import_module(package)  # raises the error that says what to install
     size = _check(path, meshes)
     extra = min(size / _MESH_SPEED, _MAX_MESH_SECONDS)
-    limits = Limits(limits.memory, limits.time + extra, limits.patience + 2 * extra)
+    limits = Limits(limits.memory, limits.time + extra, limits.timeout + 2 * extra)
     words = [str(path), forward or "", "meshes" if meshes else "", str(limits.memory), str(math.ceil(limits.time))]
     ending = sandbox.run_module(__name__, words, limits)
     if ending.code == 2:
@@ -159,7 +159,7 @@ def decode(data: bytes, path: Path) -> ImportedRobot:
 def main(words: Sequence[str]) -> int:
     """Read the file of the first word and write the robot to standard output; 2 after an error, which is printed."""
     file, forward, meshes, memory, time = words
-    output = sandbox.take_output()
+    output = sandbox.claim_stdout()
     from surefoot.robot.importing import reader
 
     sandbox.limit_resources(Limits(int(memory), float(time), 0.0))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from foreign import Readings
+from third_party_policies import Readings
 
 MOTORS = 12
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from edited import edited_policy, maxitaur
+from shipped_variants import maxitaur, modified_policy
 
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -19,7 +19,7 @@ DDS = "--link dds --interface lo"
 
 
 @dataclass(frozen=True)
-class Refusal:
+class RejectedCommand:
     """A command line that ends with one line on standard error, and leaves no file behind."""
 
     line: str
@@ -32,10 +32,12 @@ class Refusal:
     """A package that is not there."""
 
 
-def of(command: str, lines: dict[str, str | tuple[str, ...]], *needs: str, hidden: str = "") -> list[Refusal]:
+def rejected(
+    command: str, lines: dict[str, str | tuple[str, ...]], *needs: str, hidden: str = ""
+) -> list[RejectedCommand]:
     """Return the refusals of a command, by its other words."""
     return [
-        Refusal(f"{command} {words}".strip(), (parts,) if isinstance(parts, str) else parts, needs, hidden)
+        RejectedCommand(f"{command} {words}".strip(), (parts,) if isinstance(parts, str) else parts, needs, hidden)
         for words, parts in lines.items()
     ]
 
@@ -46,18 +48,18 @@ MakeRun = Callable[..., EpisodeTrace]
 Change = Callable[[dict[str, Any]], object]
 
 
-def policy(change: Change, name: str = "trot") -> Callable[[Path, MakeRun], object]:
+def modify_contract(change: Change, name: str = "trot") -> Callable[[Path, MakeRun], object]:
     """Return what writes a policy that ships with another contract."""
-    return lambda path, make_run: edited_policy(path, change, name)
+    return lambda path, make_run: modified_policy(path, change, name)
 
 
-def changed(**values: Any) -> Callable[[Path, MakeRun], object]:
+def modify_values(**values: Any) -> Callable[[Path, MakeRun], object]:
     """Return what writes the trot with other values in its contract; those of `task` add to the task."""
 
     def change(contract: dict[str, Any]) -> None:
         contract |= values | {"task": contract["task"] | values.get("task", {})}
 
-    return policy(change)
+    return modify_contract(change)
 
 
 def exchange_columns(contract: dict[str, Any]) -> None:
@@ -71,7 +73,7 @@ def widen_feedback(contract: dict[str, Any]) -> None:
 
 def write_policy_of_maxitaur(path: Path, make_run: MakeRun) -> None:
     robot = maxitaur(path.parent / "maxitaur")
-    edited_policy(path, lambda contract: contract.update(robot="maxitaur", description=str(robot)), "trot")
+    modified_policy(path, lambda contract: contract.update(robot="maxitaur", description=str(robot)), "trot")
 
 
 def write_stale_policy(path: Path, make_run: MakeRun) -> None:
@@ -91,7 +93,7 @@ def write_unnormalized_policy(path: Path, make_run: MakeRun) -> None:
 
 
 def write_their_network(path: Path, make_run: MakeRun) -> None:
-    from foreign import perceptron
+    from third_party_policies import perceptron
 
     joints = [f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
     properties = {
@@ -105,12 +107,12 @@ def write_their_network(path: Path, make_run: MakeRun) -> None:
     path.write_bytes(perceptron(45, properties=properties))
 
 
-def recorded(**meta: Any) -> Callable[[Path, MakeRun], object]:
+def resting_run(**meta: Any) -> Callable[[Path, MakeRun], object]:
     """Return what writes a run in which nothing moves."""
     return lambda path, make_run: make_run(**meta).save(path)
 
 
-def swung(**meta: Any) -> Callable[[Path, MakeRun], object]:
+def swinging_run(**meta: Any) -> Callable[[Path, MakeRun], object]:
     """Return what writes a run in which legs swing."""
 
     def write(path: Path, make_run: MakeRun) -> None:
@@ -123,7 +125,7 @@ def swung(**meta: Any) -> Callable[[Path, MakeRun], object]:
 
 def write_traces_of_two_worlds(path: Path, make_run: MakeRun) -> None:
     for world in ("bullet", "lab"):
-        make_run(world=world, policy="gallop").save(path / f"{world}.npz")
+        make_run(world=world, modify_contract="gallop").save(path / f"{world}.npz")
 
 
 def write_cut_trace(path: Path, make_run: MakeRun) -> None:
@@ -175,29 +177,29 @@ FILES: dict[str, str | Callable[[Path, MakeRun], object]] = {
     "short.toml": "[params]\nmotor_strength = [1, 0.9]\n",
     "step.toml": "[params]\ncontrol_step = 0.008\n",
     # Policies.
-    "columns.onnx": policy(exchange_columns, "gallop"),
-    "wide.onnx": policy(widen_feedback),
-    "nan.onnx": changed(control_latency=float("nan")),
-    "early.onnx": changed(control_latency=-0.02),
-    "tilting.onnx": changed(task={"fall_angle": 1e9}),
-    "odd.onnx": changed(name="a/b c"),
-    "above.onnx": changed(name=".."),
-    "outside.onnx": changed(name="../../x"),
+    "columns.onnx": modify_contract(exchange_columns, "gallop"),
+    "wide.onnx": modify_contract(widen_feedback),
+    "nan.onnx": modify_values(control_latency=float("nan")),
+    "early.onnx": modify_values(control_latency=-0.02),
+    "tilting.onnx": modify_values(task={"fall_angle": 1e9}),
+    "odd.onnx": modify_values(name="a/b c"),
+    "above.onnx": modify_values(name=".."),
+    "outside.onnx": modify_values(name="../../x"),
     "maxitaur.onnx": write_policy_of_maxitaur,
     "stale.onnx": write_stale_policy,
     "unnormalized.onnx": write_unnormalized_policy,
     "cut.onnx": lambda path, make_run: path.write_bytes((REPOSITORY / "policies/trot.onnx").read_bytes()[:500]),
     "theirs.onnx": write_their_network,
     # Recorded runs and logs.
-    "run.npz": swung(),
-    "foreign.npz": recorded(robot="nemo/../evil"),
-    "other-motors.npz": recorded(),
+    "run.npz": swinging_run(),
+    "foreign.npz": resting_run(robot="nemo/../evil"),
+    "other-motors.npz": resting_run(),
     "cut.npz": write_cut_trace,
     "two-worlds": write_traces_of_two_worlds,
     "short.npz": write_short_log,
     "pupper.npz": lambda path, make_run: shutil.copy(REPOSITORY / "data/pupper_v2/one_hip_200hz.npz", path),
     "no-logs": lambda path, make_run: path.mkdir(),
-    "on-a-hill.npz": swung(terrain="hill.npz"),
+    "on-a-hill.npz": swinging_run(terrain="hill.npz"),
     # Others.
     "map.npz": write_map,
     "way.csv": "time,forward,sideways,yaw_rate\n0,0.5,0,0\n",
@@ -216,20 +218,20 @@ PARAMS_FILES = {
 }
 
 
-def of_params_files(command: str, *needs: str) -> list[Refusal]:
+def reject_params_files(command: str, *needs: str) -> list[RejectedCommand]:
     """Return a command's refusals of files of parameters that do not fit."""
-    return of(command, {f"--params {name}": part for name, part in PARAMS_FILES.items()}, *needs)
+    return rejected(command, {f"--params {name}": part for name, part in PARAMS_FILES.items()}, *needs)
 
 
-REFUSALS = [
-    *of(
+REJECTED_COMMANDS = [
+    *rejected(
         "",
         {
             "fly": "'fly' is not a command; choices: train, adopt, export, ",
             "evalute trot": "'evalute' is not a command; did you mean evaluate? choices: train, adopt",
         },
     ),
-    *of(
+    *rejected(
         "train",
         {
             "trot --seed 12345678901234567890123": "seed is 12345678901234567890123; it must be 4294967295 or less",
@@ -280,8 +282,8 @@ REFUSALS = [
         "torch",
         "mujoco",
     ),
-    *of_params_files("train trot", "torch", "mujoco"),
-    *of(
+    *reject_params_files("train trot", "torch", "mujoco"),
+    *rejected(
         "adopt theirs.onnx",
         {
             "--from mjlab --robot go2 --out x.pt": "--out is x.pt; the name must end in .onnx",
@@ -299,7 +301,7 @@ REFUSALS = [
         "torch",
         "onnx",
     ),
-    *of(
+    *rejected(
         "evaluate",
         {
             "": "no POLICY and no --trace is given",
@@ -361,8 +363,8 @@ REFUSALS = [
         "mujoco",
         "onnx",
     ),
-    *of_params_files("evaluate trot --out o", "mujoco"),
-    *of(
+    *reject_params_files("evaluate trot --out o", "mujoco"),
+    *rejected(
         "evaluate sensitivity",
         {
             "": "no policy is given",
@@ -375,8 +377,8 @@ REFUSALS = [
         "mujoco",
         "matplotlib",
     ),
-    *of_params_files("evaluate sensitivity trot", "mujoco", "matplotlib"),
-    *of(
+    *reject_params_files("evaluate sensitivity trot", "mujoco", "matplotlib"),
+    *rejected(
         "gap",
         {
             "--to mujoco": "no policy is given",
@@ -410,8 +412,8 @@ REFUSALS = [
         "matplotlib",
         "onnx",
     ),
-    *of_params_files("gap trot --to mujoco", "mujoco", "matplotlib"),
-    *of(
+    *reject_params_files("gap trot --to mujoco", "mujoco", "matplotlib"),
+    *rejected(
         "show",
         {
             "": "no POLICY and no TRACE is given; for every option: surefoot show --help",
@@ -444,8 +446,8 @@ REFUSALS = [
         "viser",
         "imageio_ffmpeg",
     ),
-    *of_params_files("show trot --out o.mp4", "mujoco", "imageio_ffmpeg"),
-    *of(
+    *reject_params_files("show trot --out o.mp4", "mujoco", "imageio_ffmpeg"),
+    *rejected(
         "emulate",
         {
             "--world gazebo": "world 'gazebo' does not exist; choices: mujoco, bullet",
@@ -486,7 +488,7 @@ REFUSALS = [
         },
         "mujoco",
     ),
-    *of(
+    *rejected(
         "deploy",
         {
             "trot": "--port",
@@ -502,7 +504,7 @@ REFUSALS = [
             "go2-steer --port x --interface lo": "--interface is given; it goes with --link dds",
         },
     ),
-    *of(
+    *rejected(
         "deploy",
         {
             "nan.onnx --port x": "contract: is not JSON: it holds NaN",
@@ -516,7 +518,7 @@ REFUSALS = [
         },
         "onnx",
     ),
-    *of(
+    *rejected(
         "deploy",
         {
             "go2-steer --link dds --interface eth9": "there is no network interface 'eth9'; it must be one of",
@@ -527,7 +529,7 @@ REFUSALS = [
         },
         "cyclonedds",
     ),
-    *of(
+    *rejected(
         "doctor",
         {
             "trot": "--port",
@@ -540,7 +542,7 @@ REFUSALS = [
             "trot --port x --robot cat": "robot 'cat': no such robot",
         },
     ),
-    *of(
+    *rejected(
         "doctor",
         {
             "unnormalized.onnx --port x": (
@@ -554,7 +556,7 @@ REFUSALS = [
         },
         "onnx",
     ),
-    *of(
+    *rejected(
         "identify",
         {
             "tail": (
@@ -584,7 +586,7 @@ REFUSALS = [
             "motor-figure --world moon": "world 'moon' does not exist",
         },
     ),
-    *of(
+    *rejected(
         "identify replay --robot pupper_v2",
         {
             "pupper.npz --params nothing": ("params is 'nothing'; it must be a file (.toml), or a name; choices: id"),
@@ -595,7 +597,7 @@ REFUSALS = [
         },
         "mujoco",
     ),
-    *of(
+    *rejected(
         "robot",
         {
             "make": "'make' is not an action; choices: new, check",
@@ -611,7 +613,7 @@ REFUSALS = [
             "firmware motor front_left_1_motor --port /dev/null": "say so with --yes",
         },
     ),
-    *of(
+    *rejected(
         "study",
         {
             "serach trot": (
@@ -640,7 +642,7 @@ REFUSALS = [
         "torch",
         "matplotlib",
     ),
-    *of(
+    *rejected(
         "study search",
         {
             "": "TASK",
@@ -660,7 +662,7 @@ REFUSALS = [
         "ray",
         "torch",
     ),
-    *of(
+    *rejected(
         "study tune",
         {
             "--speed 0": ("speed is 0", "0.05 or more"),
@@ -675,7 +677,7 @@ REFUSALS = [
         "cma",
         "mujoco",
     ),
-    *of(
+    *rejected(
         "study paper",
         {
             "--root .": ("root is .", "with tools/paper_runs.py"),
@@ -688,7 +690,7 @@ REFUSALS = [
         "matplotlib",
     ),
     # What is not installed.
-    *of(
+    *rejected(
         "",
         {
             "gap gallop --to bullet": "bullet",
@@ -703,6 +705,6 @@ REFUSALS = [
         "imageio_ffmpeg",
         hidden="pybullet",
     ),
-    *of("evaluate trot", {"--out out": "report"}, "mujoco", hidden="matplotlib"),
-    *of("show trot", {"--out x.mp4": "report"}, "mujoco", hidden="imageio_ffmpeg"),
+    *rejected("evaluate trot", {"--out out": "report"}, "mujoco", hidden="matplotlib"),
+    *rejected("show trot", {"--out x.mp4": "report"}, "mujoco", hidden="imageio_ffmpeg"),
 ]
