@@ -21,6 +21,7 @@ from surefoot.report.figures.style import (
     LEG_COLORS,
     ORANGE,
     QUIET,
+    capitalize_first,
     heading,
     humanize,
     new_figure,
