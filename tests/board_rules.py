@@ -287,7 +287,7 @@ RULES = {
         )
     ),
     "pings do not reset the watchdog": Rule((*ARMED, *(PING, run(1)) * 60, in_mode(Mode.FAULT, Reason.TIMEOUT))),
-    # A refusal a second ago counts no more among the ten that are answered; silence is not clean.
+    # A rejection a second ago counts no more among the ten that are answered; silence is not clean.
     "a fault stays until armed after 500 ms of clean link": Rule(
         (
             *(*ARMED, *DAMPED, arm(Reason.NOT_CLEAN), run(1000)),

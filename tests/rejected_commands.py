@@ -1,4 +1,4 @@
-"""What the command line refuses in one line, with the files that it names."""
+"""What the command line rejects in one line, with the files that it names."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class RejectedCommand:
 def rejected(
     command: str, lines: dict[str, str | tuple[str, ...]], *needs: str, hidden: str = ""
 ) -> list[RejectedCommand]:
-    """Return the refusals of a command, by its other words."""
+    """Return the rejections of a command, by its other words."""
     return [
         RejectedCommand(f"{command} {words}".strip(), (parts,) if isinstance(parts, str) else parts, needs, hidden)
         for words, parts in lines.items()
@@ -219,7 +219,7 @@ PARAMS_FILES = {
 
 
 def reject_params_files(command: str, *needs: str) -> list[RejectedCommand]:
-    """Return a command's refusals of files of parameters that do not fit."""
+    """Return a command's rejections of files of parameters that do not fit."""
     return rejected(command, {f"--params {name}": part for name, part in PARAMS_FILES.items()}, *needs)
 
 

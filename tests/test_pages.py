@@ -40,7 +40,7 @@ def test_evaluations_are_of_the_policies_and_options_that_are_named():
 
 
 def test_every_page_is_in_the_navigation():
-    """`make docs` refuses others; it is no part of `make test`."""
+    """`make docs` rejects others; it is no part of `make test`."""
     listed = re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text())
     pages = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
     packages = {f"reference/{path.parent.name}.md" for path in ROOT.glob("src/surefoot/*/__init__.py")}

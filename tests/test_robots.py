@@ -89,7 +89,7 @@ def test_a_policy_is_evaluated_played_and_deployed(robot, policy, emulate, tmp_p
     assert run["ended"] in ("time", "fall")
 
 
-def test_identification_runs_or_refuses_in_one_line(robot: RobotDescription, tmp_path: Path) -> None:
+def test_identification_runs_or_rejects_in_one_line(robot: RobotDescription, tmp_path: Path) -> None:
     result = surefoot("identify", "motor", "--robot", robot.name, "--port", "none", cwd=tmp_path)
     message = "say so with --yes" if robot.name == "minitaur" else robot.name
     assert_rejected(result, message)

@@ -70,7 +70,7 @@ def test_robots_that_run_together_are_recorded_beside_each_other(robot: DrivenRo
     assert recordings.files["ghost"].stem == f"{recordings.files['npz'].stem}-ghost"
 
 
-def test_a_folder_that_cannot_be_written_is_refused_before_the_recording(robot: DrivenRobot, tmp_path: Path):
+def test_a_folder_that_cannot_be_written_is_rejected_before_the_recording(robot: DrivenRobot, tmp_path: Path):
     (tmp_path / "file").touch()
     recordings = DriveRecordings(tmp_path / "file" / "recordings")
     with pytest.raises(SurefootError, match="recordings: can't be written: Not a directory"):

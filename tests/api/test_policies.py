@@ -47,7 +47,7 @@ def edited(path: Path, changes: dict[str, Any]) -> Path:
         ({"schema": 1}, "has schema 1; this surefoot reads schema 2: use the version that wrote it"),
     ],
 )
-def test_load_policy_refuses_a_contract_of_another_robot(changes: dict[str, Any], why: str, tmp_path: Path):
+def test_load_policy_rejects_a_contract_of_another_robot(changes: dict[str, Any], why: str, tmp_path: Path):
     with pytest.raises(SurefootError) as error:
         load_policy(edited(tmp_path / "edited.onnx", changes), None)
     assert re.search(re.escape(why) if "(" in why else why, str(error.value))

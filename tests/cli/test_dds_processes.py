@@ -1,4 +1,4 @@
-"""`surefoot deploy --link dds` as processes, with a Go2 of the vendor's classes in MuJoCo; and what it refuses."""
+"""`surefoot deploy --link dds` as processes, with a Go2 of the vendor's classes in MuJoCo; and what it rejects."""
 
 from __future__ import annotations
 
@@ -108,13 +108,13 @@ def link(domain: int) -> tuple[str, ...]:
     return "--link", "dds", "--interface", "lo", "--domain", str(domain)
 
 
-def test_a_domain_without_a_robot_is_refused() -> None:
+def test_a_domain_without_a_robot_is_rejected() -> None:
     assert_rejected(
         run_surefoot("deploy", "go2-steer", *link(EMPTY)), f"interface lo, domain {EMPTY}: no state of a robot"
     )
 
 
-def test_messages_of_another_robots_type_are_refused(tmp_path: Path) -> None:
+def test_messages_of_another_robots_type_are_rejected(tmp_path: Path) -> None:
     """A G1 sends `unitree_hg` messages on the same topic."""
     from unitree_sdk2py.idl.unitree_hg.msg.dds_ import LowState_
 
@@ -126,7 +126,7 @@ def test_messages_of_another_robots_type_are_refused(tmp_path: Path) -> None:
     assert_rejected(done, "rt/lowstate is of type", "unitree_hg", types.GO_LOW_STATE)
 
 
-def test_messages_of_another_length_are_refused(body: Go2) -> None:
+def test_messages_of_another_length_are_rejected(body: Go2) -> None:
     body.set(short=True)
     assert_rejected(
         run_surefoot("deploy", "go2-steer", *link(DOMAIN)), "no state of a Go2 comes on rt/lowstate", "bytes"
@@ -135,7 +135,7 @@ def test_messages_of_another_length_are_refused(body: Go2) -> None:
     body.reset()
 
 
-def test_a_policy_of_another_rate_is_refused(body: Go2, tmp_path: Path) -> None:
+def test_a_policy_of_another_rate_is_rejected(body: Go2, tmp_path: Path) -> None:
     body.reset()
     policy = modified_policy(tmp_path / "p.onnx", lambda contract: contract.update(control_step=0.011), "go2-steer")
     done = run_surefoot("deploy", policy, *link(DOMAIN), cwd=tmp_path)

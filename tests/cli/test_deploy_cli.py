@@ -109,7 +109,7 @@ def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
     rows = ("time,forward,sideways,yaw_rate", "0.5,0.5,0,0", "2.5,0,0,0", "3.3,0,0,0.6", "5.3,0,0,0", "5.9,0,0,9")
     (tmp_path / "way.csv").write_text("\n".join(rows))
     words = ("deploy", "go2-steer", "--port", robot.port, "--lockstep", "--out", tmp_path / "out")
-    # Invalid commands are refused before anything is sent to the robot.
+    # Invalid commands are rejected before anything is sent to the robot.
     assert_rejected(surefoot(*words, "--commands", tmp_path / "none.csv"), "none.csv")
     done = surefoot(
         *(*words, "--commands", tmp_path / "way.csv", "--duration", "6"),

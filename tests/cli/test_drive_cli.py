@@ -1,4 +1,4 @@
-"""The drive page in a real browser, measured in the simulation behind it; and the messages that it refuses."""
+"""The drive page in a real browser, measured in the simulation behind it; and the messages that it rejects."""
 
 from __future__ import annotations
 
@@ -110,13 +110,13 @@ def read_error(line: Any) -> str:
 
 @pytest.mark.parametrize("path", ["socket", "viser"])
 @pytest.mark.parametrize("origin", ["http://example.org", "http://localhost:1", "null"])
-def test_socket_refuses_a_foreign_origin(running: Running, path: str, origin: str):
+def test_socket_rejects_a_foreign_origin(running: Running, path: str, origin: str):
     with pytest.raises(websockets.InvalidStatus) as caught:
         connect(f"ws://localhost:{running.server.port}/{path}", origin=origin)  # type: ignore[arg-type]
     assert caught.value.response.status_code == 403
 
 
-def test_server_refuses_another_sites_name_and_other_files(running: Running):
+def test_server_rejects_another_sites_name_and_other_files(running: Running):
     url = f"http://127.0.0.1:{running.server.port}/"
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(urllib.request.Request(url, headers={"Host": "example.org"}))
@@ -143,7 +143,7 @@ BAD = [
 ]
 
 
-def test_invalid_messages_are_refused_and_change_nothing(running: Running):
+def test_invalid_messages_are_rejected_and_change_nothing(running: Running):
     with open_socket(running.server) as line:
         running.until(lambda: running.server.tabs > 0)
         for text in BAD:
@@ -200,7 +200,7 @@ def test_page_has_the_parameters_of_the_command_line(monkeypatch: pytest.MonkeyP
     assert (host, commands) == (None, "walk.csv")
 
 
-def test_policy_without_commands_refuses_a_source_of_them():
+def test_policy_without_commands_rejects_a_source_of_them():
     with pytest.raises(SurefootError, match="'trot' has no commands to follow"):
         serve(DrivePage("trot", "mujoco"), None, 0, "5555")
 

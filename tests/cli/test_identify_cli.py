@@ -182,7 +182,7 @@ def test_a_recording_is_fitted(recorded: Recorded, robot: RobotDescription, tmp_
     assert "contact_friction" in tomllib.loads((again / "robot.toml").read_text())["params"]
 
 
-def test_identify_refuses_before_motion_without_fit_libraries(tmp_path: Path):
+def test_identify_rejects_before_motion_without_fit_libraries(tmp_path: Path):
     done = run_bare("latency", "--port", "/dev/none", "--lockstep", "--yes", "--out", tmp_path / "out")
     assert done.returncode == 2
     message = f"the fit needs mujoco, which is not installed: {install_command('sim')}; surefoot identify latency"
@@ -215,7 +215,7 @@ def test_ctrl_c_ends_an_experiment_and_keeps_the_recording(hanging: EmulatorHere
     assert_rejected(identify("motor", "--recording", out), "did not come to its end: stopped by the operator")
 
 
-def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDescription):
+def test_an_experiment_rejects_another_robot_than_the_data_sheets(robot: RobotDescription):
     message = make_handshake(robot, Limits.from_robot(robot), "", robot.timing.servo_step)
     check_robot(message, robot)
     signs = np.array(message.motor_signs, float)

@@ -84,7 +84,7 @@ def page(request: pytest.FixtureRequest, repository: Path, tmp_path: Path) -> It
 
 
 def refusal(kind: type[TabMessage], text: str | bytes) -> str:
-    """Return why the schema refuses a message; empty if it does not."""
+    """Return why the schema rejects a message; empty if it does not."""
     try:
         read_message(kind, text)
     except SurefootError as error:
@@ -93,7 +93,7 @@ def refusal(kind: type[TabMessage], text: str | bytes) -> str:
 
 
 def read_error(tab: ClientConnection, start: str) -> None:
-    """Read up to the answer of a refused message that starts so."""
+    """Read up to the answer of a rejected message that starts so."""
     while not (error := json.loads(tab.recv(timeout=20)).get("error", "")).startswith(start):
         pass
     assert len(error) <= 300

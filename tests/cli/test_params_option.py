@@ -91,7 +91,7 @@ def test_file_replaces_parameters_and_options_override_it(
     assert simulator.condition([settings]).simulate(TASK) == replace(TASK, **changes)
 
 
-def test_latency_given_twice_is_refused():
+def test_latency_given_twice_is_rejected():
     with pytest.raises(SurefootError, match="servo_latency is given twice"):
         Simulator(servo_latency=0.001).condition([("servo_latency=0",)])
 
@@ -190,7 +190,7 @@ def test_training_leaves_out_gains_that_an_identification_estimated():
     assert _parse(["trot", "--params", "robot.toml"])[0].task.params == VALUES
 
 
-def test_train_refuses_a_file_of_another_robot_than_named(here: Path):
+def test_train_rejects_a_file_of_another_robot_than_named(here: Path):
     pytest.importorskip("torch")
     from surefoot.cli.train import _parse
 

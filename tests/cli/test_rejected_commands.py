@@ -1,4 +1,4 @@
-"""Invalid words of a command line are refused in one line, before anything is simulated or written."""
+"""Invalid words of a command line are rejected in one line, before anything is simulated or written."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from surefoot.api.extras import install_command
     REJECTED_COMMANDS,
     ids=[re.sub(r"[^ -~]", "?", f"{one.hidden and f'no {one.hidden}: '}{one.line}") for one in REJECTED_COMMANDS],
 )
-def test_a_command_is_refused_in_one_line(
+def test_a_command_is_rejected_in_one_line(
     refusal: RejectedCommand, make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for package in refusal.needs:

@@ -305,7 +305,7 @@ def test_a_study_of_the_reality_gap(
     assert (out / "episodes.csv").read_text() == before
 
 
-def test_a_missing_world_is_refused_before_training(
+def test_a_missing_world_is_rejected_before_training(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from surefoot.cli.helpers import study_results

@@ -135,7 +135,7 @@ def check_report(out: Path, trials: int) -> None:
     assert len(table) == 3 * 20 * len(worlds)
 
 
-def test_an_address_without_ray_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_address_without_ray_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("surefoot.studies.workers._CONNECT_TIMEOUT", 0.5)
     port = free_port()
     done = surefoot("study", "search", "trot", "--ray", f"127.0.0.1:{port}", cwd=tmp_path)

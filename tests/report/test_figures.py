@@ -184,7 +184,7 @@ def test_aggregate_figure_shows_the_return_over_all_test_worlds(tmp_path: Path, 
     assert sorted(drawn[0].axes[0].lines[0].get_xdata()) == pytest.approx(sorted([3.0, 2.5, 2.0, 1.5, 1.0] * 2))
 
 
-def test_parameter_figure_refuses_a_parameter_that_was_not_varied(tmp_path: Path) -> None:
+def test_parameter_figure_rejects_a_parameter_that_was_not_varied(tmp_path: Path) -> None:
     with pytest.raises(SurefootError, match="row 'voltage' is in no test world of trot"):
         parameter_figure("voltage", {"trot": [sensitivity()]}, tmp_path / "a.png")
     assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,4 @@
-"""Messages of tabs: what a page takes, and what is refused with one line."""
+"""Messages of tabs: what a page takes, and what is rejected with one line."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_page_takes_its_own_keys(text: str, values: dict[str, object]):
         ('{"pause": 1}', "pause is 1; it must be true or false"),
         ('{"restart": 1}', "restart is 1; it must be True"),
         ('{"pause": null}', r"message is \{'pause': None\}; it must be an object"),
-        ('{"policy": "a\\u0000b"}', "none of them NUL"),
+        ('{"policy": "a\\u0000b"}', "without NUL"),
         ('{"sett": 1}', r"sett is not a key; did you mean set\?"),
         ('{"\\u0000": 1}', r"'\\x00' is not a key"),
         ('{"stop": true}', "stop is not a key"),
@@ -58,7 +58,7 @@ def test_a_page_takes_its_own_keys(text: str, values: dict[str, object]):
         ("", "message is no JSON"),
     ],
 )
-def test_other_messages_are_refused_with_value_and_rule(text: str | bytes, error: str):
+def test_other_messages_are_rejected_with_value_and_rule(text: str | bytes, error: str):
     with pytest.raises(SurefootError, match=error):
         read_message(DriveMessage, text)
 

@@ -1,4 +1,4 @@
-"""Data of the page of recorded runs: positions, angles and forces at an even rate; traces that it refuses."""
+"""Data of the page of recorded runs: positions, angles and forces at an even rate; traces that it rejects."""
 
 from __future__ import annotations
 
@@ -154,14 +154,14 @@ def test_texts_of_traces_can_not_end_the_script(make_run: MakeRun):
         ("minitaur", {"motor_angle": np.zeros((200, 8))}, "can't close its loop"),
     ],
 )
-def test_page_refuses_values_that_can_not_be_shown(
+def test_page_rejects_values_that_can_not_be_shown(
     make_run: MakeRun, name: str, arrays: dict[str, np.ndarray], message: str
 ):
     with pytest.raises(SurefootError, match=message):
         recording_page([swinging(make_run, name, arrays=arrays)])
 
 
-def test_page_refuses_another_robot_and_too_many_traces(make_run: MakeRun):
+def test_page_rejects_another_robot_and_too_many_traces(make_run: MakeRun):
     one = swinging(make_run)
     with pytest.raises(SurefootError, match="is of robot 'go2'"):
         ShownTrace("x", RobotDescription.load("solo8"), one.trace)

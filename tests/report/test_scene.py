@@ -61,12 +61,12 @@ def test_all_bodies_are_where_mujoco_has_them():
         assert np.allclose(pose[:3, :3], data.xmat[body].reshape(3, 3), atol=1e-9)
 
 
-def test_positions_that_are_not_finite_are_refused():
+def test_positions_that_are_not_finite_are_rejected():
     with pytest.raises(SurefootError, match="base position is not known"):
         poses(ROBOT, [[np.nan, 0, 0]], [LEVEL], ROBOT.resting_angles[None])
 
 
-def test_a_loop_that_can_not_close_is_refused():
+def test_a_loop_that_can_not_close_is_rejected():
     short = replace(ROBOT, leg_geometry=replace(ROBOT.five_bar, lower=(0.09, 0.09)))
     with pytest.raises(SurefootError, match="leg front_left can't close its loop at step 1"):
         poses(short, np.zeros((2, 3)), [LEVEL] * 2, [np.full(8, 2.6), np.full(8, np.pi / 2)])
@@ -160,7 +160,7 @@ def test_a_robot_of_any_size_fills_the_picture(name: str) -> None:
     assert (pixels < [view.width, view.height]).all()
 
 
-def test_the_viewer_leaves_out_what_mujoco_refuses():
+def test_the_viewer_leaves_out_what_mujoco_rejects():
     pytest.importorskip("mujoco")
     from surefoot.cli.helpers.viewer import build_stage
 

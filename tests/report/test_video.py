@@ -202,7 +202,7 @@ def test_a_box_behind_the_camera_is_not_drawn() -> None:
         ("/proc/x.mp4", r"^video /proc/x\.mp4: can't be written: No such file or directory$"),
     ],
 )
-def test_a_path_that_is_no_video_or_not_writable_is_refused(
+def test_a_path_that_is_no_video_or_not_writable_is_rejected(
     walker: dict[str, Any], path: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -34,7 +34,7 @@ def test_garbage_to_the_port_of_the_view_is_one_line():
                     line.shutdown(socket.SHUT_WR)
                     while line.recv(1000):
                         pass
-                except OSError:  # it was refused
+                except OSError:  # it was rejected
                     pass
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 0

@@ -41,6 +41,6 @@ def test_a_go2_over_dds_gets_the_stated_gains(monkeypatch: pytest.MonkeyPatch):
         ({"port": "/dev/ttyUSB0", "interface": "eth0"}, "--interface is given; it goes with --link dds"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(options: dict[str, Any], message: str):
+def test_options_that_do_not_go_together_are_rejected(options: dict[str, Any], message: str):
     with pytest.raises(SurefootError, match=message):
         _check_options(ExperimentCommand(**options))

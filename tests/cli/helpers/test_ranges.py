@@ -99,7 +99,7 @@ def test_option_changes_the_range_of_one_parameter(line: str, ranges: Ranges):
         ("--randomize.voltage 0.9 none", ["--randomize.voltage is 0.9 none; it takes LOW HIGH"]),
     ],
 )
-def test_invalid_ranges_are_refused_in_one_line(line: str, pieces: list[str]):
+def test_invalid_ranges_are_rejected_in_one_line(line: str, pieces: list[str]):
     with pytest.raises(SurefootError) as caught:
         taken(line)
     assert "\n" not in str(caught.value)
