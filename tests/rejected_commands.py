@@ -271,8 +271,8 @@ REJECTED_COMMANDS = [
             "--resume nowhere": "nowhere: is not a run folder",
             "--resume run --params robot.toml": ("--params is not an option; for every option: surefoot train --help"),
             "trot --task.reference.foot.height 0.2": (
-                "--task.reference.foot.height is an option of references of kind foot, follow, and the task's is of "
-                "kind sine; to change the kind: --task.reference.kind foot"
+                "--task.reference.foot.height is an option of references of kind foot, follow, but the task's kind is "
+                "sine; to change the kind: --task.reference.kind foot"
             ),
             "trot --task.reference.kind follow": "reference.kind is follow; it needs commands",
             "trot --task.reference.kind square": (
@@ -304,8 +304,8 @@ REJECTED_COMMANDS = [
     *rejected(
         "evaluate",
         {
-            "": "no POLICY and no --trace is given",
-            "\udc80": "the arguments hold characters that can't be printed",
+            "": "neither POLICY nor --trace is given",
+            "\udc80": "the arguments contain unprintable characters",
             "nowhere": "policy 'nowhere' does not exist",
             "tort": "policy 'tort' does not exist; did you mean trot? choices: gallop",
             "cut.onnx": "is damaged or not ONNX",
@@ -354,9 +354,9 @@ REJECTED_COMMANDS = [
             "go2-trot go2-steer": "policy 'go2-trot' follows no commands",
             "go2-steer trot": "policies that are compared must be for the same robot",
             "trot gallop": "policy 'trot' follows no commands; policies that are compared must",
-            "go2-steer go2-terrain --conditions ice": ("--conditions are ice; give some of nominal, bullet, table1"),
-            "go2-steer go2-terrain --conditions feet feet": "--conditions are feet, feet; give some of",
-            "go2-steer --conditions rain": "--conditions are rain; give some of nominal, bullet",
+            "go2-steer go2-terrain --conditions ice": ("--conditions are ice; choose from nominal, bullet, table1"),
+            "go2-steer go2-terrain --conditions feet feet": "--conditions are feet, feet; choose from",
+            "go2-steer --conditions rain": "--conditions are rain; choose from nominal, bullet",
             "go2-steer --conditions": "--conditions has no value",
             "go2-steer go2-terrain --terrain stairs:0.1": "--terrain is not an option",
         },
@@ -397,8 +397,8 @@ REJECTED_COMMANDS = [
             "gallop --to trace mine --to-actuator constraint": "--to-actuator is given, but nothing",
             "gallop --from trace mine --to mujoco --from-set voltage=15": "--from-set is given, but nothing",
             "gallop --from trace a --to trace b --params robot.toml": ("--params is given, but nothing is simulated"),
-            "gallop --to trace mine --out mine/gap": "lie one in the other",
-            "gallop --to trace .": "lie one in the other",
+            "gallop --to trace mine --out mine/gap": "are inside one another",
+            "gallop --to trace .": "are inside one another",
             "gallop --to trace two-worlds": (
                 "trace two-worlds: the traces come from more than one world: bullet, lab; measure one at a time"
             ),
@@ -416,9 +416,9 @@ REJECTED_COMMANDS = [
     *rejected(
         "show",
         {
-            "": "no POLICY and no TRACE is given; for every option: surefoot show --help",
-            "--out x.html": "no POLICY and no TRACE is given",
-            "--world bullet": "no POLICY and no TRACE is given",
+            "": "neither POLICY nor TRACE is given; for every option: surefoot show --help",
+            "--out x.html": "neither POLICY nor TRACE is given",
+            "--world bullet": "neither POLICY nor TRACE is given",
             # A policy.
             "trot --duration 1e30": "duration is 1e+30; it must be 3600 or less",
             "trot --duration 0": "duration is 0",
@@ -437,10 +437,10 @@ REJECTED_COMMANDS = [
             "run.npz cut.npz --out x.html": "cut.npz: is cut off, damaged",
             "map.npz --out x.html": "map.npz: not an episode trace",
             "run.npz --out x.txt": "must end in .html",
-            "run.npz run.npz --out x.mp4": "2 runs are given; a video shows one",
+            "run.npz run.npz --out x.mp4": "2 runs are given; a video shows only one",
             f"{'run.npz ' * 17}--out x.html": "17 traces are given",
             "on-a-hill.npz --terrain map.npz --out x.html": "the traces' terrain is 'hill.npz'",
-            "on-a-hill.npz --terrain rough:0.1 --out x.html": "it must be a map",
+            "on-a-hill.npz --terrain rough:0.1 --out x.html": "it must be a height map",
         },
         "mujoco",
         "viser",
@@ -454,19 +454,19 @@ REJECTED_COMMANDS = [
             "--robot cat": "robot 'cat': no such robot",
             "--fault melt": "'melt' is no fault; choices: corrupt, drop",
             "--fault drop=0.1 --fault drop": "fault drop is given twice",
-            "--fault slow-servo=0.0025": "fault slow-servo is 0.0025; it must be whole servo steps of 0.001 s",
+            "--fault slow-servo=0.0025": "fault slow-servo is 0.0025; it must be a multiple of the servo step, 0.001 s",
             "--fault remote-stop": (
                 "fault remote-stop acts on the remote control; --link serial does not have that, give --link dds"
             ),
             "--lockstep --fault overload": "it does not go with --lockstep",
             "--rack --fault tilt": "it does not go with --rack",
             "--terrain stairs:9": "terrain stairs: size is 9 m; it must be 0.01 to 0.4",
-            "--link dds": "link dds needs the network interface of the topics; give --interface, such as lo",
+            "--link dds": "link dds requires the network interface of the topics; give --interface, such as lo",
             "--link tcp": "dds",
-            "--interface lo": "motion_service are those of a link over DDS; give --link dds too",
-            DDS: "link dds is that of a Unitree Go2; robot minitaur has other motors, give --robot go2",
+            "--interface lo": "motion_service apply to a DDS link; give --link dds as well",
+            DDS: "link dds is for a Unitree Go2; robot minitaur has other motors, give --robot go2",
             f"{DDS} --domain 233": "domain is 233; it must be 232 or less",
-            f"{DDS} --lockstep": "lockstep is about the serial link; it does not go with --link dds",
+            f"{DDS} --lockstep": "lockstep applies to the serial link; it does not go with --link dds",
             f"{DDS} --fault garbage": (
                 "fault garbage acts on bytes between messages; --link dds does not have that, give --link serial"
             ),
@@ -479,12 +479,12 @@ REJECTED_COMMANDS = [
             "--hidden-seed 1 --out way.csv": "exists; give another name",
             "--hidden-seed 1 --out cat.toml": "exists; give another name",
             "--hidden-seed 1 --symlink file": "exists; give another name",
-            "--out x.toml": "out x.toml is for hidden parameters; give --hidden-seed too",
+            "--out x.toml": "out x.toml is for hidden parameters; give --hidden-seed as well",
             "--out x.txt": "out x.txt: the name must end in .csv or .toml, with one file of each",
             "--out x.csv y.csv": "out y.csv: the name must end in",
             "--set voltage=99": "voltage is 99; minitaur allows 5 to 30",
             "--params missing.toml": "missing.toml: can't be read: No such file",
-            "--viewer": "viewer: there is no display here",
+            "--viewer": "viewer: there is no display (DISPLAY",
         },
         "mujoco",
     ),
@@ -560,12 +560,12 @@ REJECTED_COMMANDS = [
         "identify",
         {
             "tail": (
-                "'tail' is no experiment; choices: latency, motor, mass, contact, air, replay, import, motor-figure, "
-                "or --trace FOLDER"
+                "'tail' is not an experiment; choices: latency, motor, mass, contact, air, replay, import, "
+                "motor-figure, or --trace FOLDER"
             ),
-            "imprt": "'imprt' is no experiment; did you mean import?",
-            "motor": "give one of them; none is given",
-            "motor --port x --recording y": "give one of them; both is given",
+            "imprt": "'imprt' is not an experiment; did you mean import?",
+            "motor": "--recording of an experiment; neither is given",
+            "motor --port x --recording y": "--recording of an experiment; both are given",
             "motor --recording x --yes": "--recording and --yes don't go together",
             "motor --recording x --record-only": "--recording and --record-only don't go together",
             "motor --port x --record-only --params a.toml": "--record-only and --params don't go",
@@ -573,11 +573,11 @@ REJECTED_COMMANDS = [
             "motor --recording none": "recording none: can't be read: No such file",
             "motor --port /dev/none --yes": "/dev/none",
             "motor --port /dev/none --robot cat": "robot 'cat': no such robot",
-            "motor --port /dev/none": "motors will move and the robot must hang free, its legs in the air; without",
-            "mass --port /dev/none --record-only": "the robot must sit on flat ground with a metre of room",
+            "motor --port /dev/none": "motors will move and the robot must hang freely, with its legs in the air; ",
+            "mass --port /dev/none --record-only": "the robot must sit on flat ground with a metre of free space",
             "--trace none": "trace folder none does not exist",
             "--trace=none": "trace folder none does not exist",
-            "--trace no-logs --robot pupper_v2": "folder no-logs holds no logs (.npz)",
+            "--trace no-logs --robot pupper_v2": "folder no-logs contains no logs (.npz)",
             "motor-figure --motor tail": "motor 'tail' does not exist",
             "motor-figure --out motor.pdf": ("out motor.pdf: the name must end in .png or .csv, with one file of each"),
             "motor-figure --frequency 0": "frequency is 0; it must be over 0",
@@ -610,30 +610,30 @@ REJECTED_COMMANDS = [
             "firmware old": "'old' is not an action",
             "firmware new no-such-robot": "no-such-robot",
             "firmware motor x --yes --port /dev/null": "'x' is no motor of minitaur",
-            "firmware motor front_left_1_motor --port /dev/null": "say so with --yes",
+            "firmware motor front_left_1_motor --port /dev/null": "confirm it with --yes",
         },
     ),
     *rejected(
         "study",
         {
             "serach trot": (
-                "'serach' is neither the file of a study (.yaml) nor an action; did you mean search? choices: run, "
+                "'serach' is neither a study file (.yaml) nor an action; did you mean search? choices: run, "
                 "identify, search"
             ),
             "study-name.yaml": "name is '../../x'; a name has letters",
             "study.yaml --workers -1": "workers is -1; it must be 0",
             "study.yaml --only fast": "group 'fast' is not in the study; choices: plain, drawn",
             "study.yaml --seeds 1 1": "seeds is [1, 1]; it takes 1 or more, none twice",
-            "study.yaml --train-only --report-only": "--train-only and --report-only leave nothing to do",
+            "study.yaml --train-only --report-only": "--train-only and --report-only don't go together",
             "study.yaml --report-only": "runs/tiny: no run of the study is finished and evaluated",
             "study.yaml --ray nowhere": "ray is 'nowhere'; it must be HOST:PORT",
             "none.yaml": "none.yaml: can't be read",
             "study-kind.yaml": "evaluate: 'luck' is no kind of evaluation; choices: nominal, table1, sensitivity, gap",
             "study-primary.yaml": (
-                "primary: 'gap' is no figure of its evaluations; choices: nominal_speed, nominal_return"
+                "primary: 'gap' is not a metric of its evaluations; choices: nominal_speed, nominal_return"
             ),
             "study-gaps.yaml": "evaluate: a study measures one reality gap; it has gap, gap_test",
-            "study-bars.yaml": "bars: they show the reality gap; evaluate must name 'gap' or 'gap_test' for them",
+            "study-bars.yaml": "bars: they show the reality gap, so evaluate must contain 'gap'",
             "study-robot.yaml": "group a: observation 'smell' does not exist",
             "--report-only": "FILE is missing",
             "run": "FILE is missing",

@@ -91,5 +91,5 @@ def test_a_policy_is_evaluated_played_and_deployed(robot, policy, emulate, tmp_p
 
 def test_identification_runs_or_rejects_in_one_line(robot: RobotDescription, tmp_path: Path) -> None:
     result = surefoot("identify", "motor", "--robot", robot.name, "--port", "none", cwd=tmp_path)
-    message = "say so with --yes" if robot.name == "minitaur" else robot.name
+    message = "confirm it with --yes" if robot.name == "minitaur" else robot.name
     assert_rejected(result, message)

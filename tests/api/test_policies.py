@@ -14,7 +14,7 @@ from shipped_variants import modified_policy
 
 pytest.importorskip("gymnasium")
 
-from surefoot.api.policies import find_policy, load_policies, load_policy, open_policy, shipped_policies
+from surefoot.api.policies import find_policy, load_policies, load_policy, open_policy, released_policies
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
@@ -70,6 +70,6 @@ def test_policy_keeps_its_control_step_and_gains_on_another_robot(tmp_path: Path
     assert (params.control_step[0], params.servo_kp[0, 0]) == (0.008, 2.0)
 
 
-@pytest.mark.parametrize("policy", shipped_policies())
+@pytest.mark.parametrize("policy", released_policies())
 def test_shipped_policy_fits_its_robot(policy: str):
     open_policy(find_policy(policy))

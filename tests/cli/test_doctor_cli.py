@@ -146,10 +146,12 @@ def test_without_a_terminal_motors_move_only_with_yes(option: str, place: str):
     with open(os.devnull) as nothing, mock.patch("sys.stdin", nothing):
         done = surefoot("doctor", "trot", "--port", "/dev/none", option)
     assert_rejected(done, f"motors will move and the robot must {place}")
-    assert done.stderr.endswith("say so with --yes\n")
+    assert done.stderr.endswith("confirm it with --yes\n")
 
 
-@pytest.mark.parametrize(("answer", "message"), [(b"n\n", "not begun; nothing has moved"), (b"y\n", "can't be opened")])
+@pytest.mark.parametrize(
+    ("answer", "message"), [(b"n\n", "not confirmed; nothing has moved"), (b"y\n", "can't be opened")]
+)
 def test_on_a_terminal_the_doctor_asks_before_motors_move(answer: bytes, message: str):
     ours, theirs = pty.openpty()
     os.write(ours, answer)
@@ -157,5 +159,5 @@ def test_on_a_terminal_the_doctor_asks_before_motors_move(answer: bytes, message
         done = surefoot("doctor", "trot", "--port", "/dev/none", "--rack")
     os.close(ours)
     assert done.returncode == 2
-    assert "Motors will move. Does the robot hang free, its legs in the air? [y/N]" in done.stderr
+    assert "Motors will move. Does the robot hang freely, with its legs in the air? [y/N]" in done.stderr
     assert message in done.stderr

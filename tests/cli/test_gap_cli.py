@@ -132,7 +132,7 @@ def test_runs_have_the_same_duration_in_every_world(here: Path):
     assert steps == [60, 30]
     result([*words, "--duration", "0.12"])
     assert [int(run["steps"]) for run in read(Path("gap/episodes.csv"))] == [20, 10]
-    message = "its run was to last 0.12 s, the others last 0.36 s; give --duration 0.12 to compare"
+    message = "its run was planned for 0.12 s, the others for 0.36 s; give --duration 0.12 to compare"
     assert_rejected(
         surefoot("gap", "gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "other", *ONE), message
     )

@@ -37,7 +37,7 @@ def test_motor_figure_without_a_log(tmp_path: Path) -> None:
     done = identify("motor-figure", "--out", out, "--duration", 0.1)
     assert done.returncode == 0
     assert "servo and DC motor: " in done.stdout
-    assert "rad RMS from target" in done.stdout
+    assert "rad RMS relative to target" in done.stdout
     assert out.read_bytes().startswith(b"\x89PNG")
 
 
@@ -185,7 +185,7 @@ def test_a_recording_is_fitted(recorded: Recorded, robot: RobotDescription, tmp_
 def test_identify_rejects_before_motion_without_fit_libraries(tmp_path: Path):
     done = run_bare("latency", "--port", "/dev/none", "--lockstep", "--yes", "--out", tmp_path / "out")
     assert done.returncode == 2
-    message = f"the fit needs mujoco, which is not installed: {install_command('sim')}; surefoot identify latency"
+    message = f"the fit requires mujoco, which is not installed: {install_command('sim')}; surefoot identify latency"
     assert message in done.stderr
     assert "--record-only records without it" in done.stderr
     assert not (tmp_path / "out").exists()
@@ -251,9 +251,9 @@ def test_experiment_asks_at_a_terminal(
     message, errors = done.stdout, done.stderr
     assert done.returncode == code, errors
     # The plan comes first, then the question; stdout is the object's alone.
-    question = errors.index("Motors will move. Does the robot hang free, its legs in the air? [y/N] ")
+    question = errors.index("Motors will move. Does the robot hang freely, with its legs in the air? [y/N] ")
     assert 0 < errors.index("motor angles from ") < question
-    assert ("not begun; nothing has moved" in errors) == (code == 2)
+    assert ("not confirmed; nothing has moved" in errors) == (code == 2)
     assert Path("out/recording.npz").exists() == (code == 0)
     if code == 0:
         output = json.loads(message)
@@ -320,7 +320,7 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
         output = replayer.run(segment_from_motion(blank, pupper), truth)
         np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=output.motor_angle[0])
     assert_rejected(
-        identify(*words, "--hold-out", "quick"), "--hold-out names 'quick', which is no log; choices: fast, slow"
+        identify(*words, "--hold-out", "quick"), "--hold-out names 'quick', which is not a log; choices: fast, slow"
     )
     assert_rejected(identify("--trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
     how = ("--rack", "fast", "slow", "--hold-out", "fast", "--fit", "control_latency", "--out", out)

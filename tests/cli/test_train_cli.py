@@ -78,7 +78,9 @@ def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
     assert find_policy(str(run)) == run / "policy.onnx"
     assert PolicyRuntime.load(run / "policy.onnx").contract.figures["steps"] > 0
 
-    assert_rejected(surefoot("train", "--resume", run, "--steps", "1"), "steps is 1, and", "has done", "give more")
+    assert_rejected(
+        surefoot("train", "--resume", run, "--steps", "1"), "steps is 1, but", "has already done", "give more"
+    )
     result = surefoot("train", "--resume", run, "--steps", 256 * 10, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert RunFolder.open(run)[1].steps == 256 * 10

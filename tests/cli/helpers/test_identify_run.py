@@ -34,10 +34,16 @@ def test_a_go2_over_dds_gets_the_stated_gains(monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "give one of them; none is given"),
-        ({"port": "/dev/ttyUSB0", "settings": (("servo_kp=20",),)}, "--set goes with --link dds; the gains of a robot"),
+        ({}, "--recording of an experiment; neither is given"),
+        (
+            {"port": "/dev/ttyUSB0", "settings": (("servo_kp=20",),)},
+            "--set goes with --link dds; a robot on a serial port",
+        ),
         ({"link": "dds"}, "--interface is missing"),
-        ({"link": "dds", "interface": "eth0", "settings": (("motor_friction=1",),)}, "--set names motor_friction; an"),
+        (
+            {"link": "dds", "interface": "eth0", "settings": (("motor_friction=1",),)},
+            "--set names motor_friction; it must be",
+        ),
         ({"port": "/dev/ttyUSB0", "interface": "eth0"}, "--interface is given; it goes with --link dds"),
     ],
 )
