@@ -38,7 +38,7 @@ LONG = (
     *("cli/test_study_cli", "cli/test_study_search_cli", "test_newcomer", "cli/test_drive_cli", "identify/test_fits"),
     *("test_examples", "cli/test_train_page_cli", "deploy/test_fault_table", "cli/test_identify_cli"),
     *("cli/test_deploy_cli", "world/test_agreement", "adopt/test_arithmetic", "cli/test_evaluate_cli"),
-    *("cli/test_gap_cli", "adopt/test_networks", "cli/test_robot_firmware_cli", "cli/test_refusals"),
+    *("cli/test_gap_cli", "adopt/test_networks", "cli/test_robot_firmware_cli", "cli/test_rejected_commands"),
     *("cli/test_printed_commands", "cli/test_doctor_cli", "studies/test_study_report", "learn/test_training_loop"),
     *("identify/test_experiment_runner", "world/test_engines", "identify/motion/test_torque_fit"),
     *("world/test_process_world", "cli/test_params_option", "cli/test_train_cli", "adopt/test_rl_sar", "test_robots"),
