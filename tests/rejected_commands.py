@@ -433,7 +433,7 @@ REJECTED_COMMANDS = [
             "a.npz --pushes": "--pushes does not go with a.npz, a recorded run",
             "none.npz --out x.html": "does not exist",
             "foreign.npz --out x.html": "which does not ship; give its folder with --robot",
-            "other-motors.npz --out x.html": "is of robot 'minitaur'",
+            "other-motors.npz --out x.html": "was recorded on robot 'minitaur'",
             "run.npz cut.npz --out x.html": "cut.npz: is cut off, damaged",
             "map.npz --out x.html": "map.npz: not an episode trace",
             "run.npz --out x.txt": "must end in .html",

@@ -126,7 +126,7 @@ def test_a_tab_that_watches_stops_the_robot_and_does_not_drive_it(deploy_page: D
             watcher.send(text)
             while (answer := json.loads(watcher.recv(timeout=10)).get("error")) is None:
                 pass
-            assert answer == "you watch; another browser drives"
+            assert answer == "you are watching; another browser is in control"
         assert deploy_page.stops() == 0
         watcher.send('{"stop": true}')
         wait_for(deploy_page, SIT)

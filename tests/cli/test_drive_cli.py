@@ -150,7 +150,7 @@ def test_invalid_messages_are_rejected_and_change_nothing(running: Running):
             line.send(text)
             error = read_error(line)
             assert len(error) < 400
-            assert "you watch" not in error
+            assert "you are watching" not in error
         assert np.isfinite(running.measure(0.2)[-1].position).all()
     assert running.drive.robot.env.world.divergences == 0
 
@@ -409,7 +409,7 @@ def test_second_tab_watches_until_the_first_is_closed(running: Running, page: Pa
     assert second.locator("#camera-side").is_enabled()
     with open_socket(running.server) as line:
         line.send('{"pause": true}')
-        assert "you watch" in read_error(line)
+        assert "you are watching" in read_error(line)
     assert not running.drive.paused
     page.goto("about:blank")
     second.wait_for_function(f"!{watches}")

@@ -189,7 +189,7 @@ def test_page_plays_and_follows_a_click_into_a_plot(page: Page):
 @in_browser
 def test_plots_show_values_at_the_cursor(page: Page):
     page.locator("#time").fill("1")
-    figures = page.locator(".plot").filter(has_text="speed forward").locator("output span").all_inner_texts()
+    figures = page.locator(".plot").filter(has_text="forward velocity").locator("output span").all_inner_texts()
     assert figures == ["0.50", "1.00"]
     assert page.locator(".plot").filter(has_text="push").locator("output span").all_inner_texts() == ["30.00", "30.00"]
     assert page.locator(".plot").filter(has_text="yaw rate").is_hidden()

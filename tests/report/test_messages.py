@@ -40,7 +40,7 @@ def test_a_page_takes_its_own_keys(text: str, values: dict[str, object]):
         ('{"command": {}}', r"command is \{\}; it must be a list of 3 values, each a number"),
         (f'{{"command": [{"9" * 400}, 0, 0]}}', r"command is \[9+\.\.\.9+, 0, 0\]; it must be"),
         ('{"command": [1e999, 0, 0]}', r"command\[0\] is inf; it must be 1e\+15 or less"),
-        ('{"command": [NaN, 0, 0]}', "message is no JSON: NaN is not a number"),
+        ('{"command": [NaN, 0, 0]}', "message is not JSON: NaN is not a number"),
         ('{"push": [20000, 0, 0.1]}', r"push\[0\] is 20000; it must be 10000 or less"),
         ('{"pause": 1}', "pause is 1; it must be true or false"),
         ('{"restart": 1}', "restart is 1; it must be True"),
@@ -52,10 +52,10 @@ def test_a_page_takes_its_own_keys(text: str, values: dict[str, object]):
         ("{}", r"message is \{\}; it must be an object"),
         ("3", "message is 3; it must be an object"),
         ("[" * 900 + "]" * 900, r"message is \[\[\[\[\.\.\.\]\]\]\]"),
-        ("[" * 99_999, "message is no JSON"),
-        ("9" * 5000, "message is no JSON"),
-        (b"\xff\xfe\x00", "message is no JSON"),
-        ("", "message is no JSON"),
+        ("[" * 99_999, "message is not JSON"),
+        ("9" * 5000, "message is not JSON"),
+        (b"\xff\xfe\x00", "message is not JSON"),
+        ("", "message is not JSON"),
     ],
 )
 def test_other_messages_are_rejected_with_value_and_rule(text: str | bytes, error: str):

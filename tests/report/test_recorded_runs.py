@@ -74,7 +74,7 @@ def test_unmeasured_base_is_held_at_standing_height(make_run: MakeRun):
     assert np.allclose(run["columns"]["pose"][:, 2], standing_height(GO2), atol=0.02)
     assert np.allclose(run["columns"]["pose"][:, 3:] @ rpy_quat(0.1, -0.2, 0.0), 1.0, atol=1e-6)
     assert not {"speed", "contact"} & set(run["columns"])
-    assert any("held at standing height" in note for note in run["notes"])
+    assert any("shown at standing height" in note for note in run["notes"])
 
 
 def test_base_is_interpolated_where_it_was_lost(make_run: MakeRun):
@@ -148,9 +148,9 @@ def test_texts_of_traces_can_not_end_the_script(make_run: MakeRun):
 @pytest.mark.parametrize(
     ("name", "arrays", "message"),
     [
-        ("go2", {"time": 1e300 * np.arange(1, 201)}, "3600 s are shown"),
-        ("go2", {"motor_angle": np.full((200, 12), 1e9)}, "nothing over"),
-        ("go2", {"base_position_world": np.linspace(0, 1e200, 603).reshape(201, 3)}, "nothing over"),
+        ("go2", {"time": 1e300 * np.arange(1, 201)}, "the maximum is 3600 s"),
+        ("go2", {"motor_angle": np.full((200, 12), 1e9)}, "the maximum is"),
+        ("go2", {"base_position_world": np.linspace(0, 1e200, 603).reshape(201, 3)}, "the maximum is"),
         ("minitaur", {"motor_angle": np.zeros((200, 8))}, "can't close its loop"),
     ],
 )
@@ -163,7 +163,7 @@ def test_page_rejects_values_that_can_not_be_shown(
 
 def test_page_rejects_another_robot_and_too_many_traces(make_run: MakeRun):
     one = swinging(make_run)
-    with pytest.raises(SurefootError, match="is of robot 'go2'"):
+    with pytest.raises(SurefootError, match="was recorded on robot 'go2'"):
         ShownTrace("x", RobotDescription.load("solo8"), one.trace)
     for number in (0, MAX_TRACES + 1):
         with pytest.raises(SurefootError, match=f"{number} traces are given"):

@@ -39,5 +39,5 @@ def test_garbage_to_the_port_of_the_view_is_one_line():
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 0
     assert errors.splitlines() == [
-        "surefoot: the port of the 3D view received what no browser sends; it is ignored, and so is any more of it"
+        "surefoot: the port of the 3D view received invalid input, not from a browser; it is ignored, also in future"
     ]

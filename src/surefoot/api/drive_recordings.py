@@ -113,7 +113,7 @@ class DriveRecordings:
     def update(self) -> None:
         """Handle the end of the recorded episode, of the writing thread and of the export process."""
         if self._recordings and (ended := self._recordings[0][1].ended):
-            self._note = {"fall": "the robot fell", "time": f"it is {MAX_RECORDING:g} s long"}.get(ended, "")
+            self._note = {"fall": "the robot fell", "time": f"it reached {MAX_RECORDING:g} s"}.get(ended, "")
             self.stop()
         if self._thread is not None and not self._thread.is_alive():
             self._thread = None
