@@ -54,7 +54,7 @@ def test_a_steered_policy_is_led_by_its_errors_and_shows_heat_and_limits() -> No
     assert list(rows)[:4] == [
         "falls",
         "RMSE: forward, sideways, yaw rate",
-        "RMSE over strides: forward, sideways, yaw rate",
+        "stride-averaged RMSE: forward, sideways, yaw rate",
         "success",
     ]
     assert rows["heat of the hottest motor"] == "6.8 W, knee"

@@ -229,7 +229,7 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     assert set(result["rmse"]) == set(result["rmse_stride"]) == {"forward", "sideways", "yaw_rate"}
     assert max(result["rmse_stride"].values()) < 0.3
     read = surefoot("evaluate", "--trace", *sorted(tmp_path.glob("*.npz")))
-    row = re.search(r"RMSE over strides: forward, sideways, yaw rate +(.*?) *$", read.stdout, re.MULTILINE)
+    row = re.search(r"stride-averaged RMSE: forward, sideways, yaw rate +(.*?) *$", read.stdout, re.MULTILINE)
     errors = ", ".join(
         f"{value:.3f} {unit}"
         for value, unit in zip(result["rmse_stride"].values(), ("m/s", "m/s", "rad/s"), strict=True)

@@ -185,7 +185,7 @@ def test_aggregate_figure_shows_the_return_over_all_test_worlds(tmp_path: Path, 
 
 
 def test_parameter_figure_rejects_a_parameter_that_was_not_varied(tmp_path: Path) -> None:
-    with pytest.raises(SurefootError, match="row 'voltage' is in no test world of trot"):
+    with pytest.raises(SurefootError, match="no test world of trot varies 'voltage'"):
         parameter_figure("voltage", {"trot": [sensitivity()]}, tmp_path / "a.png")
     assert list(tmp_path.iterdir()) == []
 

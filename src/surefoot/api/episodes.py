@@ -87,7 +87,7 @@ _MIN_STANDING_ERROR = 0.05
 def _tracking_texts(summary: dict[str, Any]) -> dict[str, str]:
     """Return the command tracking errors as text; empty without commands."""
     texts = {}
-    for key, label in (("rmse", "RMSE"), ("rmse_stride", "RMSE over strides")):
+    for key, label in (("rmse", "RMSE"), ("rmse_stride", "stride-averaged RMSE")):
         if key in summary:
             parts = [f"{'-' if x is None else format(x, '.3f')} {COMMANDS[name]}" for name, x in summary[key].items()]
             texts[f"{label}: {', '.join(COMMANDS).replace('_', ' ')}"] = ", ".join(parts)
