@@ -12,7 +12,9 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
 
 from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import (
@@ -62,15 +64,23 @@ class DeployCommand(LinkOptions):
     """Read states and compute commands, but neither arm the robot nor send commands."""
     json: Json = False
     plugin: PluginNames = ()
-    commands: str | None = None
-    """Source of velocity commands: a file (CSV: time, forward, sideways, yaw_rate), keyboard, gamepad, or a UDP port
-    number of this computer. Without it the command is zero."""
+    commands: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help="Source of velocity commands: a file (CSV: time, forward, sideways, yaw_rate), keyboard, gamepad, or "
+            "a UDP port number of this computer. Without it the command is zero.",
+        ),
+    ] = None
     height_map: MapPort = None
     """UDP port of this computer that receives the height map, for a policy with a height map in its observation."""
-    browser: bool = False
-    """Show the robot on a page in the browser, and take velocity commands from there. The default duration is then ten
-    minutes. The command becomes zero one second after the last command of the page, such as when its tab is closed. If
-    the page's process ends, the robot sits down and is disarmed."""
+    browser: Annotated[
+        bool,
+        tyro.conf.arg(
+            help="Show the robot on a page in the browser, and take velocity commands from there. The default duration "
+            "is then ten minutes. The command becomes zero one second after the last command of the page, such as when "
+            "its tab is closed. If the page's process ends, the robot sits down and is disarmed.",
+        ),
+    ] = False
     page_port: PagePort = PAGE_PORT
     motion_capture: Path | None = None
     """Motion capture of the run (.csv), with times of the robot's clock; it is read after the run."""

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, check_folder
 from surefoot.cli.helpers.parsing import parse
@@ -19,9 +22,13 @@ class DriveCommand(SimulationOptions):
 
     policy: PolicyName
     page_port: PagePort = PAGE_PORT
-    commands: str | None = None
-    """Source of velocity commands instead of the page: a file (CSV: time, forward, sideways, yaw_rate), keyboard or
-    gamepad of this terminal, or a UDP port number of this computer."""
+    commands: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help="Source of velocity commands instead of the page: a file (CSV: time, forward, sideways, yaw_rate), "
+            "keyboard or gamepad of this terminal, or a UDP port number of this computer.",
+        ),
+    ] = None
     host: Host = None
     out: Path = Path("recordings")
     """Folder for recordings: traces (.npz), pages (.html) and videos (.mp4); it is created when necessary."""

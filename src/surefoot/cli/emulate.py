@@ -50,9 +50,13 @@ class EmulateCommand:
     """Physical parameters to change, such as motor_strength=0.8."""
     hidden_seed: Seed | None = None
     """Randomize the physical parameters with this seed, and do not print them."""
-    hidden_ranges: str = "table1"
-    """Table of their ranges. With ensemble, seeds 1 to 20 are the robots of world ensemble, and 21 to 60 the robots of
-    ensemble-test."""
+    hidden_ranges: Annotated[
+        str,
+        tyro.conf.arg(
+            help="Table of their ranges. With ensemble, seeds 1 to 20 are the robots of world ensemble, and 21 to 60 "
+            "the robots of ensemble-test.",
+        ),
+    ] = "table1"
     faults: Annotated[Repeated, tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@TIME] [...]")] = ()
     """Faults to inject, such as drop=0.01, or unplug=1.5 (seconds after the robot is first armed); help lists them."""
     lockstep: bool = False
@@ -73,25 +77,31 @@ class EmulateCommand:
     symlink: Path | None = None
     """Symbolic link to the pseudo-terminal; it is removed at the end."""
     socket: Path | None = None
-    """Unix socket to use instead of a pseudo-terminal, which delays bytes on a busy computer. --port of the other
-    commands accepts it."""
+    """Unix socket for --port of other commands, instead of a pseudo-terminal, which is late on a busy computer."""
     link: Literal["serial", "dds"] = "serial"
     """Link to hosts: a pseudo-terminal, or the DDS topics of a Go2."""
     interface: str = ""
     """Network interface of the topics, such as lo; required with --link dds."""
     domain: Annotated[int, Within(0, 232)] = 0
     """DDS domain of the topics; robots use 0."""
-    motion_service: Literal["released", "lying", "standing"] = "released"
-    """State of the Go2's own controller at the start: released, or active with the robot lying or standing up. It is
-    active when a real robot starts."""
+    motion_service: Annotated[
+        Literal["released", "lying", "standing"],
+        tyro.conf.arg(
+            help="State of the Go2's own controller at the start: released, or active with the robot lying or standing "
+            "up. It is active when a real robot starts.",
+        ),
+    ] = "released"
     out: tuple[Path, ...] = ()
-    """Files to write: simulated motion capture of the robot at 200 Hz (.csv), and the physical parameters of
-    --hidden-seed (.toml), for later evaluation."""
+    """Files to write: simulated motion capture at 200 Hz (.csv), and the parameters of --hidden-seed (.toml)."""
     duration: Annotated[float, Within(0, 1e7, exclusive=True)] | None = None
     """End after this robot time [s]. By default the emulator runs until Ctrl-C."""
-    firmware: Path | None = None
-    """Firmware in C that the emulated microcontroller runs: a program compiled by `make host` in a folder of `surefoot
-    robot firmware new`. Defaults to surefoot's implementation in Python."""
+    firmware: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="Firmware in C that the emulated microcontroller runs: a program compiled by `make host` in a folder "
+            "of `surefoot robot firmware new`. Defaults to surefoot's implementation in Python.",
+        ),
+    ] = None
     viewer: bool = False
     """Show the robot in a window."""
 

@@ -46,8 +46,7 @@ class EvaluateCommand(RunOptions):
     """Duration of an episode [s]. Defaults to the policy's task."""
     json: Json = False
     command_grid: bool = False
-    """Run one episode per point of a grid of constant velocity commands, instead of random commands. With --out, the
-    errors are also drawn as a heat map."""
+    """Run one episode per point of a grid of constant velocity commands; with --out also draw a heat map of errors."""
     command: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="FORWARD SIDEWAYS YAW_RATE")] = None
     """Constant velocity command [m/s, m/s, rad/s] instead of random commands."""
     thermal_protection: bool = False

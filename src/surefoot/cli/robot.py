@@ -48,7 +48,7 @@ class NewRobotCommand:
     knees: Knees | None = None
     """Direction in which the knees point. By default it is derived from the knees' limits or a pose in the file."""
     meshes: bool = True
-    """Read meshes and colours. Without meshes the base is drawn as a box with its inertia, and links as primitives."""
+    """Whether meshes and colours are read; --no-meshes: the base is a box with its inertia, links are primitives."""
 
 
 @dataclass(frozen=True)

@@ -60,9 +60,15 @@ class ShowRunsCommand:
     Runs may be from different robots and worlds: simulated, deployed, or logs converted by `surefoot identify import`.
     """
 
-    trace: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TRACE [TRACE ...]")]
-    """Trace files (.npz), or folders of them. With --robot also .npz files with the arrays time, command, motor_angle
-    and imu."""
+    trace: Annotated[
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(
+            metavar="TRACE [TRACE ...]",
+            help="Trace files (.npz), or folders of them. With --robot also .npz files with the arrays time, command, "
+            "motor_angle and imu.",
+        ),
+    ]
     robot: str | None = None
     """Name or folder of the robot. It is required for such files; it replaces the robot stored in a trace."""
     terrain: Path | None = None

@@ -38,8 +38,7 @@ class StudyCommand:
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """YAML file of the study."""
     out: Path | None = None
-    """Folder for the report (tables and figures), with the run folders in its subfolder runs. Defaults to results/NAME
-    and runs/NAME."""
+    """Folder for the report, with run folders in its subfolder runs. Defaults to results/NAME and runs/NAME."""
     workers: Workers = 0
     ray: Ray = None
     plugin: PluginNames = ()
@@ -66,9 +65,13 @@ class IdentifyCommand:
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """YAML file of the study."""
-    out: Path | None = None
-    """Folder for the report, with subfolders robots for identified robots and runs for recordings. Defaults to
-    results/NAME and runs/NAME."""
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="Folder for the report, with subfolders robots for identified robots and runs for recordings. "
+            "Defaults to results/NAME and runs/NAME.",
+        ),
+    ] = None
     workers: Annotated[Threads, tyro.conf.arg(help="Robots in parallel; 0 means one per core.")] = 0
 
 

@@ -7,6 +7,9 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from surefoot.cli.helpers.options import Ray, Workers, check_suffix
 from surefoot.cli.helpers.parsing import parse
@@ -27,9 +30,13 @@ class PaperCommand:
 
     root: Path = Path()
     """Clone of surefoot: the folder with `results`, `policies` and `docs`."""
-    out: Path | None = None
-    """File of the page (.html). Defaults to paper.html. With --quick or --full: folder for all results and the page
-    paper.html. Defaults to paper-quick or paper-full."""
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="File of the page (.html). Defaults to paper.html. With --quick or --full: folder for all results and "
+            "the page paper.html. Defaults to paper-quick or paper-full.",
+        ),
+    ] = None
     quick: bool = False
     """Produce a small version of all results first, which takes about twenty minutes on two cores."""
     full: bool = False

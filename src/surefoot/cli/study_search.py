@@ -36,9 +36,14 @@ class SearchCommand:
     trials: Annotated[int, Within(1, 100_000)] = 100
     """Total number of trials, including those that already exist."""
     workers: Workers = 0
-    space: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """YAML file of the search space: fields of the training's configuration with their ranges or choices. Defaults to
-    the released space."""
+    space: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            metavar="FILE",
+            help="YAML file of the search space: fields of the training's configuration with their ranges or choices. "
+            "Defaults to the released space.",
+        ),
+    ] = None
     ray: Ray = None
     plugin: PluginNames = ()
     out: Path | None = None

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from surefoot.api.episodes import print_summaries
 from surefoot.api.policies import run_policy
@@ -25,9 +28,14 @@ class TuneCommand(TuneConfig):
 
     start_from: Path | None = None
     """Handcrafted gait (.yaml) to start from, such as for another speed or without Raibert's controller."""
-    out: Path | None = None
-    """File (.yaml) for the best gait so far, updated after each generation. Defaults to GAIT-SPEED.yaml. Next to it,
-    GAIT-SPEED-tuning.csv contains the minimum cost of each generation, including the history of --start-from."""
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="File (.yaml) for the best gait so far, updated after each generation. Defaults to GAIT-SPEED.yaml. "
+            "Next to it, GAIT-SPEED-tuning.csv contains the minimum cost of each generation, including the history of "
+            "--start-from.",
+        ),
+    ] = None
     episodes: Count = 20
     """Number of episodes of 6 s in which the final gait is measured."""
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import tyro
+
 from surefoot.cli.helpers.options import Json, Seed, Settings
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, suggest
@@ -46,9 +48,14 @@ class TracesCommand:
     """Print which parameters are identifiable from logs of a hanging robot, without fitting."""
     settings: Settings = ()
     """Known parameters, such as servo_kp=20 servo_kd=1.5, which are not fitted."""
-    duration: Annotated[float | None, Within(0.5, 3600)] = None
-    """Duration of each log that is fitted, from its start [s]. Defaults to 24 s for a hanging robot, and to 2.3 s on
-    the ground, where longer replays diverge."""
+    duration: Annotated[
+        float | None,
+        Within(0.5, 3600),
+        tyro.conf.arg(
+            help="Duration of each log that is fitted, from its start [s]. Defaults to 24 s for a hanging robot, and "
+            "to 2.3 s on the ground, where longer replays diverge.",
+        ),
+    ] = None
     generations: Annotated[int, Within(0, 100_000)] = 0
     """Generations of CMA-ES to find the initial values of the fit."""
     seed: Seed = 1

@@ -39,6 +39,7 @@ class LinkOptions(SerialOptions):
     """Options of a link to a robot of any kind."""
 
     port: Port | None = None
+    """Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0; required with --link serial."""
     link: Literal["serial", "dds"] = "serial"
     """Transport of the messages: a serial port, or DDS to a Unitree Go2."""
     interface: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None

@@ -31,14 +31,20 @@ class Simulator:
     """Differences from the task's simulator."""
 
     actuator: Actuator | None = None
-    """Actuator model; dc: servo and DC motor; constraint: position motor of an engine. Defaults to the task's."""
+    """Actuator model; dc: servo and DC motor; constraint: the engine's position motor. Defaults to the task's."""
     control_latency: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Age of the readings that the policy observes [s]. Defaults to the task's value."""
     servo_latency: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Age of the readings that the servos use [s]. Defaults to the task's value."""
-    params: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """File of the robot's physical parameters (.toml), or the name of one released with the robot. Parameters that it
-    does not name have their data sheet values; the control step stays the task's. Defaults to the task's parameters."""
+    params: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            metavar="FILE",
+            help="File of the robot's physical parameters (.toml), or the name of one released with the robot. Other "
+            "parameters are as in the data sheet; the control step stays the task's. Defaults to the task's "
+            "parameters.",
+        ),
+    ] = None
 
     @property
     def latencies(self) -> dict[str, float]:
@@ -94,9 +100,13 @@ class RunOptions(SimulationOptions):
     push_force: PushForce = None
     """Push the robot in random horizontal directions with forces from LOW to HIGH [N], as often as its task does."""
     seed: Seed = 1
-    commands: Path | None = None
-    """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
-    drawn as in its training, if not given. The run lasts until two seconds after its last row, or longer."""
+    commands: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="File of velocity commands (CSV: time, forward, sideways, yaw_rate [s, m/s, m/s, rad/s]); the run "
+            "lasts at least until two seconds after its last row. By default commands are random, as in the training.",
+        ),
+    ] = None
 
     def condition(self, ranges: Ranges | None = None, **changes: Any) -> Condition:
         """Return the condition given by the options, with parameters randomized within `ranges`."""

@@ -199,7 +199,7 @@ def _light(mesh: Mesh, points: Array) -> Light:
 
 
 def _soften(occluder: NDArray[np.float32], texel: float) -> NDArray[np.float32]:
-    """Return the darkness (H, W), 0 to 1, of the shadow of objects with given heights; higher ones have softer shadows."""
+    """Return the darkness (H, W), 0 to 1, of the shadow of objects with given heights; high ones have soft shadows."""
     top = max(float(occluder.max()), 1e-6)
     cover, radius = occluder > 0.0, 0.05 * top / texel
     sharp, soft = _blur(cover, 1.0, 1.0), _blur(cover, radius, 1.0)
