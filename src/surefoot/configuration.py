@@ -63,18 +63,18 @@ class Within:
                 rule = f"it must be Unicode text of at most {_MAX_TEXT_LENGTH} characters without NUL"
                 raise SurefootError(f"{where} is {quote(value)}; {rule}")
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            rule = self._broken(value)
+            rule = self._violated_rule(value)
             if rule:
                 shown = f"{value:g}" if isinstance(value, float) else quote(value)
                 raise SurefootError(f"{where} is {shown}; it must be {rule}")
 
-    def _broken(self, value: float) -> str:
+    def _violated_rule(self, value: float) -> str:
         """Return the rule that a number violates, or an empty text."""
         if isinstance(value, float) and math.isnan(value):
             return "a finite number"
         if value < self.minimum or (self.exclusive and value == self.minimum):
-            return f"over {self.least:.15g}" if self.exclusive else f"{self.least:.15g} or more"
-        return f"{self.greatest:.15g} or less" if value > self.maximum else ""
+            return f"over {self.minimum:.15g}" if self.exclusive else f"{self.minimum:.15g} or more"
+        return f"{self.maximum:.15g} or less" if value > self.maximum else ""
 
 
 _ANY = Within(-1e15, 1e15)

@@ -20,9 +20,9 @@ ACTIONS = {
 
 
 @pytest.mark.parametrize("name", RENAMED_COMMANDS)
-def test_a_former_command_answers_with_the_present_one(name: str):
+def test_a_renamed_command_names_its_replacement(name: str):
     done = surefoot(name, "x", "--help")
-    assert_rejected(done, f"'{name}' is no command any more; type surefoot ")
+    assert_rejected(done, f"'{name}' is not a command any more; use surefoot ")
     assert name not in COMMANDS
     for text in RENAMED_COMMANDS[name].split("surefoot ")[1:]:
         command, *rest = text.split()
@@ -46,7 +46,7 @@ def test_every_command_has_a_module(name: str):
 
 
 @pytest.mark.parametrize("command", ["robot", "robot firmware", "study"])
-def test_a_command_of_actions_lists_them(command: str):
+def test_a_command_with_subcommands_lists_them(command: str):
     done, silent = surefoot(*command.split(), "--help"), surefoot(*command.split())
     assert (done.returncode, silent.returncode) == (0, 2)
     assert done.stdout == silent.stderr
