@@ -125,7 +125,7 @@ def swinging_run(**meta: Any) -> Callable[[Path, MakeRun], object]:
 
 def write_traces_of_two_worlds(path: Path, make_run: MakeRun) -> None:
     for world in ("bullet", "lab"):
-        make_run(world=world, modify_contract="gallop").save(path / f"{world}.npz")
+        make_run(world=world, policy="gallop").save(path / f"{world}.npz")
 
 
 def write_cut_trace(path: Path, make_run: MakeRun) -> None:
