@@ -355,7 +355,7 @@ class Scenario:
     signals: tuple[tuple[float, int], ...] = ()
     """Signals that the host gets: when [s], after arming, and which."""
     raises: bool = False
-    """Whether the policy's runtime raises an exception when the body pitches faster than .5 rad/s."""
+    """Whether the policy's runtime raises an exception when the body pitches faster than 0.5 rad/s."""
     disk: int = 0
     """Limit of a file's size [bytes]; 0: none."""
     terminal: bool = False

@@ -27,7 +27,7 @@ def joint(
 
 
 def urdf(longer: float = 0.0, foot: str = SPHERE, more: str = "") -> str:
-    """A quadruped of boxes of 10.6 kg with legs of .4 m.
+    """Return the URDF of a 10.6 kg quadruped made of boxes, with 0.4 m long legs.
 
     Args:
         longer: how much longer the thigh of the back left leg is [m].
@@ -55,7 +55,7 @@ def urdf(longer: float = 0.0, foot: str = SPHERE, more: str = "") -> str:
 def mjcf(
     actuators: str = "", joint_extra: str = "", more: str = "", compiler: str = "", order: str = "FL FR RL RR"
 ) -> str:
-    """An MJCF of a quadruped of 12.1 kg with legs of .4 m.
+    """Return the MJCF of a 12.1 kg quadruped with 0.4 m long legs.
 
     Args:
         actuators: a template of an actuator with `{joint}`, which every hinge of a leg gets in this order.

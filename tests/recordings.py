@@ -23,7 +23,7 @@ def standing_height(robot: RobotDescription) -> float:
 def swinging(
     make_run: Callable[..., EpisodeTrace], name: str = "go2", speed: float = 0.5, seconds: float = 2.0, **changes: Any
 ) -> ShownTrace:
-    """Return a robot whose motors swing by .2 rad at 1 Hz; `arrays` and meta as `make_run` takes them."""
+    """Return the trace of a robot whose motors swing by 0.2 rad at 1 Hz; for `arrays` and meta see `make_run`."""
     robot = RobotDescription.load(name)
     time = 0.01 * np.arange(1, round(seconds * 100) + 1)
     angles = robot.resting_angles + 0.2 * np.sin(2 * np.pi * time)[:, None]

@@ -33,7 +33,7 @@ def sensitivity_table(
     fell: ArrayLike,
     nominal: tuple[Mapping[str, float], ArrayLike, ArrayLike],
 ) -> Sensitivity:
-    """Return a sensitivity at .5 m/s from returns (W, E) and falls (W, E) in test worlds.
+    """Return a sensitivity at 0.5 m/s from returns (W, E) and falls (W, E) in test worlds.
 
     Of the nominal world there are values of rows, returns (E,) and falls (E,).
     """

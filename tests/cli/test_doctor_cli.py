@@ -24,7 +24,7 @@ QUICK = ("--pings", "40", "--steps", "50")
 
 @pytest.fixture(scope="module")
 def port_of() -> Iterator[Callable[..., str]]:
-    """Give the port of a robot in lockstep with the words of `surefoot emulate`, the same one for the same words."""
+    """Return a function from arguments of `surefoot emulate` to the port of a robot in lockstep, which is reused."""
     with emulators(EmulatorHere) as start:
         yield functools.cache(lambda *words: start("--lockstep", *words).port)
 
@@ -32,7 +32,7 @@ def port_of() -> Iterator[Callable[..., str]]:
 def doctor(
     policy: object, port: object, *words: str, run: Callable[..., subprocess.CompletedProcess[str]] = surefoot
 ) -> tuple[int, dict[str, dict[str, Any]]]:
-    """Exit code and checks by name."""
+    """Return the exit code, and the checks by name."""
     done = run("doctor", policy, "--port", port, *QUICK, "--json", *words)
     assert done.returncode in (0, 3), done.stderr
     data = json.loads(done.stdout)
@@ -120,8 +120,8 @@ def test_faults_of_motors_fail_on_the_rack(fault: str, check: str, why: str, tod
     assert todo in checks[check]["remedy"]
 
 
-def test_a_mirrored_encoder_fails_at_rest_or_as_soon_as_motors_hold(port_of: Callable[..., str]):
-    """On the ground the legs are folded, and another reading stands out; of hanging legs it may not."""
+def test_a_mirrored_encoder_fails_at_rest_or_when_motors_hold(port_of: Callable[..., str]):
+    """On the ground the legs are folded, so a wrong reading is noticed; with hanging legs it may not be."""
     _, checks = doctor("trot", port_of("--fault", "flip-encoder=3"), "--lockstep")
     assert failed(checks) == ["encoders"]
     assert checks["encoders"]["message"].startswith("back_left reads")

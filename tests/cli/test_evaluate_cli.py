@@ -281,5 +281,5 @@ def test_a_robot_is_put_on_terrain_and_what_keeps_up_is_counted():
     )
     summary = json.loads(surefoot(*words, "--terrain", "slope_down:10").stdout)
     assert (summary["terrain"], summary["success"], summary["falls"]) == ("slope_down:10", 1.0, 0)
-    # Feet that are lifted by some centimetres do not get over steps of .2 m.
+    # Feet that are lifted by a few centimetres do not clear steps of 0.2 m.
     assert json.loads(surefoot(*words, "--terrain", "stairs:0.2").stdout)["success"] == 0.0

@@ -83,7 +83,7 @@ def test_check_names_the_motor_that_is_too_weak_and_the_torque_that_is_asked_for
     folder = tmp_path / "weak"
     shutil.copytree(SOLO.folder, folder)
     sheet = (folder / "robot.toml").read_text()
-    # Standing takes .7 N m of a knee, a trot 1.8.
+    # Standing requires 0.7 N m in a knee, a trot 1.8 N m.
     (folder / "robot.toml").write_text(sheet.replace("torque_limit = 2.7", "torque_limit = 0.5"))
     result = surefoot("robot", "check", str(folder), "--json", cwd=tmp_path)
     assert result.returncode == 3, result.stderr
@@ -104,7 +104,7 @@ def test_robots_that_ship_pass(name: str, tmp_path: Path) -> None:
 
 
 def test_a_step_too_long_for_light_rotors_is_shortened(tmp_path: Path) -> None:
-    # Without the file's armature the guess is .005 m l^2; with a hundredth of it the damping asks for a shorter step.
+    # Without armature in the file, 0.005 m l^2 is guessed; with a hundredth of it the damping requires a shorter step.
     legs = "".join(
         f"""<body name="{n}" pos="{x} {y} 0"><joint name="{n}_hip" axis="0 1 0" armature="1e-5"/>
         <inertial pos="0 0 -.1" mass=".1" diaginertia="1e-4 1e-4 1e-4"/>

@@ -101,7 +101,7 @@ def painted(normal: tuple[float, float, float], occluder: float, behind: int = 2
 
 
 def test_surfaces_are_lit_by_sky_and_sun_and_mixed_at_edges():
-    # Towards the sun: .34 + .16 + .72 of the color, and a reflection of .22; a slanted sky reflects nothing here.
+    # Towards the sun: 0.34 + 0.16 + 0.72 of the color, plus a reflection of 0.22; no reflection of the sky.
     whole, half = painted((0, 0, 1), occluder=0.0)
     assert whole == pytest.approx(255 * np.sqrt(0.25 * 1.22 + 0.22), abs=1.0)
     assert half == pytest.approx((whole + 200) / 2, abs=1.0)

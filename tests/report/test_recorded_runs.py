@@ -115,8 +115,8 @@ def test_forces_are_those_of_feet_on_the_ground(make_run: MakeRun):
     trace = replace(one.trace, motor_torque=torque, push_force_world=push, base_quat_world=turned)
     (run,) = data_of(recording_page([replace(one, trace=trace)]))["runs"]
     expected = foot_forces(GO2, one.trace.motor_angle, torque).reshape(200, -1)
-    assert np.allclose(run["columns"]["force"][10], expected[19], atol=0.05)  # .2 s: on the ground
-    assert np.allclose(run["columns"]["force"][35], 0.0, atol=1e-3)  # .7 s: in the air
+    assert np.allclose(run["columns"]["force"][10], expected[19], atol=0.05)  # 0.2 s: on the ground
+    assert np.allclose(run["columns"]["force"][35], 0.0, atol=1e-3)  # 0.7 s: in the air
     assert np.allclose(run["columns"]["push"][[10, 90]], [[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]], atol=1e-2)
 
 

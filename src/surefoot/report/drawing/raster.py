@@ -102,13 +102,13 @@ def sunlit_fraction(light: Light, x: float, y: float, z: float) -> float:
     j, i = int(column), int(row)
     u, v = column - j, row - i
     # Average over a square of two texels around the position: objects above the point block its light.
-    share = 0.0
+    fraction = 0.0
     for di in range(3):
         tall = 1.0 - v if di == 0 else (v if di == 2 else 1.0)
         for dj in range(3):
             if light.occluder[i + di, j + dj] <= z:
-                share += tall * (1.0 - u if dj == 0 else (u if dj == 2 else 1.0))
-    return 0.25 * share
+                fraction += tall * (1.0 - u if dj == 0 else (u if dj == 2 else 1.0))
+    return 0.25 * fraction
 
 
 @compiled
@@ -155,11 +155,11 @@ def paint_ground(picture: Any, ground: Any, eye: Any, tile: float, light: Light,
     for i in range(ground.shape[0]):
         for j in range(ground.shape[1]):
             x, y = eye[0] + ground[i, j, 0], eye[1] + ground[i, j, 1]
-            share = 1.0 - ground[i, j, 7] * dark_fraction(x, y, ground[i, j, 2], ground[i, j, 3], tile)
-            share *= 1.0 - dim * shadow_fraction(light, x, y)
-            share = np.sqrt(share)
+            brightness = 1.0 - ground[i, j, 7] * dark_fraction(x, y, ground[i, j, 2], ground[i, j, 3], tile)
+            brightness *= 1.0 - dim * shadow_fraction(light, x, y)
+            brightness = np.sqrt(brightness)
             for k in range(3):
-                picture[first + i, j, k] = np.uint8(ground[i, j, 4 + k] * share)
+                picture[first + i, j, k] = np.uint8(ground[i, j, 4 + k] * brightness)
 
 
 class SurfaceArrays(NamedTuple):
@@ -185,15 +185,15 @@ def _color(
     xb, yb, zb = surface.pixels[b, 0] - xa, surface.pixels[b, 1] - ya, surface.pixels[b, 2]
     xc, yc, zc = surface.pixels[c, 0] - xa, surface.pixels[c, 1] - ya, surface.pixels[c, 2]
     area = xb * yc - xc * yb
-    share_b, share_c = ((x - xa) * yc - (y - ya) * xc) / area, ((y - ya) * xb - (x - xa) * yb) / area
-    share_a = 1.0 - share_b - share_c
-    depth = 1.0 / (share_a * za + share_b * zb + share_c * zc)
+    weight_b, weight_c = ((x - xa) * yc - (y - ya) * xc) / area, ((y - ya) * xb - (x - xa) * yb) / area
+    weight_a = 1.0 - weight_b - weight_c
+    depth = 1.0 / (weight_a * za + weight_b * zb + weight_c * zc)
     rx = rays[0, 0] * x + rays[1, 0] * y + rays[2, 0]
     ry = rays[0, 1] * x + rays[1, 1] * y + rays[2, 1]
     rz = rays[0, 2] * x + rays[1, 2] * y + rays[2, 2]
-    nx = share_a * surface.normals[a, 0] + share_b * surface.normals[b, 0] + share_c * surface.normals[c, 0]
-    ny = share_a * surface.normals[a, 1] + share_b * surface.normals[b, 1] + share_c * surface.normals[c, 1]
-    nz = share_a * surface.normals[a, 2] + share_b * surface.normals[b, 2] + share_c * surface.normals[c, 2]
+    nx = weight_a * surface.normals[a, 0] + weight_b * surface.normals[b, 0] + weight_c * surface.normals[c, 0]
+    ny = weight_a * surface.normals[a, 1] + weight_b * surface.normals[b, 1] + weight_c * surface.normals[c, 1]
+    nz = weight_a * surface.normals[a, 2] + weight_b * surface.normals[b, 2] + weight_c * surface.normals[c, 2]
     ray, length = np.sqrt(rx * rx + ry * ry + rz * rz), max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-9)
     facing = -(nx * rx + ny * ry + nz * rz) / (ray * length)
     if facing < 0.0:  # a surface seen from behind is lit like one that faces the eye
@@ -250,8 +250,8 @@ def paint_faces(
                             last = f
                         red, green, blue, count = red + color[0], green + color[1], blue + color[2], count + 1
             if count > 0:
-                share = count / (parts * parts)
+                coverage = count / (parts * parts)
                 for k, total in enumerate((red, green, blue)):
                     behind = picture[corner[0] + i, corner[1] + j, k]
                     own = 255.0 * np.sqrt(min(max(total / count, 0.0), 1.0))
-                    picture[corner[0] + i, corner[1] + j, k] = np.uint8(behind + share * (own - behind))
+                    picture[corner[0] + i, corner[1] + j, k] = np.uint8(behind + coverage * (own - behind))

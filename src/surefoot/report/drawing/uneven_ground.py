@@ -34,8 +34,8 @@ def clip(points: Array, near: float) -> tuple[Array, NDArray[np.int64]]:
     for corners in (1, 2):
         rows = np.flatnonzero(count == corners)
         # Rotate the corners so that the one that is alone on its side comes first.
-        alone = np.argmax(inside[rows] == (corners == 1), axis=1)
-        a, b, c = (points[rows, (alone + k) % 3] for k in range(3))
+        single = np.argmax(inside[rows] == (corners == 1), axis=1)
+        a, b, c = (points[rows, (single + k) % 3] for k in range(3))
         ab, ac = (a + ((near - a[:, 2]) / (one[:, 2] - a[:, 2]))[:, None] * (one - a) for one in (b, c))
         whole = [(a, ab, ac)] if corners == 1 else [(ab, b, c), (ab, c, ac)]
         pieces += [np.stack(triangle, axis=1) for triangle in whole]
@@ -76,7 +76,7 @@ class VisibleGround(NamedTuple):
     shadow_top: Any
     """Height of the shadow caster at each of the light's grid points (H, W) [m]."""
     base: float
-    """Reference height of the light's heights [m]."""
+    """Reference height of `shadow_top` and of the light's heights [m]."""
 
 
 def height_tint(z: Any) -> tuple[Any, Any, Any]:
@@ -99,15 +99,15 @@ def _line_fraction(x: float, y: float, reach_x: float, reach_y: float, edges: An
     place_x, place_y = (x - grid[0]) / grid[2], (y - grid[1]) / grid[2]
     i = min(max(int(np.floor(place_x)), 0), len(edges) - 1)
     j = min(max(int(np.floor(place_y)), 0), edges.shape[1] - 1)
-    share = 0.0
+    fraction = 0.0
     for axis in range(2):
         within, reach = (place_y - j, reach_y) if axis else (place_x - i, reach_x)
         for end in range(2):
             if edges[i, j, axis, end]:
                 distance = grid[2] * (1.0 - within if end else within)
                 on_line = min(distance + 0.5 * reach, _LINE) - max(distance - 0.5 * reach, 0.0)
-                share = max(share, on_line / reach)
-    return share
+                fraction = max(fraction, on_line / reach)
+    return fraction
 
 
 @compiled
@@ -143,7 +143,7 @@ def _shade(
     x, y, z = eye[0] + depth * rx, eye[1] + depth * ry, eye[2] + depth * rz
     away = -1.0 if facing > 0.0 else 1.0
     nx, ny, nz = away * px, away * py, away * pz
-    share = 1.0 - 0.5 * look.dark
+    brightness = 1.0 - 0.5 * look.dark
     distance = depth * np.sqrt(rx * rx + ry * ry + rz * rz)
     if nz > _WALL:
         reach_x = reach_y = 1e-4
@@ -153,11 +153,11 @@ def _shade(
             reach_x = max(reach_x, abs(parts * depth * (rays[k, 0] - slant * rx)))
             reach_y = max(reach_y, abs(parts * depth * (rays[k, 1] - slant * ry)))
         dark = look.dark * max(1.0 - distance / look.far, 0.0)
-        share = 1.0 - dark * dark_fraction(x, y, reach_x, reach_y, look.tile)
-        share *= 1.0 - _LINE_DARK * _line_fraction(x, y, reach_x, reach_y, seen.edges, seen.grid)
+        brightness = 1.0 - dark * dark_fraction(x, y, reach_x, reach_y, look.tile)
+        brightness *= 1.0 - _LINE_DARK * _line_fraction(x, y, reach_x, reach_y, seen.edges, seen.grid)
     below = _level(x, y, seen.course, seen.grid) - z
     if below > 0.0:
-        share *= 1.0 - _DEPTH_DARK * (1.0 - np.exp(-below / _DEPTH))
+        brightness *= 1.0 - _DEPTH_DARK * (1.0 - np.exp(-below / _DEPTH))
     lx, ly, lz = light.direction[0], light.direction[1], light.direction[2]
     slant = (z - seen.base) / lz
     shadow_x, shadow_y = x - lx * slant, y - ly * slant
@@ -169,10 +169,14 @@ def _shade(
     level_sun = SUN * lz
     bright = SKY + UP + level_sun
     sun = SUN * max(nx * lx + ny * ly + nz * lz, 0.0) * (1.0 - shadow * look.dim * bright / level_sun)
-    share = np.sqrt(max(share * (SKY + UP * nz + sun) / bright, 0.0))
+    brightness = np.sqrt(max(brightness * (SKY + UP * nz + sun) / bright, 0.0))
     haze = 1.0 - np.exp(-((distance / look.hazy) ** 1.5))
     tint = _tint(z)
-    red, green, blue = share * tint[0] * look.color[0], share * tint[1] * look.color[1], share * tint[2] * look.color[2]
+    red, green, blue = (
+        brightness * tint[0] * look.color[0],
+        brightness * tint[1] * look.color[1],
+        brightness * tint[2] * look.color[2],
+    )
     return (
         red + haze * (look.haze[0] - red),
         green + haze * (look.haze[1] - green),
@@ -209,7 +213,7 @@ def paint_uneven(
                             last = f
                         red, green, blue, count = red + color[0], green + color[1], blue + color[2], count + 1
             if count > 0:
-                share = count / (parts * parts)
+                coverage = count / (parts * parts)
                 for k, total in enumerate((red, green, blue)):
                     behind = picture[i, j, k]
-                    picture[i, j, k] = np.uint8(behind + share * (total / count - behind))
+                    picture[i, j, k] = np.uint8(behind + coverage * (total / count - behind))

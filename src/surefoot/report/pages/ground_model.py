@@ -22,7 +22,7 @@ _SQUARES, _EDGE, _WALL = ((150, 156, 160), (122, 128, 132)), (60, 66, 72), (104,
 _EDGE_WIDTH = 0.03
 """Width of lines along edges [m]."""
 _DEPTH, _DEPTH_DARK = 0.25, 0.5
-"""Depth below the course [m] over which the ground grows darker, and how much darker it becomes, as a share."""
+"""Depth below the ground slope over which the ground is darkened [m], and the maximum relative reduction."""
 _PIXELS = 2048
 """Size of the surface's texture along each side [px]."""
 _WALL_PIXELS = 256

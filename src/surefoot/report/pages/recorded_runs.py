@@ -177,8 +177,8 @@ def _run(shown: ShownTrace, rate: float, node: str, ground: Ground) -> tuple[dic
         columns["level"] = ground.level(position[:, :2])[:, None]
     columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
     for name, values in columns.items():
-        if (greatest := np.nanmax(np.abs(values))) > _MAX_VALUE:
-            raise SurefootError(f"its {name} is up to {greatest:g}; the maximum is {_MAX_VALUE:g}")
+        if (maximum := np.nanmax(np.abs(values))) > _MAX_VALUE:
+            raise SurefootError(f"its {name} is up to {maximum:g}; the maximum is {_MAX_VALUE:g}")
     ended = {"time": "", "fall": ", fell", "fault": ", ended by a fault", "stopped": ", stopped"}[trace.meta["ended"]]
     place = str(trace.meta["world"])[:60] + ("" if ground.is_flat else f" on {trace.meta['terrain']}")
     title = f"{robot.name} in {place}, {shown.duration:.2f} s{ended}"
