@@ -45,7 +45,7 @@ def failed(checks: dict[str, dict[str, Any]]) -> list[str]:
     return [name for name, one in checks.items() if one["passed"] is False]
 
 
-# A robot that is well.
+# A healthy robot.
 
 
 def test_a_healthy_robot_passes_all_on_its_rack(port_of: Callable[..., str]):
@@ -82,7 +82,7 @@ def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator], t
     assert checks["inference"]["value"] < 0.001
 
 
-# Robots with faults.
+# Faulty robots.
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The commands: their groups, former names, and actions of commands."""
+"""Commands: their groups, former names, and subcommands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`--plugin`: the example's reward term and observation from training to the drive page and to a robot."""
+"""`--plugin`: the example's reward term and observation, from training to the drive page and deployment."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def run(repository: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory
     return next(folder.glob("runs/plugin/*"))
 
 
-def test_evaluation_needs_the_observation_and_skips_the_reward_term(run: Path, plugin: Path, tmp_path: Path) -> None:
+def test_evaluation_requires_the_observation_but_not_the_reward_term(run: Path, plugin: Path, tmp_path: Path) -> None:
     policy, words = run / "policy.onnx", ("--episodes", "1", "--json")
     assert_rejected(
         surefoot("evaluate", policy, *words), "needs observation 'lean' of a plug-in", "--plugin 'plugin.py'"
@@ -70,7 +70,7 @@ def test_evaluation_needs_the_observation_and_skips_the_reward_term(run: Path, p
     assert json.loads(part.stdout)["return_mean"] > json.loads(whole.stdout)["return_mean"]
 
 
-def test_a_run_is_resumed_with_the_plugin_that_is_named_again(run: Path, plugin: Path) -> None:
+def test_a_run_is_resumed_with_the_plugin_given_again(run: Path, plugin: Path) -> None:
     assert_rejected(
         surefoot("train", "--resume", run), "was trained with 'foot_clearance', 'lean' of a plug-in; name the"
     )
@@ -78,7 +78,7 @@ def test_a_run_is_resumed_with_the_plugin_that_is_named_again(run: Path, plugin:
     assert RunFolder.open(run)[1].task.observations[0] == "lean"
 
 
-def test_the_drive_page_answers(run: Path, plugin: Path) -> None:
+def test_the_drive_page_runs_a_policy_with_a_plugin(run: Path, plugin: Path) -> None:
     with (
         serve_page("drive", run / "policy.onnx", "--plugin", plugin) as address,
         urllib.request.urlopen(address, timeout=20) as page,
@@ -88,7 +88,7 @@ def test_the_drive_page_answers(run: Path, plugin: Path) -> None:
 
 @pytest.fixture
 def emulate() -> Iterator[Callable[..., Any]]:
-    """Start emulators that end with the test, whose robots stand up soon."""
+    """Start emulators whose robots stand up quickly, and which are ended with the test."""
     with mock.patch.multiple(motion_runner, UP=0.3, DOWN=0.3), emulators(EmulatorHere) as start:
         yield start
 

@@ -1,4 +1,4 @@
-"""`surefoot show`: the page of recorded runs in a real browser, served and as one file; policies and runs as arguments."""
+"""`surefoot show`: the page of recorded runs in a real browser, served and as one file; its kinds of arguments."""
 
 from __future__ import annotations
 

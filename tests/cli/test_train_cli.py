@@ -1,4 +1,4 @@
-"""`surefoot train`: options of the reference; Ctrl-C to a real process saves, resume finishes."""
+"""`surefoot train`: options of the reference; Ctrl-C saves a training, and --resume finishes it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TINY = (
         (("trot", "--task.reference.kind", "foot"), "foot.height", "swing.amplitude"),
     ],
 )
-def test_the_options_of_a_reference_are_those_of_its_kind(
+def test_the_options_of_a_reference_depend_on_its_kind(
     words: tuple[str, ...], option: str, other: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):

@@ -1,4 +1,4 @@
-"""Experiments reach a robot on either link; a Go2 over DDS gets the gains that the user states."""
+"""Experiments connect to a robot over both links; a Go2 over DDS receives the user's gains."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
 
-def test_a_go2_over_dds_gets_the_stated_gains(monkeypatch: pytest.MonkeyPatch):
+def test_a_go2_over_dds_receives_the_given_gains(monkeypatch: pytest.MonkeyPatch):
     go2, opened = RobotDescription.load("go2"), []
 
     def open_dds_link(*words: Any) -> str:

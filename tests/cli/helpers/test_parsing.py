@@ -1,4 +1,4 @@
-"""Words that are values of options and words that are not; an error with a long text, in one short line."""
+"""Positional arguments and values of options; long errors are reported in one short line."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ class Options:
         ("--loud", ""),
     ],
 )
-def test_positional_words_are_not_values_of_options(line: str, found: str):
+def test_positional_words_exclude_values_of_options(line: str, found: str):
     assert positional_words(line.split(), Options) == found.split()
 
 
-def test_a_pattern_that_matches_several_runs_needs_the_name_of_one(tmp_path: Path):
+def test_a_pattern_that_matches_several_runs_is_rejected(tmp_path: Path):
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "run.json").write_text("{}")
