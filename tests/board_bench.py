@@ -1,4 +1,4 @@
-"""A microcontroller whose sensors and messages a test sets: its program in Python, or in C."""
+"""Test bench for a microcontroller, whose sensors and messages are set by tests; its program is in Python or C."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ PROGRAMS = ("messages", "serial line", IN_C)
 
 
 class NoHosts:
-    """The hosts' end of a line that a test reads by itself."""
+    """Host end of a line that is read by the test."""
 
     unread = 0
 
 
 class CompiledFirmware(FirmwareProcess):
-    """The program in C, with those attributes of the one in Python that the tests use."""
+    """Program in C, with the attributes of the Python program that tests use."""
 
     def __init__(self, robot: Any, handshake: Handshake, limits: Limits, *target: str) -> None:
         super().__init__(compiled(robot, limits, handshake, *target), robot.name, robot.num_motors)
@@ -52,10 +52,10 @@ class CompiledFirmware(FirmwareProcess):
 
 
 class Bench:
-    """A microcontroller whose sensors the test sets, with a servo step every millisecond.
+    """Microcontroller whose sensors are set by the test, with a servo step every millisecond.
 
-    Messages of a host reach the program as they are (`where` is "messages"), as bytes over a "serial line", or as
-    bytes the program in "C", on this computer or on an STM32F405 in "QEMU".
+    A host's messages reach the Python program directly (`where` is "messages") or as bytes over a "serial line", or
+    the program in "C" as bytes, on this computer or on an STM32F405 in "QEMU".
     """
 
     def __init__(self, robot: Any, where: str, **changes: Any) -> None:
@@ -73,11 +73,11 @@ class Bench:
         self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)
         self.order: MotorOrder | None = None
         self.sent: list[Packet] = []
-        """What the robot has sent, oldest first."""
+        """Messages sent by the robot, oldest first."""
         self.sensors = Sensors(*(np.zeros(8),) * 3, np.zeros(3), np.zeros(3), 5.0, 16.0, np.full(8, 25.0))
 
     def take(self) -> list[Packet]:
-        """Return what the robot has sent since, as the host receives it."""
+        """Return the messages that the host has received since the last call."""
         packets = self.firmware.take()
         if self.line is not None:
             for packet in packets:
@@ -87,7 +87,7 @@ class Bench:
         return packets
 
     def run(self, milliseconds: int) -> list[Packet]:
-        """Let time pass; return what the robot sends meanwhile."""
+        """Advance time; return the robot's messages."""
         before = len(self.sent)
         for _ in range(milliseconds):
             self.order = self.firmware.tick(self.now, self.vitals)

@@ -1,4 +1,4 @@
-"""`--params FILE`, `--actuator` and latencies: changes of the simulator in training, evaluation, gap and sensitivity."""
+"""`--params FILE`, `--actuator` and latencies: changed simulators in training, evaluation, gap and sensitivity."""
 
 from __future__ import annotations
 

@@ -175,7 +175,7 @@ def robots_study(folder: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_study_on_robots_that_was_killed_twice_has_the_same_digits(tmp_path: Path) -> None:
-    """Two robots, two groups and one seed: once without interruption, and once killed in the first and third training."""
+    """Two robots, two groups, one seed: once without interruption, and once killed in the first and third training."""
     whole, parts = robots_study(tmp_path / "whole"), robots_study(tmp_path / "parts")
     command = [*SUREFOOT, "study", "hidden.yaml", "--workers", "1"]
     for run in ("half/robot_201", "whole/robot_201"):
