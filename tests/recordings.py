@@ -1,4 +1,4 @@
-"""Traces of robots that swing their legs and move at a steady speed, made without a simulation."""
+"""Synthetic traces of robots that swing their legs and move at a constant speed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from surefoot.task.trace import EpisodeTrace
 
 
 def standing_height(robot: RobotDescription) -> float:
-    """Return the height [m] of the base of a robot that rests."""
+    """Return the height of a robot's base in the resting pose [m]."""
     return -float(robot.foot_positions(robot.resting_angles)[:, 2].min())
 
 
@@ -42,7 +42,7 @@ def swinging(
 
 
 def data_of(page: str) -> dict[str, Any]:
-    """Return what a page's script is given, with each run's columns as arrays (N, k)."""
+    """Return the data of a page's script, with the columns of each run as arrays (N, k)."""
     match = re.search(r"DATA = (\{.*\}),\n", page)
     assert match is not None
     data: dict[str, Any] = json.loads(match[1])

@@ -1,4 +1,4 @@
-"""What the command line rejects in one line, with the files that it names."""
+"""Command lines that are rejected in one line, and the files that they use."""
 
 from __future__ import annotations
 
@@ -20,41 +20,41 @@ DDS = "--link dds --interface lo"
 
 @dataclass(frozen=True)
 class RejectedCommand:
-    """A command line that ends with one line on standard error, and leaves no file behind."""
+    """Command line that ends with one line on standard error, without writing a file."""
 
     line: str
-    """Words after `surefoot`; those that are names in `FILES` are made first, REPOSITORY is the clone's folder."""
+    """Arguments of `surefoot`; files named in `FILES` are created first, REPOSITORY is the folder of the clone."""
     parts: tuple[str, ...]
-    """What the line on standard error holds."""
+    """Texts in the line on standard error."""
     needs: tuple[str, ...] = ()
-    """Packages without which something else is said."""
+    """Packages that are required for this message."""
     hidden: str = ""
-    """A package that is not there."""
+    """Package that is hidden, as if it were not installed."""
 
 
 def rejected(
     command: str, lines: dict[str, str | tuple[str, ...]], *needs: str, hidden: str = ""
 ) -> list[RejectedCommand]:
-    """Return the rejections of a command, by its other words."""
+    """Return rejected command lines of a command, from a dict of their other arguments."""
     return [
         RejectedCommand(f"{command} {words}".strip(), (parts,) if isinstance(parts, str) else parts, needs, hidden)
         for words, parts in lines.items()
     ]
 
 
-# Files: their text, or what writes them with the fixture `make_run`.
+# Files: their text, or a function that writes them with the fixture `make_run`.
 
 MakeRun = Callable[..., EpisodeTrace]
 Change = Callable[[dict[str, Any]], object]
 
 
 def modify_contract(change: Change, name: str = "trot") -> Callable[[Path, MakeRun], object]:
-    """Return what writes a policy that ships with another contract."""
+    """Return a function that writes a released policy with a modified contract."""
     return lambda path, make_run: modified_policy(path, change, name)
 
 
 def modify_values(**values: Any) -> Callable[[Path, MakeRun], object]:
-    """Return what writes the trot with other values in its contract; those of `task` add to the task."""
+    """Return a function that writes the trot with other values in its contract; `task` updates the task."""
 
     def change(contract: dict[str, Any]) -> None:
         contract |= values | {"task": contract["task"] | values.get("task", {})}
@@ -77,13 +77,13 @@ def write_policy_of_maxitaur(path: Path, make_run: MakeRun) -> None:
 
 
 def write_stale_policy(path: Path, make_run: MakeRun) -> None:
-    """Write the trot with another rate, and the digest of before."""
+    """Write the trot with another rate and the old digest."""
     text = (REPOSITORY / "policies/trot.onnx").read_bytes()
     path.write_bytes(text.replace(b'"control_step": 0.006', b'"control_step": 0.012'))
 
 
 def write_unnormalized_policy(path: Path, make_run: MakeRun) -> None:
-    """Write the trot without its first two nodes, and the digest of before."""
+    """Write the trot without its first two nodes and with the old digest."""
     import onnx
 
     model = onnx.load(REPOSITORY / "policies/trot.onnx")
@@ -108,12 +108,12 @@ def write_their_network(path: Path, make_run: MakeRun) -> None:
 
 
 def resting_run(**meta: Any) -> Callable[[Path, MakeRun], object]:
-    """Return what writes a run in which nothing moves."""
+    """Return a function that writes a run in which nothing moves."""
     return lambda path, make_run: make_run(**meta).save(path)
 
 
 def swinging_run(**meta: Any) -> Callable[[Path, MakeRun], object]:
-    """Return what writes a run in which legs swing."""
+    """Return a function that writes a run in which legs swing."""
 
     def write(path: Path, make_run: MakeRun) -> None:
         from recordings import swinging
@@ -155,7 +155,7 @@ FILES: dict[str, str | Callable[[Path, MakeRun], object]] = {
     "list.yaml": "train: [1]\n",
     "ranges.yaml": "randomize: {voltage: [16, 15]}\n",
     "long-legs.yaml": "reference: {kind: sine, extension: {amplitude: 2.0, frequency: 2.0, offset: 1.6}}\n",
-    # Gaits made by hand.
+    # Handcrafted gaits.
     "foot.yaml": FOOT,
     "hand.yaml": f"{FOOT}handcrafted: {{}}\n",
     "deep.yaml": f"{FOOT}handcrafted: {{about: {{parameters: {{depth: deep}}}}}}\n",
@@ -167,11 +167,11 @@ FILES: dict[str, str | Callable[[Path, MakeRun], object]] = {
     "study-primary.yaml": f"{{{GROUP}, primary: gap}}\n",
     "study-bars.yaml": f"{{{GROUP}, bars: {{all: [a]}}}}\n",
     "study-robot.yaml": "groups: {a: {train: {task: {observations: [smell]}}}}\n",
-    # Spaces of a search.
+    # Search spaces.
     "space-key.yaml": "ppo.leg: {low: 0, high: 1}\n",
     "space-reversed.yaml": "ppo.gamma: {low: 0.9, high: 0.8}\n",
     "space-robot.yaml": "task.robot: {choices: [minitaur, centipede]}\n",
-    # Parameters of a robot.
+    # Physical parameters.
     "cat.toml": 'robot = "cat"\n[params]\nvoltage = 15\n',
     "range.toml": "[params]\nmotor_strength = [1, 1, 1, 9, 1, 1, 1, 1]\n",
     "short.toml": "[params]\nmotor_strength = [1, 0.9]\n",
@@ -200,7 +200,7 @@ FILES: dict[str, str | Callable[[Path, MakeRun], object]] = {
     "pupper.npz": lambda path, make_run: shutil.copy(REPOSITORY / "data/pupper_v2/one_hip_200hz.npz", path),
     "no-logs": lambda path, make_run: path.mkdir(),
     "on-a-hill.npz": swinging_run(terrain="hill.npz"),
-    # Others.
+    # Other files.
     "map.npz": write_map,
     "way.csv": "time,forward,sideways,yaw_rate\n0,0.5,0,0\n",
     "raising.py": "raise RuntimeError('not today')\n",
@@ -219,7 +219,7 @@ PARAMS_FILES = {
 
 
 def reject_params_files(command: str, *needs: str) -> list[RejectedCommand]:
-    """Return a command's rejections of files of parameters that do not fit."""
+    """Return command lines that are rejected because of an invalid parameter file."""
     return rejected(command, {f"--params {name}": part for name, part in PARAMS_FILES.items()}, *needs)
 
 
@@ -689,7 +689,7 @@ REJECTED_COMMANDS = [
         "mujoco",
         "matplotlib",
     ),
-    # What is not installed.
+    # Missing packages.
     *rejected(
         "",
         {

@@ -1,4 +1,4 @@
-"""Every robot that ships: kinematics, standing in both engines, ranges, a policy, a video, the emulator, deployment."""
+"""Every released robot: kinematics, standing in both engines, ranges, a policy, a video, the emulator, deployment."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from surefoot.world.sim_world import SimWorld  # noqa: E402
 
 @pytest.fixture(scope="module", params=RobotDescription.available())
 def robot(request: pytest.FixtureRequest) -> RobotDescription:
-    """Give each robot that ships."""
+    """Return each released robot."""
     return RobotDescription.load(request.param)
 
 
 @pytest.fixture(scope="module")
 def policy(robot: RobotDescription, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make the file of a trot that has learned nothing: it follows the reference."""
+    """Write an untrained trot, which follows the reference."""
     config = replace(load_train_config("trot", robot.name), num_envs=2, threads=1)
     return PpoLearner(config, SimWorld).export(tmp_path_factory.mktemp(robot.name) / "untrained.onnx")
 
 
-def test_a_robot_stands_alike_in_both_engines(robot: RobotDescription) -> None:
+def test_a_robot_stands_equally_in_both_engines(robot: RobotDescription) -> None:
     pytest.importorskip("pybullet")
     stood = []
     for world in (SimWorld(robot, 1, engine=engine) for engine in ("mujoco", "bullet")):
@@ -56,7 +56,7 @@ def test_a_robot_stands_alike_in_both_engines(robot: RobotDescription) -> None:
     assert masses == pytest.approx(robot.urdf.total_mass, rel=1e-9)
 
 
-def test_table_1_can_be_drawn_and_set(robot: RobotDescription) -> None:
+def test_parameters_can_be_randomized_within_table_1(robot: RobotDescription) -> None:
     ranges = load_ranges("table1", robot=robot.name)
     worlds = make_test_worlds(ranges, PhysicalParams.nominal(robot), 2)
     assert {row for row, *_ in worlds} == set(ranges)
@@ -69,7 +69,7 @@ def test_table_1_can_be_drawn_and_set(robot: RobotDescription) -> None:
 
 @pytest.fixture
 def emulate() -> Iterator[object]:
-    """Start emulators that end with the test, whose robots stand up soon."""
+    """Start emulators whose robots stand up quickly, and which are ended with the test."""
     with mock.patch.multiple("surefoot.deploy.motion_runner", **QUICK), emulators(EmulatorHere) as start:
         yield start
 

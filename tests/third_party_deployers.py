@@ -1,7 +1,7 @@
-"""Other frameworks' deployments of a policy in 32-bit numbers, written out from their published sources.
+"""Deployments of other frameworks, reimplemented in 32-bit arithmetic from their published sources.
 
-Each returns the network's observation of readings and a command, and the motors' angles for the network's action, which
-it keeps as its last action.
+Each computes the network's observation from readings and a command, and motor angles from the network's action, which
+it stores as the last action.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ MOTORS = 12
 
 
 def single(values: object) -> np.ndarray:
-    """Return numbers in 32 bits."""
+    """Return values in single precision."""
     return np.asarray(values, np.float32)
 
 
 def rotate_inverse(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Return a vector of the world in the base frame of a quaternion w x y z, as Isaac's `quat_rotate_inverse` does."""
+    """Rotate a vector from the world to the base frame, quaternion w x y z, as Isaac's `quat_rotate_inverse`."""
     w, xyz = quaternion[0], quaternion[1:]
     rotated: np.ndarray = vector * (2 * w * w - 1) - np.cross(xyz, vector) * w * 2 + xyz * np.dot(xyz, vector) * 2
     return rotated
@@ -34,7 +34,7 @@ def gravity(readings: Readings) -> np.ndarray:
 
 
 class RlSar:
-    """rl_sar's (`rl_sdk.cpp`, `observation_buffer.cpp`); `config` is the table of its `config.yaml`."""
+    """Deployment of rl_sar (`rl_sdk.cpp`, `observation_buffer.cpp`); `config` is the content of its `config.yaml`."""
 
     def __init__(self, config: dict[str, Any]) -> None:
         self._config = config
@@ -77,23 +77,23 @@ class RlSar:
 
 @dataclass
 class IsaacLab:
-    """That of Isaac Lab's managers, which mjlab and unitree_rl_lab share.
+    """Deployment of Isaac Lab's managers, also used by mjlab and unitree_rl_lab.
 
-    Terms are clipped, scaled and kept in a queue, which the first value fills.
+    Terms are clipped, scaled and stored in a queue, which is initially filled with the first value.
     """
 
     order: list[int]
     """Motor of each joint."""
     pose: Any
     layout: list[tuple[str, Any, Any, int]]
-    """Name, clip, scale and length of the history of each term."""
+    """Name, clipping limits, scale and history length of each term."""
     action_scale: Any
     target_clip: Any = None
     by_step: bool = False
-    """unitree_rl_lab's `use_gym_history`: all terms of a step, then all of the next one."""
+    """Option `use_gym_history` of unitree_rl_lab: all terms of a step, then all terms of the next step."""
     scale_first: bool = False
     phase_step: float = 0.0
-    """What the phase of a gait grows by in a control step [cycles]; it does so before the first one too."""
+    """Increase of the gait phase per control step, also before the first one [cycles]."""
     step: int = 0
     _queues: list[deque[np.ndarray]] = field(default_factory=list)
     _actions: np.ndarray = field(default_factory=lambda: np.zeros(MOTORS, np.float32))
@@ -138,7 +138,7 @@ class IsaacLab:
 
 @dataclass
 class LeggedGym:
-    """legged_gym's (`legged_robot.py`: `compute_observations`, `_compute_torques`), without the speed of the base."""
+    """Deployment of legged_gym (`legged_robot.py`: `compute_observations`, `_compute_torques`), no base velocity."""
 
     order: list[int]
     pose: Any

@@ -1,4 +1,4 @@
-"""The list of policies that a page offers: own runs first, the newest on top, all for one robot."""
+"""List of policies on a page: the user's runs, newest first, then released policies, all for one robot."""
 
 from __future__ import annotations
 
@@ -19,9 +19,7 @@ def make_run(path: Path, policy: str, modified: float) -> Path:
     return path
 
 
-def test_own_runs_of_the_robot_stand_newest_first_before_those_that_ship(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_the_users_runs_come_newest_first_before_released_policies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     make_run(Path("runs/steer/monday/policy.onnx"), "go2-steer", 100.0)
     make_run(Path("runs/steer/tuesday/policy.onnx"), "go2-trot", 200.0)

@@ -1,4 +1,4 @@
-"""Messages of tabs: what a page takes, and what is rejected with one line."""
+"""Messages from tabs: keys that a page accepts, and messages that are rejected in one line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from surefoot.report.pages.messages import DeployMessage, DriveMessage, TabMessa
 
 
 def given(message: TabMessage) -> dict[str, object]:
-    """Return the keys that a message has."""
+    """Return the keys in a message."""
     return {name: value for name, value in dataclasses.asdict(message).items() if value is not None}
 
 
@@ -26,7 +26,7 @@ def given(message: TabMessage) -> dict[str, object]:
         ('{"terrain": ["stairs", 0.1], "ghost": ""}', {"terrain": ("stairs", 0.1), "ghost": ""}),
     ],
 )
-def test_a_page_takes_its_own_keys(text: str, values: dict[str, object]):
+def test_a_page_accepts_its_own_keys(text: str, values: dict[str, object]):
     assert given(read_message(DriveMessage, text)) == values
 
 
@@ -63,7 +63,7 @@ def test_other_messages_are_rejected_with_value_and_rule(text: str | bytes, erro
         read_message(DriveMessage, text)
 
 
-def test_the_page_of_a_robot_takes_commands_and_two_buttons_alone():
+def test_the_page_of_a_robot_accepts_only_commands_and_two_buttons():
     assert read_message(DeployMessage, '{"stop": true}').stop
     assert read_message(DeployMessage, '{"damp": true}').damp
     with pytest.raises(SurefootError, match="stop is False"):

@@ -1,4 +1,4 @@
-"""Data of the page of recorded runs: positions, angles and forces at an even rate; traces that it rejects."""
+"""Data of the page of recorded runs: positions, angles and forces at a constant rate; rejected traces."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ MakeRun = Callable[..., EpisodeTrace]
 GO2 = RobotDescription.load("go2")
 
 
-def test_rows_are_the_trace_at_an_even_rate(make_run: MakeRun):
+def test_rows_are_the_trace_at_a_constant_rate(make_run: MakeRun):
     one = swinging(make_run, speed=0.5, seconds=2.0)
     (run,) = data_of(recording_page([one]))["runs"]
     columns, time = run["columns"], np.arange(101) / 50
     assert run["rows"] == 101
-    # Row 0 shows the end of the first control step, for there is none before.
+    # Row 0 shows the end of the first control step, because there is no earlier state.
     assert np.allclose(columns["pose"][1:, 0], 0.5 * time[1:], atol=1e-4)
     assert np.allclose(columns["pose"][:, 3:], [1.0, 0.0, 0.0, 0.0])
     swing = 0.2 * np.sin(2 * np.pi * time[1:])
@@ -51,7 +51,7 @@ def test_runs_begin_at_the_origin_and_head_along_x(make_run: MakeRun):
     assert np.allclose(np.abs(run["columns"]["pose"][-1, 3:] @ rpy_quat(0.1, -0.2, 0.0)), 1.0, atol=1e-6)
 
 
-def test_runs_on_terrain_stay_where_they_were_on_it(make_run: MakeRun):
+def test_runs_on_terrain_keep_their_position(make_run: MakeRun):
     place = {"base_position_world": np.tile([2.0, 0.5, 0.6], (201, 1))}
     rows = [swinging(make_run, arrays=place, terrain=name) for name in ("slope:20", "slope:20", "flat")]
     data = data_of(recording_page(rows))
@@ -66,7 +66,7 @@ def test_runs_on_terrain_stay_where_they_were_on_it(make_run: MakeRun):
         recording_page([swinging(make_run, terrain="lava:1")])
 
 
-def test_unmeasured_base_is_held_at_standing_height(make_run: MakeRun):
+def test_unmeasured_base_is_shown_at_standing_height(make_run: MakeRun):
     nothing = {"base_position_world": np.full((201, 3), np.nan), "base_quat_world": np.full((201, 4), np.nan)}
     rolled = {"roll_pitch_yaw": np.tile([0.1, -0.2, 3.0], (200, 1)), "foot_contact": np.full((200, 4), np.nan)}
     (run,) = data_of(recording_page([swinging(make_run, arrays=nothing | rolled)]))["runs"]
@@ -77,7 +77,7 @@ def test_unmeasured_base_is_held_at_standing_height(make_run: MakeRun):
     assert any("shown at standing height" in note for note in run["notes"])
 
 
-def test_base_is_interpolated_where_it_was_lost(make_run: MakeRun):
+def test_base_is_interpolated_across_gaps(make_run: MakeRun):
     one = swinging(make_run, speed=0.5)
     position = one.trace.base_position_world.copy()
     position[50:150] = np.nan
@@ -100,7 +100,7 @@ def test_log_without_readings_shows_its_commands(make_run: MakeRun):
     assert not {"torque", "force", "power"} & set(run["columns"])
 
 
-def test_forces_are_those_of_feet_on_the_ground(make_run: MakeRun):
+def test_forces_are_shown_only_for_feet_on_the_ground(make_run: MakeRun):
     one = swinging(make_run)
     hold = -np.einsum(
         "lij,lj->li",
