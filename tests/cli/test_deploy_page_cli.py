@@ -217,5 +217,5 @@ def test_buttons_and_a_killed_page_stop_the_robot(
 
 def test_drive_page_rejects_incompatible_options():
     command = ("deploy", "go2-steer", "--port", "x", "--browser")
-    assert_rejected(run_surefoot(*command, "--commands", "5555"), "commands come from one place")
-    assert_rejected(run_surefoot(*command, "--lockstep"), "a page drives in real time")
+    assert_rejected(run_surefoot(*command, "--commands", "5555"), "commands come from one source")
+    assert_rejected(run_surefoot(*command, "--lockstep"), "a page runs in real time")

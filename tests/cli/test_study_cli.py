@@ -86,7 +86,7 @@ def test_a_study_resumes_after_kills_and_interrupts(tmp_path: Path) -> None:
     assert process.returncode == 130, errors
     assert re.search(r"drawn +seed 0 +lost ", output)
     assert re.search(r"drawn +seed 0 +stopped ", output)
-    assert "The same command goes on" in output
+    assert "The same command continues" in output
     assert errors == ""
     assert all((tmp_path / "runs/tiny" / g / "seed_0/checkpoints/latest.ckpt").exists() for g in groups)
 

@@ -125,7 +125,7 @@ def test_page_contains_all_values(robot: RobotDescription, prior: PhysicalParams
     assert rows["SHA-256"] == ["ab" * 32]
     assert rows["surefoot"] == [__version__]
     assert "back_right_2_motor never moves &amp; is &lt;unused&gt;" in text
-    assert "24 of 27 numbers are identifiable from the data." in text
+    assert "24 of 27 parameters are identifiable from the data." in text
 
 
 def test_page_has_no_empty_sections(robot: RobotDescription, prior: PhysicalParams, tmp_path: Path):
