@@ -131,7 +131,7 @@ def test_page_contains_all_values(robot: RobotDescription, prior: PhysicalParams
 def test_page_has_no_empty_sections(robot: RobotDescription, prior: PhysicalParams, tmp_path: Path):
     bare = Identification("latency", "minitaur", (ParameterEstimate("servo_latency", 0.003, 1e-4, "s"),))
     text = page(bare, robot, prior, PNG)
-    assert re.findall("<h2>(.*?)</h2>", text) == ["Estimates", "Pictures", "Data"]
+    assert re.findall("<h2>(.*?)</h2>", text) == ["Estimates", "Figures", "Data"]
     for number_, parsed in enumerate((bare, identification(motors=False), Identification("mass", "minitaur", ()))):
         path = identification_figure(parsed, robot, prior, tmp_path / f"{number_}.png")
         assert path.read_bytes().startswith(PNG)
