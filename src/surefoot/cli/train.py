@@ -97,7 +97,7 @@ class ResumeCommand(ViewOptions):
     resume: Path
     """Folder of the run."""
     steps: Steps | None = None
-    """Total control steps; more than the run has done, which may be finished. Defaults to the run's own value."""
+    """Total control steps, more than done so far; this also continues a finished run. Defaults to the run's value."""
 
 
 @dataclass(frozen=True)
