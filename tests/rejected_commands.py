@@ -269,7 +269,7 @@ REJECTED_COMMANDS = [
             "trot --task.robot go2": "--task.robot is not an option; did you mean --robot?",
             "trot --task.reward.progres 1": "did you mean --task.reward.progress?",
             "--resume nowhere": "nowhere: is not a run folder",
-            "--resume run --params robot.toml": ("--params is not an option; for every option: surefoot train --help"),
+            "--resume run --params robot.toml": ("--params is not an option; all options: surefoot train --help"),
             "trot --task.reference.foot.height 0.2": (
                 "--task.reference.foot.height is an option of references of kind foot, follow, but the task's kind is "
                 "sine; to change the kind: --task.reference.kind foot"
@@ -416,7 +416,7 @@ REJECTED_COMMANDS = [
     *rejected(
         "show",
         {
-            "": "neither POLICY nor TRACE is given; for every option: surefoot show --help",
+            "": "neither POLICY nor TRACE is given; all options: surefoot show --help",
             "--out x.html": "neither POLICY nor TRACE is given",
             "--world bullet": "neither POLICY nor TRACE is given",
             # A policy.
@@ -426,11 +426,11 @@ REJECTED_COMMANDS = [
             "trot --control-latency 1": "control_latency is 1; minitaur allows 0 to 0.1",
             "trot --world": "--world has no value",
             "trot --out film.gif": "the name must end in .mp4",
-            "trot --layout over": ("--layout does not go with trot, a policy; for every option: surefoot show --help"),
+            "trot --layout over": ("--layout is not an option for trot, a policy; all options: surefoot show --help"),
             "trot --plugin raising.py": "raising.py, line 1: RuntimeError: not today",
             # Recorded runs.
-            "a.npz --html a.html": "--html is not an option; for every option: surefoot show --help",
-            "a.npz --pushes": "--pushes does not go with a.npz, a recorded run",
+            "a.npz --html a.html": "--html is not an option; all options: surefoot show --help",
+            "a.npz --pushes": "--pushes is not an option for a.npz, a recorded run",
             "none.npz --out x.html": "does not exist",
             "foreign.npz --out x.html": "which does not ship; give its folder with --robot",
             "other-motors.npz --out x.html": "was recorded on robot 'minitaur'",
@@ -458,15 +458,15 @@ REJECTED_COMMANDS = [
             "--fault remote-stop": (
                 "fault remote-stop acts on the remote control; --link serial does not have that, give --link dds"
             ),
-            "--lockstep --fault overload": "it does not go with --lockstep",
-            "--rack --fault tilt": "it does not go with --rack",
+            "--lockstep --fault overload": ("fault overload", "with --lockstep"),
+            "--rack --fault tilt": "it can't be combined with --rack",
             "--terrain stairs:9": "terrain stairs: size is 9 m; it must be 0.01 to 0.4",
             "--link dds": "link dds requires the network interface of the topics; give --interface, such as lo",
             "--link tcp": "dds",
             "--interface lo": "motion_service apply to a DDS link; give --link dds as well",
             DDS: "link dds is for a Unitree Go2; robot minitaur has other motors, give --robot go2",
             f"{DDS} --domain 233": "domain is 233; it must be 232 or less",
-            f"{DDS} --lockstep": "lockstep applies to the serial link; it does not go with --link dds",
+            f"{DDS} --lockstep": "lockstep applies to the serial link; it can't be combined with --link dds",
             f"{DDS} --fault garbage": (
                 "fault garbage acts on bytes between messages; --link dds does not have that, give --link serial"
             ),
@@ -475,7 +475,7 @@ REJECTED_COMMANDS = [
             "--baud -1": "baud is -1; it must be 0 or more",
             "--baud 300": "baud is 300; it must be 9600 or more, or 0",
             "--hidden-seed -1": "hidden_seed is -1; it must be 0 or more",
-            "--hidden-seed 1 --set voltage=15": "does not go with --params and --set",
+            "--hidden-seed 1 --set voltage=15": "can't be combined with --params or --set",
             "--hidden-seed 1 --out way.csv": "exists; give another name",
             "--hidden-seed 1 --out cat.toml": "exists; give another name",
             "--hidden-seed 1 --symlink file": "exists; give another name",
@@ -500,8 +500,8 @@ REJECTED_COMMANDS = [
             "trot --port x --height-map 5556": "--height-map is given; policy 'trot' sees no map",
             "go2-steer --link dds": "--interface is missing; it names the network interface",
             "go2-steer --link can": "--link is 'can'",
-            "go2-steer --port x --release": "--release is given; it goes with --link dds",
-            "go2-steer --port x --interface lo": "--interface is given; it goes with --link dds",
+            "go2-steer --port x --release": "--release is given; it requires --link dds",
+            "go2-steer --port x --interface lo": "--interface is given; it requires --link dds",
         },
     ),
     *rejected(
@@ -522,8 +522,8 @@ REJECTED_COMMANDS = [
         "deploy",
         {
             "go2-steer --link dds --interface eth9": "there is no network interface 'eth9'; it must be one of",
-            f"go2-steer {DDS} --port x": "--port and --link dds don't go together",
-            f"go2-steer {DDS} --lockstep": "--lockstep and --link dds don't go together",
+            f"go2-steer {DDS} --port x": "--port and --link dds can't be combined",
+            f"go2-steer {DDS} --lockstep": "--lockstep and --link dds can't be combined",
             f"go2-steer {DDS} --domain 231": "domain is 231; it must be",
             f"trot {DDS}": "a link over DDS speaks with a Unitree Go2; minitaur must have",
         },
@@ -536,7 +536,7 @@ REJECTED_COMMANDS = [
             "go2-steer": "--port is missing",
             "none.onnx --port /dev/none": "policy 'none.onnx' does not exist",
             "trot --port /dev/none --json": "port /dev/none: can't be opened: No such file or directory",
-            "trot --port x --rack --ground": "--rack and --ground don't go together",
+            "trot --port x --rack --ground": "--rack and --ground can't be combined",
             "trot --port x --pings 1": "pings is 1; it must be 10 or more",
             "trot --port x --steps 0": "steps is 0; it must be 10 or more",
             "trot --port x --robot cat": "robot 'cat': no such robot",
@@ -566,8 +566,8 @@ REJECTED_COMMANDS = [
             "imprt": "'imprt' is not an experiment; did you mean import?",
             "motor": "--recording of an experiment; neither is given",
             "motor --port x --recording y": "--recording of an experiment; both are given",
-            "motor --recording x --yes": "--recording and --yes don't go together",
-            "motor --recording x --record-only": "--recording and --record-only don't go together",
+            "motor --recording x --yes": "--recording and --yes can't be combined",
+            "motor --recording x --record-only": "--recording and --record-only can't be combined",
             "motor --port x --record-only --params a.toml": "--record-only and --params don't go",
             "motor --port x --params a.txt": "params a.txt: the name must end in .toml",
             "motor --recording none": "recording none: can't be read: No such file",
@@ -624,7 +624,7 @@ REJECTED_COMMANDS = [
             "study.yaml --workers -1": "workers is -1; it must be 0",
             "study.yaml --only fast": "group 'fast' is not in the study; choices: plain, drawn",
             "study.yaml --seeds 1 1": "seeds is [1, 1]; it takes 1 or more, none twice",
-            "study.yaml --train-only --report-only": "--train-only and --report-only don't go together",
+            "study.yaml --train-only --report-only": "--train-only and --report-only can't be combined",
             "study.yaml --report-only": "runs/tiny: no run of the study is finished and evaluated",
             "study.yaml --ray nowhere": "ray is 'nowhere'; it must be HOST:PORT",
             "none.yaml": "none.yaml: can't be read",
@@ -683,7 +683,7 @@ REJECTED_COMMANDS = [
             "--root .": ("root is .", "with tools/paper_runs.py"),
             "--out page.pdf": "out page.pdf: the name must end in .html",
             "--root REPOSITORY --quick --full": "--quick and --full are given; give one of them",
-            "--root REPOSITORY --workers 2": ("--workers", "go with --quick or --full"),
+            "--root REPOSITORY --workers 2": ("--workers", "require --quick or --full"),
             "--root REPOSITORY --quick --out file": "file; it must be a folder",
         },
         "mujoco",

@@ -94,9 +94,9 @@ def main(argv: list[str]) -> int:
     check_folder(command.out)
     command.check_link()
     if command.browser and command.commands is not None:
-        raise SurefootError("--browser and --commands don't go together; commands come from one source")
+        raise SurefootError("--browser and --commands can't be combined; commands come from one source")
     if command.browser and command.lockstep:
-        raise SurefootError("--browser and --lockstep don't go together; a page runs in real time")
+        raise SurefootError("--browser and --lockstep can't be combined; a page runs in real time")
     if command.browser:
         import_module("viser")  # a missing package is reported before the robot is connected
     from surefoot.api.policies import find_policy, open_policy

@@ -78,10 +78,10 @@ def main(argv: list[str]) -> int:
         return _examine(command)
     for name in ("out", "correct"):
         if getattr(command, name) is not None:
-            raise SurefootError(f"--{name} is given; it goes with the simulation of an adopted policy, without --port")
+            raise SurefootError(f"--{name} is given; it applies to the simulation of an adopted policy, without --port")
     command.check_link()
     if command.rack and command.ground:
-        raise SurefootError("--rack and --ground don't go together; give the one where the robot is")
+        raise SurefootError("--rack and --ground can't be combined; choose where the robot is")
     policy, robot = open_policy(find_policy(command.policy), command.robot)
     if (command.rack or command.ground) and not command.yes:
         place = PLACES[command.rack]

@@ -127,7 +127,7 @@ def main(argv: list[str]) -> int:
     robot = RobotDescription.load(command.robot)
     faults = parse_faults(words, command.lockstep, robot.num_motors, command.link)
     if "tilt" in faults and command.rack:
-        raise SurefootError("fault tilt requires a robot that can fall; it does not go with --rack")
+        raise SurefootError("fault tilt requires a robot that can fall; it can't be combined with --rack")
     check_takes_params(command.world)
     if command.link == "dds":
         _check_go2(robot)
@@ -145,11 +145,11 @@ def _check(command: EmulateCommand) -> None:
             raise SurefootError("link dds requires the network interface of the topics; give --interface, such as lo")
         for option in ("lockstep", "symlink", "socket", "firmware"):
             if getattr(command, option):
-                raise SurefootError(f"{option} applies to the serial link; it does not go with --link dds")
+                raise SurefootError(f"{option} applies to the serial link; it can't be combined with --link dds")
     elif command.interface or command.domain or command.motion_service != "released":
         raise SurefootError("interface, domain and motion_service apply to a DDS link; give --link dds as well")
     elif command.symlink is not None and command.socket is not None:
-        raise SurefootError("symlink and socket don't go together; a symbolic link refers to a pseudo-terminal")
+        raise SurefootError("symlink and socket can't be combined; a symbolic link refers to a pseudo-terminal")
     if command.firmware is not None and any(
         word.startswith(("servo_kp", "servo_kd")) for group in command.settings for word in group
     ):
@@ -160,7 +160,7 @@ def _check(command: EmulateCommand) -> None:
     if ".toml" in files and command.hidden_seed is None:
         raise SurefootError(f"out {files['.toml']} is for hidden parameters; give --hidden-seed as well")
     if command.hidden_seed is not None and (command.params is not None or command.settings):
-        raise SurefootError("hidden_seed randomizes the parameters; it does not go with --params and --set")
+        raise SurefootError("hidden_seed randomizes the parameters; it can't be combined with --params or --set")
     for path in files.values():
         if path.exists():
             raise SurefootError(f"out {path} exists; give another name")

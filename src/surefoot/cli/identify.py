@@ -197,9 +197,9 @@ def _check_options(command: ExperimentCommand) -> None:
         for name in ("record_only", "yes", "lockstep"):
             if getattr(command, name):
                 option = name.replace("_", "-")
-                raise SurefootError(f"--recording and --{option} don't go together; a recording needs no robot")
+                raise SurefootError(f"--recording and --{option} can't be combined; a recording needs no robot")
     if command.record_only and command.params is not None:
-        raise SurefootError("--record-only and --params don't go together; only the fit uses parameters")
+        raise SurefootError("--record-only and --params can't be combined; only the fit uses parameters")
     check_suffix("params", command.params, ".toml")
     check_folder(command.out)
 

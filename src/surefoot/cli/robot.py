@@ -48,7 +48,7 @@ class NewRobotCommand:
     knees: Knees | None = None
     """Direction in which the knees point. By default it is derived from the knees' limits or a pose in the file."""
     meshes: bool = True
-    """Whether meshes and colours are read; --no-meshes: the base is a box with its inertia, links are primitives."""
+    """Read meshes and colours. With --no-meshes the base is a box with its inertia, and links are primitives."""
 
 
 @dataclass(frozen=True)

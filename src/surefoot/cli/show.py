@@ -92,14 +92,14 @@ def main(argv: list[str]) -> int:
     for name in (word.partition("=")[0] for word in argv):
         if name in other and name not in own:
             what = "recorded run" if is_recorded else "policy"
-            raise SurefootError(f"{name} does not go with {words[0]}, a {what}; for every option: surefoot show --help")
+            raise SurefootError(f"{name} is not an option for {words[0]}, a {what}; all options: surefoot show --help")
     return _show_runs(argv) if is_recorded else _show_policy(argv)
 
 
 def _print_help(argv: list[str]) -> int:
     """Print the options of both forms; without --help, report that there is nothing to show."""
     if not {"-h", "--help"} & set(argv):
-        raise SurefootError("neither POLICY nor TRACE is given; for every option: surefoot show --help")
+        raise SurefootError("neither POLICY nor TRACE is given; all options: surefoot show --help")
     print(_USAGE)
     for kind in (ShowPolicyCommand, ShowRunsCommand):
         try:

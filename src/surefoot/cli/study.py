@@ -88,7 +88,7 @@ def main(argv: list[str]) -> int:
 def _run(argv: list[str]) -> int:
     command = parse(StudyCommand, argv, "surefoot study run")
     if command.train_only and command.report_only:
-        raise SurefootError("--train-only and --report-only don't go together; give one of them, or neither")
+        raise SurefootError("--train-only and --report-only can't be combined; give one of them, or neither")
     from surefoot.cli.helpers.study_results import (
         check_evaluations,
         evaluate_runs,

@@ -51,7 +51,7 @@ def main(argv: list[str]) -> int:
     if not (command.quick or command.full):
         check_suffix("out", command.out, ".html")
         if command.workers or command.ray:
-            raise SurefootError("--workers and --ray go with --quick or --full; neither is given")
+            raise SurefootError("--workers and --ray require --quick or --full; neither is given")
     if not (command.root / RUNS).is_file():
         raise SurefootError(f"root is {command.root}; it must be a clone of surefoot, with {RUNS}")
     if command.quick and command.full:

@@ -37,14 +37,14 @@ def test_a_go2_over_dds_receives_the_given_gains(monkeypatch: pytest.MonkeyPatch
         ({}, "--recording of an experiment; neither is given"),
         (
             {"port": "/dev/ttyUSB0", "settings": (("servo_kp=20",),)},
-            "--set goes with --link dds; a robot on a serial port",
+            "--set requires --link dds; a robot on a serial port",
         ),
         ({"link": "dds"}, "--interface is missing"),
         (
             {"link": "dds", "interface": "eth0", "settings": (("motor_friction=1",),)},
             "--set names motor_friction; it must be",
         ),
-        ({"port": "/dev/ttyUSB0", "interface": "eth0"}, "--interface is given; it goes with --link dds"),
+        ({"port": "/dev/ttyUSB0", "interface": "eth0"}, "--interface is given; it requires --link dds"),
     ],
 )
 def test_options_that_do_not_go_together_are_rejected(options: dict[str, Any], message: str):

@@ -73,7 +73,7 @@ class ExperimentCommand(LinkOptions):
             if name not in ("servo_kp", "servo_kd"):
                 raise SurefootError(f"--set names {name}; it must be servo_kp or servo_kd")
         if stated and self.link == "serial":
-            raise SurefootError("--set goes with --link dds; a robot on a serial port stores its gains on its board")
+            raise SurefootError("--set requires --link dds; a robot on a serial port stores its gains on its board")
         return stated
 
 

@@ -63,12 +63,12 @@ class LinkOptions(SerialOptions):
                 raise SurefootError("--port is missing; for a robot over DDS, give --link dds --interface NAME")
             for name in ("interface", "release", "hand_back"):
                 if getattr(self, name):
-                    raise SurefootError(f"--{name.replace('_', '-')} is given; it goes with --link dds")
+                    raise SurefootError(f"--{name.replace('_', '-')} is given; it requires --link dds")
         elif self.interface is None:
             raise SurefootError("--interface is missing; it names the network interface to the robot, such as eth0")
         elif self.port is not None or self.lockstep:
             option = "--lockstep" if self.lockstep else "--port"
-            raise SurefootError(f"{option} and --link dds don't go together; {option} is for a serial link")
+            raise SurefootError(f"{option} and --link dds can't be combined; {option} is for a serial link")
 
     def open_link(self, robot: RobotDescription, contract: Contract, may_ask: bool = True) -> RobotLink:
         """Open the link to a robot; over DDS the robot receives the policy's gains and a watchdog timeout.

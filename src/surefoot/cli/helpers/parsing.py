@@ -47,7 +47,7 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
         if stop.code in (0, None):
             raise
         text = " ".join(re.sub(r"[\u2500-\u257f]+|-{4,}", " ", output.getvalue()).split())
-        raise SurefootError(f"{_shorten(text, kind)}; for every option: {prog} --help") from None
+        raise SurefootError(f"{_shorten(text, kind)}; all options: {prog} --help") from None
     check_bounds(parsed)
     if plugins := getattr(parsed, "plugin", ()):
         from surefoot.task.plugins import load_plugins
@@ -82,7 +82,7 @@ def _check_words(types: Mapping[str, Any], words: Sequence[str], prog: str) -> N
         if name.startswith("--") and not (name in types or name in off or name in ("--", "--help")):
             near = nearest(name[2:], names)
             question = f"did you mean {names[near]}? " if near else ""
-            raise SurefootError(f"{name} is not an option; {question}for every option: {prog} --help")
+            raise SurefootError(f"{name} is not an option; {question}all options: {prog} --help")
         hint = types.get(word.replace("_", "-"))
         is_list = typing.get_origin(hint) is dict or typing.get_args(hint)[-1:] == (...,)
         if is_list and after.startswith("--"):
