@@ -568,7 +568,7 @@ REJECTED_COMMANDS = [
             "motor --port x --recording y": "--recording of an experiment; both are given",
             "motor --recording x --yes": "--recording and --yes can't be combined",
             "motor --recording x --record-only": "--recording and --record-only can't be combined",
-            "motor --port x --record-only --params a.toml": "--record-only and --params don't go",
+            "motor --port x --record-only --params a.toml": "--record-only and --params can't be combined",
             "motor --port x --params a.txt": "params a.txt: the name must end in .toml",
             "motor --recording none": "recording none: can't be read: No such file",
             "motor --port /dev/none --yes": "/dev/none",
