@@ -11,7 +11,7 @@ they were written, from the first to the last that was not damping; `bare` ones 
 nothing but wake every 2 ms. Loads are those of one core while the policy runs.
 
 A fault begins while the robot stands up, while the policy runs, or while it sits. `damped_ms` is how long after it the
-robot took a damping command and none with a gain any more. `loop`, `keeper` and `watcher` are killed; with `-hangs`
+robot took a damping command and none with a gain any more. `loop`, `supervisor` and `watcher` are killed; with `-hangs`
 they stand still for a second.
 """
 

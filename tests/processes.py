@@ -133,10 +133,10 @@ class EmulatorHere:
 
     def hear_out(self, patience: float) -> None:
         """Wait, at most `patience` [s], until it has received all frames of hosts in lockstep that have left."""
-        heard, deserted = threading.Event(), self._pty.deserted
+        heard, has_no_host = threading.Event(), self._pty.has_no_host
 
         def look() -> bool:
-            if left := deserted():
+            if left := has_no_host():
                 heard.set()
             return left
 
@@ -145,7 +145,7 @@ class EmulatorHere:
 
     def wait_until_free(self, patience: float) -> None:
         """Wait, at most `patience` [s], until another operator may control the robot after its hosts have left."""
-        wait_until(lambda: not self.board.firmware.is_taken(self.board.now), patience)
+        wait_until(lambda: not self.board.firmware.has_operator(self.board.now), patience)
 
     def stop(self) -> str:
         """Stop the emulator; return its summary line."""

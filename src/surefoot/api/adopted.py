@@ -46,7 +46,7 @@ def examine_policy(
     """
     from surefoot.adopt.builder import adopted_notes
     from surefoot.adopt.diagnosis import check_answers, diagnose
-    from surefoot.adopt.examination import stated_specification
+    from surefoot.adopt.examination import require_specification
     from surefoot.adopt.formats import manual
     from surefoot.adopt.mistakes import Correction
     from surefoot.world.registry import find_world
@@ -64,7 +64,7 @@ def examine_policy(
         manual.write(correct, diagnosis.mistake.correction.specification)
         files = [correct]
     if out is not None:
-        from surefoot.adopt.examination import Corrected, run_task
+        from surefoot.adopt.examination import CorrectedPolicy, run_task
         from surefoot.api.episodes import film
         from surefoot.evaluation.rollout import run_episodes
         from surefoot.report.pages.adopted import write_page
@@ -75,8 +75,8 @@ def examine_policy(
         if diagnosis.mistake is not None and diagnosis.mistake.correction is not None:
             variants.append((f"corrected: {diagnosis.mistake.correction.text}", diagnosis.mistake.correction))
         for k, (title, correction) in enumerate(variants):
-            specification = stated_specification(runtime.contract) if correction is None else correction.specification
-            corrected = Corrected(runtime, description, [specification])
+            specification = require_specification(runtime.contract) if correction is None else correction.specification
+            corrected = CorrectedPolicy(runtime, description, [specification])
             demo = run_task(task, corrected.makers[0], diagnosis.own)
             (trace,) = run_episodes(
                 corrected,

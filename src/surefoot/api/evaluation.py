@@ -84,7 +84,7 @@ def run_test_worlds(
     """
     from surefoot.evaluation.sensitivity import run_sensitivity
 
-    make_world, max_robots, results = find_world(condition.world), WORLDS[condition.world].robots_side_by_side, []
+    make_world, max_robots, results = find_world(condition.world), WORLDS[condition.world].robots_per_batch, []
     for one in candidates:
         task = condition.apply(one.task, robot)
         with ProgressBar(one.name) as bar:

@@ -41,11 +41,11 @@ _RANDOMIZED_EPISODES = 100
 def check_config(config: TrainConfig) -> None:
     """Check the task, and the run to start from, before a run folder is created."""
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.robot.mirror import is_mirrored
+    from surefoot.robot.mirror import is_symmetric
     from surefoot.task.env import LocomotionEnv
 
     env = LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
-    if config.ppo.symmetry and is_mirrored(env.robot):
+    if config.ppo.symmetry and is_symmetric(env.robot):
         from surefoot.learn.symmetry import MirrorSamples
 
         MirrorSamples(env)

@@ -12,7 +12,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.rotations import in_heading_frame, quat_yaw
 from surefoot.tables import plain_value
-from surefoot.task.command_tracking import has_kept_up, step_ways
+from surefoot.task.command_tracking import is_success, step_distances
 from surefoot.task.trace import EpisodeTrace
 
 STRIDE = 0.5
@@ -95,11 +95,11 @@ def distance_along(trace: EpisodeTrace) -> float:
 def kept_up(trace: EpisodeTrace) -> bool:
     """Return whether a run ended without a fall and went .7 to 1.25 of the way that its commands lead."""
     commanded, covered = _step_ways(trace)
-    return bool(has_kept_up(commanded.sum(), covered.sum(), np.asarray(trace.meta["ended"] == "time")))
+    return bool(is_success(commanded.sum(), covered.sum(), np.asarray(trace.meta["ended"] == "time")))
 
 
 def _step_ways(trace: EpisodeTrace) -> tuple[Array, Array]:
-    return step_ways(np.nan_to_num(trace.command[:, :2]), motion(trace)[:, :2], np.diff(trace.time, prepend=0.0))
+    return step_distances(np.nan_to_num(trace.command[:, :2]), motion(trace)[:, :2], np.diff(trace.time, prepend=0.0))
 
 
 def motion(trace: EpisodeTrace) -> Array:

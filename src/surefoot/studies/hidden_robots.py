@@ -11,7 +11,7 @@ from surefoot.errors import SurefootError, choices, suggest
 from surefoot.files import atomic_write
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.archive import SHEET, copy_robot
-from surefoot.robot.params import CONTROLLER, GROUPS, PARAMETERS
+from surefoot.robot.params import CONTROLLER_PARAMETERS, GROUPS, PARAMETERS
 from surefoot.robot.params_file import ParamsFile, ParamValue, read_params
 from surefoot.robot.randomization import Ranges, check_ranges, draw_hidden
 
@@ -96,7 +96,7 @@ def check_identified(names: tuple[str, ...], where: str) -> None:
         SurefootError: with the name and the choices.
     """
     for name in names:
-        if name in CONTROLLER:
+        if name in CONTROLLER_PARAMETERS:
             raise SurefootError(
                 f"{where}: {name} belongs to the controller, whose contract states it; it is not taken from a file"
             )
@@ -134,5 +134,5 @@ def take_identified(file: ParamsFile, names: tuple[str, ...]) -> dict[str, Param
     return {
         name: value
         for name, value in file.values.items()
-        if name not in CONTROLLER and (name in names or PARAMETERS[name].group in names)
+        if name not in CONTROLLER_PARAMETERS and (name in names or PARAMETERS[name].group in names)
     }
