@@ -1,4 +1,4 @@
-"""Test bench of a microcontroller with simulated sensors and messages, for its program in Python or C."""
+"""Test bench for a microcontroller, whose sensors and messages are set by tests; its program is in Python or C."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ PROGRAMS = ("messages", "serial line", IN_C)
 
 
 class NoHosts:
-    """Hosts' end of a line that the test reads directly."""
+    """Host end of a line that is read by the test."""
 
     unread = 0
 
 
 class CompiledFirmware(FirmwareProcess):
-    """The program in C, with the attributes of the Python program that the tests use."""
+    """Program in C, with the attributes of the Python program that tests use."""
 
     def __init__(self, robot: Any, handshake: Handshake, limits: Limits, *target: str) -> None:
         super().__init__(compiled(robot, limits, handshake, *target), robot.name, robot.num_motors)
@@ -44,7 +44,7 @@ class CompiledFirmware(FirmwareProcess):
         temperature = np.array([25.0, vitals.temperature, *[25.0] * 6])
         seen = Sensors(vitals.motor_angle, zeros, zeros, attitude, zeros[:3], 0.0, vitals.voltage, temperature)
         super().tick(now, seen, vitals.hazard, vitals.sit)
-        return MotorCommand(self.mode, self.motor_values) if self.armed else MotorCommand(Mode.DISARMED, zeros)
+        return MotorCommand(self.mode, self.order) if self.armed else MotorCommand(Mode.DISARMED, zeros)
 
     @property
     def link_monitor(self) -> CompiledFirmware:
@@ -52,10 +52,10 @@ class CompiledFirmware(FirmwareProcess):
 
 
 class Bench:
-    """A microcontroller with simulated sensors and a servo step every millisecond.
+    """Microcontroller whose sensors are set by the test, with a servo step every millisecond.
 
-    Messages of a host reach the program as they are (`where` is "messages"), as bytes over a "serial line", or as
-    bytes the program in "C", on this computer or on an STM32F405 in "QEMU".
+    A host's messages reach the Python program directly (`where` is "messages") or as bytes over a "serial line", or
+    the program in "C" as bytes, on this computer or on an STM32F405 in "QEMU".
     """
 
     def __init__(self, robot: Any, where: str, **changes: Any) -> None:
@@ -71,13 +71,13 @@ class Bench:
         self.host = Decoder(Codec(8))
         self.now = self.number = 0
         self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)
-        self.motor_command: MotorCommand | None = None
+        self.order: MotorCommand | None = None
         self.sent: list[Packet] = []
-        """Packets sent by the robot, oldest first."""
+        """Messages sent by the robot, oldest first."""
         self.sensors = Sensors(*(np.zeros(8),) * 3, np.zeros(3), np.zeros(3), 5.0, 16.0, np.full(8, 25.0))
 
     def take(self) -> list[Packet]:
-        """Return the packets sent since the last call, as the host receives them."""
+        """Return the messages that the host has received since the last call."""
         packets = self.firmware.take()
         if self.line is not None:
             for packet in packets:
@@ -87,7 +87,7 @@ class Bench:
         return packets
 
     def run(self, milliseconds: int) -> list[Packet]:
-        """Advance time; return the packets that the robot sends."""
+        """Advance time; return the robot's messages."""
         before = len(self.sent)
         for _ in range(milliseconds):
             self.motor_command = self.firmware.tick(self.now, self.vitals)

@@ -1,6 +1,6 @@
-"""Rules of the board in one table: each row is a sequence of steps that every program of a board must pass.
+"""Rules of the board in one table: each is a sequence of steps that every program of a board must pass.
 
-A step lets something happen on a `Bench`, or compares what the robot does with what the rule says.
+A step triggers something on a `Bench`, or compares the robot's behaviour with the rule.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from surefoot.deploy.messages import (
 Step = Callable[[Bench], None]
 TARGET = np.full(8, 1.5)
 HELD = np.arange(8) / 10
-"""Angles [rad] of the motors at first."""
+"""Initial angles of the motors [rad]."""
 NAN, INF = np.nan, np.inf
 
 
@@ -52,10 +52,10 @@ def send(
 
     Args:
         message: what is sent.
-        answers: all of them; a class if the content may be any.
-        number: its number; the last one and those before are 0, -1, ... Defaults to the next one.
-        sent: when [s] it is sent on the operator's clock. Defaults to now.
-        late: by how much [s] sooner it is sent.
+        answers: all expected answers; a class if its content does not matter.
+        number: sequence number, relative to the last one (0, -1, ...). Defaults to the next one.
+        sent: sending time on the operator's clock [s]. Defaults to now.
+        late: time by which it is sent earlier [s].
     """
 
     def step(bench: Bench) -> None:
@@ -77,7 +77,7 @@ def send(
 
 
 def send_unasked(message: Message) -> Step:
-    """Send a message, and ignore the answers."""
+    """Send a message, and ignore the answer."""
     return lambda bench: bench.send(message) and None
 
 
@@ -92,7 +92,7 @@ def put(data: bytes) -> Step:
 
 
 def feel(**changes: Any) -> Step:
-    """Change the sensor readings."""
+    """Change the readings of the sensors."""
 
     def step(bench: Bench) -> None:
         bench.vitals = replace(bench.vitals, **changes)
@@ -106,7 +106,7 @@ def run(
     faults: dict[int, Reason] | None = None,
     ages: Sequence[float] | None = None,
 ) -> Step:
-    """Advance time; compare the times [ms] of states and faults, and the ages of the last command in states [s]."""
+    """Advance time; compare the times of states and faults [ms], and the ages of the last command in the states [s]."""
 
     def step(bench: Bench) -> None:
         start = bench.now
@@ -123,7 +123,7 @@ def run(
     return step
 
 
-# Checks.
+# Expectations.
 
 
 def in_mode(mode: Mode, reason: Reason = Reason.NONE, owner: int | None = None) -> Step:
@@ -134,8 +134,8 @@ def in_mode(mode: Mode, reason: Reason = Reason.NONE, owner: int | None = None) 
     return step
 
 
-def motor_command(mode: Mode, values: np.ndarray | None = None) -> Step:
-    """Compare the command to the motors."""
+def order(mode: Mode, values: np.ndarray | None = None) -> Step:
+    """Compare the command sent to the motors."""
 
     def step(bench: Bench) -> None:
         assert bench.motor_command is not None
@@ -157,7 +157,7 @@ def state(**fields: Any) -> Step:
 
 
 def counted(**counts: int) -> Step:
-    """Compare how many commands with old numbers, stale commands and faults sent were counted."""
+    """Compare the counts of commands with old numbers, stale commands and sent faults."""
 
     def step(bench: Bench) -> None:
         faults = sum(isinstance(packet.message, Fault) for packet in bench.sent)
@@ -181,7 +181,7 @@ def said(text: str) -> Step:
 
 @dataclass(frozen=True)
 class Rule:
-    """Steps of a rule, and limits of the board that differ from the robot's."""
+    """Steps, and limits of the board that differ from the robot's."""
 
     steps: tuple[Step, ...]
     limits: dict[str, float] = field(default_factory=dict)
@@ -193,17 +193,17 @@ OLD = Position(ME, 0 * TARGET)
 CONNECTED = (send(Hello(ME, 0.010), Handshake), run(1))
 ARMED = (*CONNECTED, arm(), run(1), in_mode(Mode.POSITION))
 CLEAN = (PING, run(50)) * 11
-"""550 ms of clean link."""
+"""550 ms without errors on the link."""
 DAMPED = (run(60), in_mode(Mode.FAULT, Reason.TIMEOUT))
 
 
 def command(times: int, every: int = 6) -> tuple[Step, ...]:
-    """Valid commands."""
+    """Send commands at regular intervals."""
     return (GOOD, run(every)) * times
 
 
 def delayed(seconds: float) -> tuple[Step, ...]:
-    """Send a fast ping and a late command."""
+    """Send a ping without delay, and a delayed command."""
     return PING, send(Position(ME, TARGET), late=seconds)
 
 
@@ -212,7 +212,7 @@ def one_angle(angle: float) -> np.ndarray:
 
 
 def damps_itself(milliseconds: int, reason: Reason, **readings: Any) -> tuple[Step, ...]:
-    """Steps of a robot with bad readings: as long as they last, it cannot be armed even with a clean link."""
+    """Steps of a robot with bad readings: it does not arm while they last, even with a perfect link."""
     good = {"tilt": 0.0, "voltage": 16.0, "temperature": 25.0}
     return (
         *(*ARMED, feel(**readings)),
@@ -294,7 +294,7 @@ RULES = {
         )
     ),
     "pings do not reset the watchdog": Rule((*ARMED, *(PING, run(1)) * 60, in_mode(Mode.FAULT, Reason.TIMEOUT))),
-    # A rejection more than a second ago no longer counts towards the limit of ten; a silent link is not clean.
+    # A rejection a second ago counts no more among the ten that are answered; silence is not clean.
     "a fault stays until armed after 500 ms of clean link": Rule(
         (
             *(*ARMED, *DAMPED, arm(Reason.NOT_CLEAN), run(1000)),

@@ -1,4 +1,4 @@
-"""An emulated Go2 in memory, without DDS, as fast as the physics."""
+"""Emulated Go2 in memory: messages without DDS, as fast as the physics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FOLDED, STANDING = (np.tile(leg, 4) for leg in ([0.0, 1.36, -2.65], [0.0, 0.67, 
 
 
 class Wire:
-    """A link in memory with the states of the robot and commands to it."""
+    """Link in memory, with the robot's messages and commands for it."""
 
     next_departure = float("inf")
 
@@ -31,9 +31,9 @@ class Wire:
         self.unplugged = False
         self.inbound: list[Record] = []
         self.published: list[Record] = []
-        """Commands of the robot's own controller."""
+        """Commands from the robot's own controller."""
         self.sent: list[tuple[int, bytes]] = []
-        """Times [us] and encoded states."""
+        """Times [µs] and bytes of states."""
 
     def publish_command(self, command: Record) -> None:
         self.published.append(command.copy())
@@ -60,7 +60,7 @@ class Wire:
 
 
 class Robot:
-    """An emulated Go2 with ideal sensors, and a host that commands all its motors."""
+    """Emulated Go2 with ideal sensors, and a host that commands all motors."""
 
     def __init__(self, *faults: str, rack: bool = False, engine: str = "mujoco", noise: bool = False) -> None:
         self.wire, self.controller = Wire(), OwnController()
@@ -80,7 +80,7 @@ class Robot:
         return float(self.board.plant.capture().position[2])
 
     def command(self, **fields: Any) -> None:
-        """Send a command with fields for all twelve motors; other fields are 0."""
+        """Send the given fields to all twelve motors; other fields are 0."""
         command = low_level.new_command()
         motors = command["motor_cmd"][:12]
         for name, value in {"q": 0, "dq": 0, **fields}.items():
@@ -88,7 +88,7 @@ class Robot:
         self.wire.inbound.append(command)
 
     def move(self, target: np.ndarray, seconds: float) -> None:
-        """Move linearly to a pose at 500 Hz, as in the vendor's example."""
+        """Move to a pose linearly at 500 Hz, as in the vendor's example."""
         first = self.wire.state["motor_state"]["q"][:12].astype(float)
         for step in range(round(seconds / 0.002)):
             self.command(q=first + (target - first) * step * 0.002 / seconds, kp=60, kd=5)

@@ -15,7 +15,7 @@ from result_numbers import BRACES, NotMeasured, cell, substitute
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import prefix_errors
 from surefoot.files import atomic_write
-from surefoot.report.pages.html import page, picture, row
+from surefoot.report.pages.html import image, page, row
 
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"
@@ -202,8 +202,8 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
         for one in section.pictures:
             files = one.find_files(root)
             for source, caption in files:
-                image = picture(source.read_bytes(), caption)
-                parts.append(f"<figure>{image}<figcaption class=quiet>{escape(caption)}</figcaption></figure>")
+                figure = image(source.read_bytes(), caption)
+                parts.append(f"<figure>{figure}<figcaption class=quiet>{escape(caption)}</figcaption></figure>")
             if not files:
                 missing.append(one.file)
         parts += [f"<p><code>{escape(command)}</code></p>" for command in section.commands]

@@ -118,9 +118,9 @@ def fields_of(kind: type) -> list[str]:
         about = [re.sub(r"\b(\w+\.)+", "", hint.__name__ if isinstance(hint, type) else str(hint))]
         for pattern, words in TYPES.items():
             about = [re.sub(pattern, words, about[0])]
-        if (within := bounds[item.name]).greatest < 1e12:
-            least, greatest = (f"{round(bound, 5):,.9g}" for bound in (within.least, within.greatest))
-            about.append(f"{'over ' if within.above else ''}{least} to {greatest}")
+        if (within := bounds[item.name]).maximum < 1e12:
+            least, greatest = (f"{round(bound, 5):,.9g}" for bound in (within.minimum, within.maximum))
+            about.append(f"{'over ' if within.exclusive else ''}{least} to {greatest}")
         if dataclasses.is_dataclass(hint):
             about = ["table"]
         elif item.default is not dataclasses.MISSING:
@@ -160,7 +160,9 @@ def columns_table(record: type) -> str:
     rows = ["| column | shape | unit | frame | meaning |", "|---|---|---|---|---|"]
     for name, one in columns_of(record).items():
         notes = [one.meaning.replace("|", "\\|"), *(["0 to 1"] if one.is_fraction else [])]
-        notes += [] if one.known else ["NaN where unknown" if one.always_in_file else "not in the file where unknown"]
+        notes += (
+            [] if one.required else ["NaN where unknown" if one.always_in_file else "not in the file where unknown"]
+        )
         rows.append(f"| `{name}` | {one.shape} | {one.unit} | {one.frame} | {'; '.join(notes)} |")
     return "\n".join(rows)
 

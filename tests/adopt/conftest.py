@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from foreign import DATA, Probe, Readings
+from third_party_policies import DATA, Probe, Readings
 
 from surefoot.adopt.builder import build_policy, check_specification
 from surefoot.deploy.controller import Controller

@@ -16,8 +16,8 @@ import onnxruntime
 import pytest
 import torch
 import yaml
-from foreign import DATA, DEPLOY, GYM_ORDER, LAB_ORDER, LEGGED_GYM, LONG, MJLAB, POSE, perceptron
-from foreign_deployers import IsaacLab, LeggedGym, RlSar
+from third_party_deployers import IsaacLab, LeggedGym, RlSar
+from third_party_policies import DATA, DEPLOY, GYM_ORDER, LAB_ORDER, LEGGED_GYM, LONG, MJLAB, POSE, perceptron
 
 from surefoot.adopt.adoption import FORMATS, adopt
 

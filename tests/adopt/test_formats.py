@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from adopted_mistakes import same
-from foreign import DATA, DEPLOY, LAB_ORDER, LEGGED_GYM, MJLAB, perceptron
+from third_party_policies import DATA, DEPLOY, LAB_ORDER, LEGGED_GYM, MJLAB, perceptron
 
 from surefoot.adopt.adoption import FORMATS, adopt
 from surefoot.adopt.builder import check_specification

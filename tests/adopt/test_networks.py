@@ -9,8 +9,8 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from foreign import onnx_model, perceptron
 from onnx import TensorProto, helper, numpy_helper
+from third_party_policies import onnx_model, perceptron
 from torch import nn
 
 from surefoot.adopt import torchscript_network

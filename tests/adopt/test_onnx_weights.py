@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import onnx
 import pytest
-from foreign import onnx_model, perceptron
 from onnx import helper, numpy_helper
 from onnx.external_data_helper import convert_model_to_external_data
+from third_party_policies import onnx_model, perceptron
 
 from surefoot.adopt.onnx_network import OnnxNetwork, run_model
 from surefoot.adopt.onnx_weights import read_network

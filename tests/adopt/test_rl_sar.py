@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import yaml
-from foreign import DATA, perceptron
+from third_party_policies import DATA, perceptron
 
 from surefoot.adopt.adoption import adopt
 from surefoot.errors import SurefootError

@@ -1,4 +1,4 @@
-"""Policy files that are loaded for simulation."""
+"""Loading of policy files for simulation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from edited import modified_policy
+from shipped_variants import modified_policy
 
 pytest.importorskip("gymnasium")
 
@@ -20,7 +20,7 @@ from surefoot.robot import RobotDescription
 
 
 def edited(path: Path, changes: dict[str, Any]) -> Path:
-    """The trot with another contract; a key of a table is "table.key"."""
+    """Return the trot with a modified contract; keys of tables are written "table.key"."""
 
     def edit(contract: dict[str, Any]) -> None:
         for name, value in changes.items():
@@ -47,7 +47,7 @@ def edited(path: Path, changes: dict[str, Any]) -> Path:
         ({"schema": 1}, "has schema 1; this surefoot reads schema 2: use the version that wrote it"),
     ],
 )
-def test_load_policy_refuses_a_contract_of_another_robot(changes: dict[str, Any], why: str, tmp_path: Path):
+def test_load_policy_rejects_a_contract_of_another_robot(changes: dict[str, Any], why: str, tmp_path: Path):
     with pytest.raises(SurefootError) as error:
         load_policy(edited(tmp_path / "edited.onnx", changes), None)
     assert re.search(re.escape(why) if "(" in why else why, str(error.value))
@@ -71,5 +71,5 @@ def test_policy_keeps_its_control_step_and_gains_on_another_robot(tmp_path: Path
 
 
 @pytest.mark.parametrize("policy", released_policies())
-def test_shipped_policy_fits_its_robot(policy: str):
+def test_a_released_policy_matches_its_robot(policy: str):
     open_policy(find_policy(policy))

@@ -15,7 +15,7 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
-from scripted import COMMAND_LIMITS as LIMITS
+from scripted_world import COMMAND_LIMITS as LIMITS
 
 from surefoot.deploy.command_sources import (
     MAX_COMMAND_AGE,

@@ -145,7 +145,7 @@ def test_a_program_that_is_not_firmware_of_the_robot_is_rejected(robot, tmp_path
     with pytest.raises(SurefootError, match="is not for robot solo8"):
         FirmwareProcess(compiled(robot), "solo8", 8)
     words = ["--firmware", str(tmp_path / "none"), "--duration", "0.01"]
-    for more, message in (([], "No such file"), (["--set", "servo_kp=2"], "a firmware has its own, in its robot.h")):
+    for more, message in (([], "No such file"), (["--set", "servo_kp=2"], "a firmware has its own gains, in robot.h")):
         assert main(["emulate", *words, *more]) == 2
         error = capsys.readouterr().err
         assert error.count("\n") == 1

@@ -135,8 +135,8 @@ def test_saturation_is_the_share_of_time_of_each_motor(make_run: MakeRun) -> Non
     summary = summarize(traces[:1] * 2, MASS)
     assert summary["saturation"] == pytest.approx({f"m{k}": {2: 0.25, 5: 0.05}.get(k, 0.0) for k in range(8)})
     assert saturation_note(summary) == (
-        "motors limit this gait: m2 is at its limit in 25% of the time; "
-        "surefoot robot check says what torque a trot asks for"
+        "motors limit this gait: m2 is at its limit for 25% of the time; "
+        "surefoot robot check computes the torque that a trot requires"
     )
     at_limit[0, 2] = 0.9
     assert saturation_note(summarize([make_run(steps=100, arrays={"motor_saturation": at_limit})], MASS)) is None

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 from numpy.typing import ArrayLike, NDArray
 from run_tables import sensitivity_table
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scripted import COMMAND_LIMITS as LIMITS
+from scripted_world import COMMAND_LIMITS as LIMITS
 
 from surefoot.errors import SurefootError
 from surefoot.evaluation.tracking import GRID, Tracking, command_grid, distance_along, motion, settled_steps

@@ -93,7 +93,7 @@ def test_a_warm_start_adds_a_gait_over_holes_and_trains_only_that(tmp_path: Path
     reward = {**blind.reward, "foothold_error": -0.1}
     data = {"reference": reference, "observations": observations, "reward": reward}
     task = from_mapping(TaskConfig, data, base=blind)
-    with pytest.raises(SurefootError, match=r"over_holes is given, and start_from is not: what learns"):
+    with pytest.raises(SurefootError, match=r"over_holes is given, but start_from is not"):
         check_config(config(task))
 
     def actions(loop: TrainingLoop, share: float, seen: dict[str, float]) -> np.ndarray:

@@ -143,5 +143,5 @@ def test_an_environment_of_another_package_is_rejected(tmp_path: Path):
     module = torch.nn.Linear(4, 8)
     with pytest.raises(SurefootError, match="env is a TimeLimit; it must be an environment of surefoot"):
         surefoot.export(module, tmp_path / "p.onnx", env=gymnasium.make("CartPole-v1"))
-    with pytest.raises(SurefootError, match="no env is given"):
+    with pytest.raises(SurefootError, match="env is missing"):
         surefoot.export(module, tmp_path / "p.onnx")

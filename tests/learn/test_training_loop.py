@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from edited import maxitaur
-from trained import TINY
+from shipped_variants import maxitaur
+from trained_policy import TINY
 
 from surefoot.cli.main import main
 from surefoot.configuration import from_mapping

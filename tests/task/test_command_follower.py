@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scripted import COMMAND_LIMITS as LIMITS
+from scripted_world import COMMAND_LIMITS as LIMITS
 
 from surefoot.robot import RobotDescription
 from surefoot.task.command_follower import CommandFilter

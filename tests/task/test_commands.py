@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripted import COMMAND_LIMITS as LIMITS
+from scripted_world import COMMAND_LIMITS as LIMITS
 
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.errors import SurefootError
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("torch")
 
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("torch")
 
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.errors import SurefootError
 from surefoot.learn.symmetry import mirror_columns

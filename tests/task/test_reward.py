@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import load_task

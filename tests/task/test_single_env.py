@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 import surefoot.envs
 from surefoot.errors import SurefootError

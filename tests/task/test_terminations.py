@@ -6,7 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import TaskConfig, load_task

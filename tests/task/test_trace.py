@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import maxitaur
+from shipped_variants import maxitaur
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription

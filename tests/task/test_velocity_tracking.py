@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import load_task

@@ -1,4 +1,4 @@
-"""The examination of an adopted policy in simulation, with its page."""
+"""Examination of an adopted policy in simulation, with an optional report."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surefoot.robot import RobotDescription
 
 
 class ExaminationResult(NamedTuple):
-    """An adopted policy, examined; `files` are those that were written."""
+    """Name, robot and checks of an examined policy, and the files that were written."""
 
     name: str
     robot: RobotDescription
@@ -30,19 +30,19 @@ def examine_policy(
     out: Path | None = None,
     correct: Path | None = None,
 ) -> ExaminationResult:
-    """Simulate an adopted policy as it is, with each of the usual mistakes corrected, and on other robots.
+    """Simulate an adopted policy as it is, with common mistakes in its configuration corrected, and on other robots.
 
     Args:
-        policy: as of `find_policy`.
-        robot: name or folder of the robot; the policy's, if None.
+        policy: name or path, see `find_policy`.
+        robot: name or folder of the robot; defaults to the policy's.
         world: name of the world.
-        seed: of noise and starts.
-        threads: of the simulation; 0: one a core.
-        out: folder for a page with videos.
-        correct: file for the corrected specification (.yaml), if a mistake is named.
+        seed: seed of noise and initial states.
+        threads: threads of the simulation; 0: one per core.
+        out: folder for a report with videos.
+        correct: file for the corrected specification (.yaml), which is written if a mistake is found.
 
     Raises:
-        SurefootError: a policy that was not adopted, or a world that does not exist.
+        SurefootError: the policy was not adopted, or the world does not exist.
     """
     from surefoot.adopt.builder import adopted_notes
     from surefoot.adopt.diagnosis import check_answers, diagnose
@@ -53,10 +53,10 @@ def examine_policy(
 
     find_world(world)
     if correct is not None and correct.suffix not in (".yaml", ".yml"):
-        raise SurefootError(f"--correct is {correct}; it is for a specification, whose name must end in .yaml")
+        raise SurefootError(f"--correct is {correct}; the name of the specification must end in .yaml")
     runtime, description, task = load_policy(find_policy(policy), robot)
     if runtime.contract.commands is None:
-        raise SurefootError(f"policy '{runtime.contract.name}' follows no commands; only one that does is examined")
+        raise SurefootError(f"policy '{runtime.contract.name}' follows no commands; only policies that do are examined")
     with ProgressBar("usual mistakes") as bar:
         diagnosis = diagnose(runtime, description, task, world, seed, threads, bar.advance)
     checks, files = check_answers(diagnosis, adopted_notes(runtime.contract)), []
@@ -71,18 +71,25 @@ def examine_policy(
 
         out.mkdir(parents=True, exist_ok=True)
         videos = []
-        shown: list[tuple[str, Correction | None]] = [("as it is", None)]
+        variants: list[tuple[str, Correction | None]] = [("as it is", None)]
         if diagnosis.mistake is not None and diagnosis.mistake.correction is not None:
-            shown.append((f"changed; {diagnosis.mistake.correction.text}", diagnosis.mistake.correction))
-        for k, (title, correction) in enumerate(shown):
-            chosen = require_specification(runtime.contract) if correction is None else correction.specification
-            corrected = CorrectedPolicy(runtime, description, [chosen])
-            whole = run_task(task, corrected.makers[0], diagnosis.baseline)
+            variants.append((f"corrected: {diagnosis.mistake.correction.text}", diagnosis.mistake.correction))
+        for k, (title, correction) in enumerate(variants):
+            specification = require_specification(runtime.contract) if correction is None else correction.specification
+            corrected = CorrectedPolicy(runtime, description, [specification])
+            demo = run_task(task, corrected.makers[0], diagnosis.own)
             (trace,) = run_episodes(
-                corrected, whole, 1, find_world(world), seed, 1, world_name=world, policy_name=runtime.contract.name
+                corrected,
+                demo,
+                1,
+                find_world(world),
+                seed,
+                1,
+                world_name=world,
+                policy_name=runtime.contract.name,
             )
             path = film(description, trace, out / f"{('as-it-is', 'corrected')[k]}.mp4")
-            videos.append((f"{title}; it fell after {trace.duration:.1f} s" if trace.fell else title, path))
+            videos.append((f"{title}; the robot fell after {trace.duration:.1f} s" if trace.fell else title, path))
         page = write_page(out / "examination.html", runtime.contract.name, world, diagnosis, checks, videos)
         files += [page, *(path for _, path in videos)]
     return ExaminationResult(runtime.contract.name, description, checks, files)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge, warn_if
+from surefoot.check_result import CheckResult, pass_if, warn_if
 from surefoot.errors import SurefootError
 from surefoot.evaluation.runs import SATURATION
 from surefoot.robot import RobotDescription
@@ -76,7 +76,7 @@ def check_trot(robot: RobotDescription) -> Iterator[CheckResult]:
     down, able = not own.finished or bool(low < _SUNK * usual), free.finished or robot.actuator.kind == "dc"
     weak = down and able and share >= _MOST
     rule = "; the robot goes down, with stronger motors it does not"
-    yield judge("torque to trot", not weak, message, rule, REMEDY, share)
+    yield pass_if("torque to trot", not weak, message, rule, REMEDY, share)
 
 
 def _check_speed(robot: RobotDescription, data: JointActuatorData, asked: Array) -> CheckResult:

@@ -111,7 +111,7 @@ class TuneConfig:
     """Episodes of each candidate, from different starts."""
     duration: Annotated[float, Within(0.5, 60)] = 4.0
     """Length of an episode [s]."""
-    sigma: Annotated[float, Within(0, 1, above=True)] = 0.2
+    sigma: Annotated[float, Within(0, 1, exclusive=True)] = 0.2
     """First standard deviation, in parts of each parameter's range."""
     seed: Seed = 0
     threads: Threads = 0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge
+from surefoot.check_result import CheckResult, pass_if
 from surefoot.deploy.doctor.link_check import receive_until
 from surefoot.deploy.messages import Handshake, State
 from surefoot.deploy.robot_link import RobotLink
@@ -74,7 +74,7 @@ def check_rest(
     hottest = int(np.argmax(states[-1].temperature))
     temperature = float(states[-1].temperature[hottest])
     return [
-        judge(
+        pass_if(
             "battery",
             voltage >= min_voltage,
             f"{voltage:.2f} V",
@@ -82,7 +82,7 @@ def check_rest(
             "charge the battery",
             voltage,
         ),
-        judge(
+        pass_if(
             "temperature",
             temperature <= limits.temperature_warn,
             f"hottest motor: {robot.motor_names[hottest]}, {temperature:.0f} degC",

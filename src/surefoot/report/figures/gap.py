@@ -1,4 +1,4 @@
-"""Figure of the reality gap: returns of policies, or groups of policies, in several worlds."""
+"""Figure of the reality gap: returns of policies or groups of policies in several worlds."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _GROUP_WIDTH = 0.8
-"""Width of the bars of a policy's returns, where policies are 1 apart."""
+"""Total width of a policy's bars; policies are at a distance of 1."""
 _BAR_ALPHA = 0.5
 _MAX_DOTS = 100
 
 
 def gap_figure(policies: Sequence[PolicyGap], path: str | Path, unit: str = "m", over_policies: bool = False) -> Path:
-    """Draw the return of each policy as bars, a bar a world, with one standard error and every run as a dot.
+    """Draw the return of each policy, one bar per world, with one standard error and one dot per run.
 
-    Below each policy stands its gap to each other world; over a bar, how many of the runs fell, if any did: they are
-    crosses. All policies or groups of policies ran in the same worlds. `unit` is that of returns. With `over_policies`
-    the error is the interval over policies and robots, and each dot is a policy's mean.
+    Runs with a fall are crosses, and their number is above the bar. The label of a policy contains its gap to each
+    other world. All policies or groups must have run in the same worlds. `unit` is the unit of returns. With
+    `over_policies`, error bars are confidence intervals over policies and robots, and each dot is a policy's mean.
     """
     names = policies[0].worlds
     width = max(5.2, 1.2 + len(policies) * max(1.6 if len(names) < 3 else 2.3, 0.62 * len(names)))
@@ -43,7 +43,7 @@ def gap_figure(policies: Sequence[PolicyGap], path: str | Path, unit: str = "m",
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
         ax.set_title(with_unit("Return of an episode", unit), fontweight="bold", pad=24.0)
         legend = (
-            f"bars: mean and interval of {CONFIDENCE:.0%} over policies and robots; dots: policies"
+            f"bars: mean and {CONFIDENCE:.0%} interval over policies and robots; dots: policies"
             if over_policies
             else "bars: mean and one standard error; dots: runs, crosses: runs that ended in a fall"
         )
@@ -75,7 +75,7 @@ def _return_bar(ax: Axes, place: int, number: int, count: int, policy: PolicyGap
                 ax.plot(across[some], measured["return"][some], marker, color=color, markersize=3.6, alpha=0.9)
         top = max(estimate.mean + error, float(measured["return"].max()), 0.0)
     else:
-        notes = ["return\nnot known"]
+        notes = ["return\nunknown"]
     if runs.fell.any():
         notes.append(f"{runs.fell.sum()} of {len(runs)}\nfell")
     text, offset = "\n".join(notes), (0, 4)
@@ -83,7 +83,7 @@ def _return_bar(ax: Axes, place: int, number: int, count: int, policy: PolicyGap
 
 
 def _label(policy: PolicyGap, unit: str) -> str:
-    """Return a policy's name, and below it its gap to each other world."""
+    """Return a label with a policy's name and its gap to each other world."""
     away, lines = policy.worlds[1:], []
     for world in away:
         gap = policy.gap(world).mean

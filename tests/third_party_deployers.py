@@ -1,7 +1,7 @@
-"""Policy deployments of other frameworks in 32-bit numbers, reimplemented from their published sources.
+"""Deployments of other frameworks, reimplemented in 32-bit arithmetic from their published sources.
 
 Each computes the network's observation from readings and a command, and motor angles from the network's action, which
-it stores as its last action.
+it stores as the last action.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from foreign import Readings
+from third_party_policies import Readings
 
 MOTORS = 12
 
 
 def single(values: object) -> np.ndarray:
-    """Convert to 32-bit numbers."""
+    """Return values in single precision."""
     return np.asarray(values, np.float32)
 
 
 def rotate_inverse(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Rotate a vector by the inverse of a quaternion w x y z, like Isaac's `quat_rotate_inverse`."""
+    """Rotate a vector from the world to the base frame, quaternion w x y z, as Isaac's `quat_rotate_inverse`."""
     w, xyz = quaternion[0], quaternion[1:]
     rotated: np.ndarray = vector * (2 * w * w - 1) - np.cross(xyz, vector) * w * 2 + xyz * np.dot(xyz, vector) * 2
     return rotated
@@ -34,7 +34,7 @@ def gravity(readings: Readings) -> np.ndarray:
 
 
 class RlSar:
-    """Deployment of rl_sar (`rl_sdk.cpp`, `observation_buffer.cpp`); `config` is the table of its `config.yaml`."""
+    """Deployment of rl_sar (`rl_sdk.cpp`, `observation_buffer.cpp`); `config` is the content of its `config.yaml`."""
 
     def __init__(self, config: dict[str, Any]) -> None:
         self._config = config
@@ -77,23 +77,23 @@ class RlSar:
 
 @dataclass
 class IsaacLab:
-    """Deployment of Isaac Lab's managers, which mjlab and unitree_rl_lab share.
+    """Deployment of Isaac Lab's managers, also used by mjlab and unitree_rl_lab.
 
-    Terms are clipped, scaled and stored in a queue, which the first value fills.
+    Terms are clipped, scaled and stored in a queue, which is initially filled with the first value.
     """
 
     order: list[int]
     """Motor of each joint."""
     pose: Any
     layout: list[tuple[str, Any, Any, int]]
-    """Name, clip, scale and history length of each term."""
+    """Name, clipping limits, scale and history length of each term."""
     action_scale: Any
     target_clip: Any = None
     by_step: bool = False
-    """`use_gym_history` of unitree_rl_lab: all terms of one step, then all terms of the next."""
+    """Option `use_gym_history` of unitree_rl_lab: all terms of a step, then all terms of the next step."""
     scale_first: bool = False
     phase_step: float = 0.0
-    """Increment of the gait phase per control step [cycles], also applied before the first step."""
+    """Increase of the gait phase per control step, also before the first one [cycles]."""
     step: int = 0
     _queues: list[deque[np.ndarray]] = field(default_factory=list)
     _actions: np.ndarray = field(default_factory=lambda: np.zeros(MOTORS, np.float32))
@@ -138,7 +138,7 @@ class IsaacLab:
 
 @dataclass
 class LeggedGym:
-    """legged_gym without base velocity (`compute_observations` and `_compute_torques` in `legged_robot.py`)."""
+    """Deployment of legged_gym (`legged_robot.py`: `compute_observations`, `_compute_torques`), no base velocity."""
 
     order: list[int]
     pose: Any
