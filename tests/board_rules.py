@@ -134,7 +134,7 @@ def in_mode(mode: Mode, reason: Reason = Reason.NONE, owner: int | None = None) 
     return step
 
 
-def order(mode: Mode, values: np.ndarray | None = None) -> Step:
+def motor_command(mode: Mode, values: np.ndarray | None = None) -> Step:
     """Compare the command sent to the motors."""
 
     def step(bench: Bench) -> None:

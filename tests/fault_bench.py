@@ -527,7 +527,7 @@ def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> DeployResult:
         os.close(window)
 
     # The terminal has no reader, which must not block the run.
-    cable.after_arming(UP + 0.3, leave)
+    cable.after_arming(STARTUP_TIME + 0.3, leave)
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end and not (code.exists() and code.read_text()):
         time.sleep(0.05)

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from exact_resume import assert_resumes_exactly
+from numpy.typing import NDArray
 from scripted import ScriptedWorld
 
 from surefoot.task import components as registry

@@ -23,7 +23,7 @@ from surefoot.adopt.examination import (
 )
 from surefoot.adopt.mistakes import corrections
 from surefoot.adopt.robot_variants import RobotVariant, robot_variants
-from surefoot.check_result import CheckResult, judge
+from surefoot.check_result import CheckResult, pass_if
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import Progress
 from surefoot.policy.runtime import PolicyRuntime
@@ -207,7 +207,7 @@ def check_answers(diagnosis: Diagnosis, notes: Mapping[str, str] = MappingProxyT
         message = f"asked {asked}; {end}"
         if name == "stand" and "stand" in notes:
             message += f"; {notes['stand']}"
-        results.append(judge(name, bool(score >= MIN_GOOD_SCORE), message, "", remedy, float(score)))
+        results.append(pass_if(name, bool(score >= MIN_GOOD_SCORE), message, "", remedy, float(score)))
     if diagnosis.constants is not None:
         results.append(_check_constants(diagnosis))
     return [*results, _check_specification(diagnosis)]
@@ -217,14 +217,14 @@ def _check_constants(diagnosis: Diagnosis) -> CheckResult:
     assert diagnosis.constants is not None
     walking = walks(diagnosis.baseline)
     remedy = "observe the quantities that training had there, or train without them"
-    return judge("constant inputs", walking, diagnosis.constants.text, "", remedy, float(diagnosis.constants.count))
+    return pass_if("constant inputs", walking, diagnosis.constants.text, "", remedy, float(diagnosis.constants.count))
 
 
 def _check_specification(diagnosis: Diagnosis) -> CheckResult:
     own, mistake, variant = diagnosis.baseline, diagnosis.mistake, diagnosis.explaining_variant
     if diagnosis.constants is not None:
         message = f"no mistake is named while inputs are constants (score {own.score:.2f})"
-        return judge("specification", walks(own), message, "", "see the line constant inputs", own.score)
+        return pass_if("specification", walks(own), message, "", "see the line constant inputs", own.score)
     tried = f"{len(diagnosis.ranked)} usual mistakes tried"
     if mistake is not None and mistake.correction is not None and diagnosis.is_confirmed:
         message = f"{tried}; {mistake.text} (score {own.score:.2f}, then {mistake.score:.2f})"
@@ -247,4 +247,4 @@ def _check_specification(diagnosis: Diagnosis) -> CheckResult:
     message += f", best {diagnosis.ranked[0].score:.2f})" if diagnosis.ranked else ")"
     passed = bool(not own.fell.any() and (own.scores[1:] >= MIN_GOOD_SCORE).any())
     rule = "; something else is wrong, or several things"
-    return judge("specification", passed, message, rule, "compare with the training, field by field", own.score)
+    return pass_if("specification", passed, message, rule, "compare with the training, field by field", own.score)

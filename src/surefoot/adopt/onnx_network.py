@@ -95,8 +95,8 @@ class OnnxNetwork:
         translated = run_model(model.SerializeToString(), dict(zip((v.name for v in values), inputs, strict=True)))
         for row in range(_NUM_SAMPLES):
             feed = {}
-            for one, values in zip(self._inputs, inputs, strict=True):
-                feed[one.name] = values[row].reshape([size or 1 for size in _shape(one)])
+            for one, samples in zip(self._inputs, inputs, strict=True):
+                feed[one.name] = samples[row].reshape([size or 1 for size in _shape(one)])
             for mine, theirs in zip(translated, run_model(self._data, feed), strict=False):
                 check_translation(mine[row], theirs.ravel())
 

@@ -19,7 +19,7 @@ from surefoot.adopt.onnx_network import OnnxNetwork, check_translation, run_mode
 from surefoot.errors import SurefootError
 from surefoot.policy.network import MAX_BYTES
 
-_LIMITS = sandbox.Limits(memory=16 * 2**30, time=60.0, patience=180.0)
+_LIMITS = sandbox.Limits(memory=16 * 2**30, time=60.0, timeout=180.0)
 """Limits of the process: torch reserves about 5 GiB of address space and takes some seconds to load."""
 _SAMPLES = 16
 _TRUSTED = "trusted"
@@ -49,7 +49,7 @@ def load(data: bytes, width: int, trusted: bool = False) -> OnnxNetwork:
         raise SurefootError("is TorchScript, which needs torch; export the policy to ONNX, or install torch")
     ending = sandbox.run_module(__name__, [str(width), *([_TRUSTED] if trusted else [])], _LIMITS, data)
     if ending.code == -signal.SIGKILL:
-        raise SurefootError(f"torch did not load it within {_LIMITS.patience:g} s")
+        raise SurefootError(f"torch did not load it within {_LIMITS.timeout:g} s")
     if ending.code:
         raise SurefootError(ending.message or f"torch ended with code {ending.code} as it loaded it")
     result = ending.output
@@ -82,7 +82,7 @@ def main(words: list[str]) -> int:
     warm_up()
     try:
         if _TRUSTED not in words:
-            sandbox.enter(_LIMITS)
+            sandbox.enter_sandbox(_LIMITS)
         model, samples = trace(io.BytesIO(data), width, _SAMPLES)
     except SurefootError as error:
         print(error, file=sys.stderr)

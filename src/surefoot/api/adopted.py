@@ -77,7 +77,7 @@ def examine_policy(
         for k, (title, correction) in enumerate(variants):
             specification = require_specification(runtime.contract) if correction is None else correction.specification
             corrected = CorrectedPolicy(runtime, description, [specification])
-            demo = run_task(task, corrected.makers[0], diagnosis.own)
+            demo = run_task(task, corrected.makers[0], diagnosis.baseline)
             (trace,) = run_episodes(
                 corrected,
                 demo,

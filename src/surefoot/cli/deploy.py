@@ -163,7 +163,7 @@ def main(argv: list[str]) -> int:
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run all episodes, unless one ends early; return the report of each, and the exit code."""
     from surefoot.deploy.command_sources import FileCommands
-    from surefoot.deploy.motion_runner import SHUTDOWN_TIME, UP
+    from surefoot.deploy.motion_runner import SHUTDOWN_TIME, STARTUP_TIME
     from surefoot.deploy.pacer import LoopTiming
     from surefoot.deploy.run_saver import RunSaver, next_free_path
 
@@ -180,7 +180,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     for run in range(command.episodes):
         path = None if command.dry_run and command.out is None else next_free_path(command.out or Path("deploy"))
         saver = RunSaver(deployment, path, steps, command.world_name, run)
-        timing = LoopTiming(steps + round((UP + SHUTDOWN_TIME) / step) + 16)
+        timing = LoopTiming(steps + round((STARTUP_TIME + SHUTDOWN_TIME) / step) + 16)
         saver.begin()
         outcome = deployment.run(saver.recorder, timing)
         saved = saver.finish(outcome, timing, command.motion_capture)

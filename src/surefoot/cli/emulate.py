@@ -215,12 +215,12 @@ def make_loop(
     """Return the loop that runs the robot behind a pseudo-terminal or a socket; its kernels are compiled."""
     from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.real_time import RealTimeLoop
-    from surefoot.emulator.serial.lockstep import PATIENCE, LockstepLoop
+    from surefoot.emulator.serial.lockstep import HOST_TIMEOUT, LockstepLoop
     from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
     plant = make_plant(command, robot, servo_every=_servo_stride(robot, faults.get("slow-servo")))
     if command.lockstep:
-        link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=PATIENCE)
+        link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=HOST_TIMEOUT)
         return LockstepLoop(_make_board(command, plant, link, faults), link, port, summary)
     link = SerialHostLink(port, robot.num_motors, faults, command.baud, command.seed, lead=LEAD)
     return RealTimeLoop(_make_board(command, plant, link, faults), summary, _load(faults))

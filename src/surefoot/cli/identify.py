@@ -54,7 +54,7 @@ surefoot identify EXPERIMENT --help lists its options, and likewise for replay, 
 
 def check_identifiable(robot: RobotDescription, experiment: Experiment | None = None) -> None:
     """Reject a robot with legs or motors that the experiment, or the fit to traces, does not support."""
-    if experiment is not None and experiment.joints:
+    if experiment is not None and experiment.for_joint_actuators:
         if robot.actuator.kind != "joint" or robot.loops:
             raise SurefootError(f"{experiment.name} is for robots with joint actuators; {robot.name} has other ones")
         return
@@ -165,7 +165,7 @@ def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
 
 def _print_plan(command: ExperimentCommand, experiment: Experiment) -> int:
     """Print the plan of the experiment air, and the accuracy that it would achieve."""
-    if not experiment.joints or command.robot is None:
+    if not experiment.for_joint_actuators or command.robot is None:
         raise SurefootError(
             "--plan is for the experiment air and a named robot: surefoot identify air --plan --robot NAME"
         )
@@ -178,7 +178,7 @@ def _print_plan(command: ExperimentCommand, experiment: Experiment) -> int:
     from surefoot.cli.helpers.identify_results import check_installed, print_expected_accuracy
 
     check_installed()
-    from surefoot.identify.motion.foresight import predict_accuracy, planned_motion
+    from surefoot.identify.motion.expected_accuracy import planned_motion, predict_accuracy
 
     foresight = predict_accuracy(robot, [planned_motion(plan)], prior, tuple(stated))
     print_expected_accuracy(robot, foresight, prior, "this plan", command.json)
@@ -206,7 +206,7 @@ def _check_options(command: ExperimentCommand) -> None:
 
 def _warn_of_missing(command: ExperimentCommand, experiment: Experiment, prior: ParamsFile) -> None:
     """Print a warning if experiments that should precede this one are missing."""
-    if missing := missing_experiments(prior, experiment.before):
+    if missing := missing_experiments(prior, experiment.prerequisites):
         where = f"{command.params} has no results of it" if command.params is not None else "--params FILE is not given"
         print(
             f"surefoot: warning: {experiment.name} should be run after {' and '.join(missing)}, but {where}; the "

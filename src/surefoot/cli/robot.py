@@ -20,7 +20,7 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError, check_name
 from surefoot.robot import RobotDescription
 from surefoot.robot.appearance import VISUALS_FILE
-from surefoot.robot.archive import SHEET
+from surefoot.robot.archive import DATA_SHEET
 from surefoot.robot.importing.imported import KNEE_SIGNS, ImportedRobot, Knees
 from surefoot.robot.importing.rules import describe_origins
 from surefoot.robot.importing.writer import URDF, set_servo_step, write_robot
@@ -85,7 +85,7 @@ def _new(argv: list[str]) -> int:
         f"forward is {imported.forward} of the file"
     )
     knees = command.knees or find_knees(imported)
-    with _whole_or_nothing(folder, (SHEET, URDF, VISUALS_FILE, PICTURE)):
+    with _whole_or_nothing(folder, (DATA_SHEET, URDF, VISUALS_FILE, PICTURE)):
         guesses = write_robot(imported, folder, name, knees)
         robot = RobotDescription.load(folder)
         if (step := longest_servo_step(robot)) < robot.timing.servo_step:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, fail_if, judge
+from surefoot.check_result import CheckResult, fail_if, pass_if
 from surefoot.deploy.messages import Handshake
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.policy.contract import Contract
@@ -114,7 +114,7 @@ def check_handshake(handshake: Handshake, robot: RobotDescription) -> list[Check
             "same for every motor",
             "set the sign in the firmware, or train with a data sheet that has the robot's signs",
         ),
-        judge(
+        pass_if(
             "servo period",
             is_within_tolerance(period, nominal),
             f"{1e3 * period:g} ms",
@@ -232,7 +232,9 @@ def _check_watchdog(contract: Contract, handshake: Handshake) -> CheckResult:
     timeout, minimum = handshake.command_timeout, WATCHDOG_STEPS * contract.control_step
     message = f"the robot damps its motors after {1e3 * timeout:g} ms without a command"
     rule = f"; it must allow {WATCHDOG_STEPS} control steps, {1e3 * minimum:g} ms"
-    return judge("watchdog", timeout >= minimum - 1e-9, message, rule, "raise the firmware's command timeout", timeout)
+    return pass_if(
+        "watchdog", timeout >= minimum - 1e-9, message, rule, "raise the firmware's command timeout", timeout
+    )
 
 
 def _check_angle_limits(contract: Contract, handshake: Handshake, robot: RobotDescription) -> CheckResult:
@@ -246,4 +248,4 @@ def _check_angle_limits(contract: Contract, handshake: Handshake, robot: RobotDe
         f"the robot accepts {handshake.angle_low[worst]:.3f} to {handshake.angle_high[worst]:.3f}"
     )
     remedy = "widen the firmware's limits if the legs allow it, or train with narrower feedback"
-    return judge("angle limits", bool(margin[worst] >= -_ANGLE_TOLERANCE), message, "", remedy, float(margin[worst]))
+    return pass_if("angle limits", bool(margin[worst] >= -_ANGLE_TOLERANCE), message, "", remedy, float(margin[worst]))

@@ -245,7 +245,7 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
         if experiment is not None and meta["experiment"] != experiment:
             raise SurefootError(f"is of experiment {meta['experiment']}, not {experiment}")
         sizes = {"C": arrays["sent_number"].size, "T": arrays["time"].size, "M": robot.num_motors}
-        arrays = {name: declared.checked(name, arrays[name], sizes) for name, declared in columns.items()}
+        arrays = {name: declared.validate(name, arrays[name], sizes) for name, declared in columns.items()}
         if digest_arrays(arrays) != meta["digest"]:
             raise SurefootError("was changed after it was recorded: its digest does not match")
         if meta["ended"] != COMPLETE:

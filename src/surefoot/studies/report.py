@@ -11,7 +11,16 @@ import numpy as np
 import pandas as pd
 
 from surefoot.evaluation.statistics import Interval, decimal
-from surefoot.report.figures.style import BLUE, GREEN, ORANGE, QUIET, capitalize_first, heading, new_figure, place_labels
+from surefoot.report.figures.style import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    QUIET,
+    capitalize_first,
+    heading,
+    new_figure,
+    place_labels,
+)
 from surefoot.studies.search_space import short_name
 
 if TYPE_CHECKING:

@@ -136,7 +136,11 @@ def _results(comparison: RobotComparison, family: str, file: str) -> list[str]:
             for figure, (title, unit, digits) in FIGURES.items():
                 cells[with_unit(title, unit)] = comparison.interval(group, figure, family).text(digits)
             table.append(cells)
-    return [f"## {capitalize_first(label)}", image(f"Return in simulation and on the robot: {label}", file), markdown(table)]
+    return [
+        f"## {capitalize_first(label)}",
+        image(f"Return in simulation and on the robot: {label}", file),
+        markdown(table),
+    ]
 
 
 def _every_robot(comparison: RobotComparison) -> list[str]:

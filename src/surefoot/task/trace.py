@@ -197,8 +197,8 @@ class EpisodeTrace:
             if not sizes["T"]:
                 raise SurefootError("an episode needs at least one control step")
             for name, declared in columns_of(EpisodeTrace).items():
-                may_be_nan = not declared.known or (self.is_imported and name != "time")
-                array = declared.checked(name, getattr(self, name), sizes, may_be_nan)
+                may_be_nan = not declared.required or (self.is_imported and name != "time")
+                array = declared.validate(name, getattr(self, name), sizes, may_be_nan)
                 invalid = np.isinf(array) if may_be_nan else ~np.isfinite(array)
                 if np.any(invalid):
                     rule = "finite or NaN" if may_be_nan else "finite"

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, fail_if, judge, warn_if
+from surefoot.check_result import CheckResult, fail_if, pass_if, warn_if
 from surefoot.errors import choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.rules import read_warnings
@@ -32,12 +32,14 @@ def check_masses(robot: RobotDescription) -> CheckResult:
     links, total, length = urdf.links, robot.urdf.total_mass, robot.leg_geometry.length
     heaviest = max(link.mass for link in links.values()) / total
     message = f"{total:.2f} kg, {heaviest:.0%} in one body"
-    if invalid := [name for name, link in links.items() if not are_valid_moments(np.linalg.eigvalsh(link.body.inertia))]:
+    if invalid := [
+        name for name, link in links.items() if not are_valid_moments(np.linalg.eigvalsh(link.body.inertia))
+    ]:
         rule = (
             f"; no rigid body has the inertia of {choices(invalid)}: a principal moment must not exceed the sum of the "
             "other two"
         )
-        return judge("masses", False, message, rule, "correct these inertias in the URDF", total)
+        return pass_if("masses", False, message, rule, "correct these inertias in the URDF", total)
     ends: dict[str, list[Array]] = {name: [] for name in links}
     for joint in urdf.joints.values():
         ends[joint.parent].append(joint.frame[:3, 3])

@@ -17,7 +17,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.native_output import quiet
+from surefoot.native_output import discard_output
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.self_collision import collision_pairs
@@ -83,7 +83,7 @@ def import_pybullet() -> ModuleType:
     """
     if "pybullet" in sys.modules:
         return sys.modules["pybullet"]
-    with quiet():
+    with discard_output():
         import pybullet
     module: ModuleType = pybullet
     return module
@@ -163,7 +163,7 @@ class BulletModel:
         self.robot, self.rack, self._p, self._ground = robot, config.rack, import_pybullet(), config.ground
         self.base_offset = base_offset.copy()
         self._fused = robot.urdf.fuse_fixed_links({robot.base: base_offset})
-        with quiet():
+        with discard_output():
             try:
                 self.client = self._p.connect(self._p.DIRECT)
             except self._p.error:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge, warn_if
+from surefoot.check_result import CheckResult, pass_if, warn_if
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import GRAVITY, RobotDescription, SerialLegs
 from surefoot.robot.actuator import MIN_PLACEHOLDER_TORQUE, JointActuatorData
@@ -57,7 +57,7 @@ def run_description_checks(robot: RobotDescription) -> Iterator[CheckResult]:
     yield CheckResult("frequencies", True, frequencies, value=math.sqrt(GRAVITY / robot.leg_geometry.length) / math.tau)
     step, cause, longest = robot.timing.servo_step, min(limits, key=lambda name: limits[name]), _round_down(limits)
     message = f"{1e3 * step:g} ms; at most {1e3 * limits[cause]:.2g} ms by {cause}"
-    yield judge("physics step", step <= limits[cause], message, "", f"set timing.servo_step to {longest:g}", longest)
+    yield pass_if("physics step", step <= limits[cause], message, "", f"set timing.servo_step to {longest:g}", longest)
 
 
 def longest_servo_step(robot: RobotDescription) -> float:
@@ -78,7 +78,7 @@ def _check_torque_limits(robot: RobotDescription) -> CheckResult:
     rule = f"; values over {MIN_PLACEHOLDER_TORQUE:g} m g l are placeholders"
     remedy = "set actuator.torque_limit to the actuator's real torque"
     real = bool((torque <= MIN_PLACEHOLDER_TORQUE * unit).all())
-    return judge("torque limits", real, message, rule, remedy, float(torque.max()))
+    return pass_if("torque limits", real, message, rule, remedy, float(torque.max()))
 
 
 def _check_feet(robot: RobotDescription, model: mujoco.MjModel) -> CheckResult:
@@ -155,7 +155,7 @@ def _check_stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Che
     if not stands and saturated:
         rule += f"; {need}"
         remedy = f"{_TORQUE_REMEDY}, or correct actuator.torque_limit" if stands_unlimited else remedy
-    yield judge("stands", stands, message, rule, remedy, tilt)
+    yield pass_if("stands", stands, message, rule, remedy, tilt)
     fraction = float(needed[worst] / available[worst])
     continuous = continuous_torque(robot, worst)
     passed = fraction <= MAX_STANDING_TORQUE and bool(needed[worst] <= continuous)
@@ -164,7 +164,7 @@ def _check_stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Che
         "continuous torque"
     )
     if stands or stands_unlimited:
-        yield judge("torque to stand", passed, f"{need}: {fraction:.0%}", rule, _TORQUE_REMEDY, fraction)
+        yield pass_if("torque to stand", passed, f"{need}: {fraction:.0%}", rule, _TORQUE_REMEDY, fraction)
 
 
 def _stand(robot: RobotDescription) -> MotorLoad:

@@ -17,7 +17,7 @@ from surefoot.native_output import mujoco_errors
 from surefoot.robot.urdf_file import read_xml
 from surefoot.sandbox import Limits
 
-LIMITS = Limits(memory=2 << 30, time=5.0, patience=20.0)
+LIMITS = Limits(memory=2 << 30, time=5.0, timeout=20.0)
 _KNOWN_ELEMENTS = frozenset(
     {
         *("robot", "link", "inertial", "mass", "inertia", "origin", "visual", "collision", "geometry"),

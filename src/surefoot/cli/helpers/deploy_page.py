@@ -195,7 +195,7 @@ class Page:
         return report | {
             "text": f"{values['phase']}{left}; battery {values['voltage']:.1f} V; {link}",
             "time": round(time.monotonic() - self._start, 3),
-            "command": self._command if steers else list(STAND),
+            "command": self._command if steers else list(STAND_COMMAND),
             "torque": values["torque"],
             "heat": values["temperature"],
             "attitude": values["attitude"][:2],

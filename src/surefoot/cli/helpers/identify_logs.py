@@ -117,11 +117,13 @@ def _print_expected_accuracy(
     if on_ground := [motion.name for motion in motions if not motion.rack]:
         raise SurefootError(f"--plan is for logs of a hanging robot; {on_ground[0]} is not named by --rack")
     from surefoot.cli.helpers.identify_results import print_expected_accuracy
-    from surefoot.identify.motion.foresight import predict_accuracy
+    from surefoot.identify.motion.expected_accuracy import predict_accuracy
     from surefoot.identify.motion.robot_model import fitted_part
 
     parts = [fitted_part(motion, command.duration) for motion in motions]
-    print_expected_accuracy(robot, predict_accuracy(robot, parts, prior, stated), prior, command.trace.name, command.json)
+    print_expected_accuracy(
+        robot, predict_accuracy(robot, parts, prior, stated), prior, command.trace.name, command.json
+    )
     return 0
 
 

@@ -19,7 +19,7 @@ from surefoot.api.extras import install_command
 from surefoot.cli.helpers.output import print_json
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.result import Identification, ParameterEstimate
-from surefoot.identify.robot_params_file import overlay, write_robot_params
+from surefoot.identify.robot_params_file import merge_estimates, write_robot_params
 from surefoot.progress import ProgressDisplay
 from surefoot.report.figures.identification import cells, full_name, prior_value
 from surefoot.report.pages.identification import write_report
@@ -27,7 +27,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamsFile
 
 if TYPE_CHECKING:
-    from surefoot.identify.motion.foresight import ExpectedAccuracy
+    from surefoot.identify.motion.expected_accuracy import ExpectedAccuracy
 
 _NEEDED = {"mujoco": "sim", "numba": "sim", "scipy": "sim", "matplotlib": "report"}
 
@@ -73,7 +73,7 @@ def save_and_print(
     The result is printed as tables, or as one JSON object with `more` entries. `source` describes the data.
     """
     # The parameter file is written first: it took an experiment and a fit, while a figure can be drawn again.
-    files = [write_robot_params(params or folder / "robot.toml", robot, overlay(prior, result, robot, source))]
+    files = [write_robot_params(params or folder / "robot.toml", robot, merge_estimates(prior, result, robot, source))]
     files += write_report(result, robot, prior.params, folder, source)
     if as_json:
         print_json(_as_mapping(robot, prior.params, result) | more | {"files": files})
@@ -104,7 +104,7 @@ def print_expected_accuracy(
     console = Console(highlight=False, emoji=False)
     console.print(f"expected 95 % intervals of a fit of {robot.name} to {source}, if the prior parameters are right:")
     console.print(_estimates_table(robot, ParamsFile(prior, ()), result))
-    for sentence in accuracy.sentences:
+    for sentence in foresight.sentences:
         console.print(sentence, markup=False, soft_wrap=True)
 
 

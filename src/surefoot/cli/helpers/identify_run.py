@@ -136,8 +136,8 @@ def show_plan(plan: Plan, name: str, angle_limits: tuple[Array | float, Array | 
     pwm = f"; duty without the servo up to {plan.largest_duty:g}" if plan.largest_duty else ""
     console.print(f"motor angles from {low.min():.2f} to {high.max():.2f} rad{pwm}")
     console.print(
-        f"motors are damped if an angle leaves {plan.angle_low.min() - limits.angle_room:.2f} to "
-        f"{plan.angle_high.max() + limits.angle_room:.2f} rad, a torque exceeds "
+        f"motors are damped if an angle leaves {plan.angle_low.min() - limits.angle_margin:.2f} to "
+        f"{plan.angle_high.max() + limits.angle_margin:.2f} rad, a torque exceeds "
         f"{limits.torque:g} N m for {limits.torque_time:g} s or a temperature {limits.temperature:g} degC, after "
         f"{limits.duration:g} s, or by Ctrl-C",
     )

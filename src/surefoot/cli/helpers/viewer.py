@@ -126,7 +126,7 @@ class EmulateViewer:
         self._process = context.Process(target=_show_shared, args=(robot, self._shared, terrain, seed), daemon=True)
         self._process.start()
 
-    def see(self, now: int) -> None:
+    def update(self, now: int) -> None:
         """Show the state at the end of a servo step at time `now` [µs], if an update is due."""
         if now >= self._next:
             self._next = now + _PERIOD

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, fail_if, judge
+from surefoot.check_result import CheckResult, fail_if, pass_if
 from surefoot.deploy.dds import types
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus, check_interface
 from surefoot.deploy.dds.low_level import LOW_STATE, MOTOR_NAMES, SERVO, STATE_PERIOD, BadMessageError, Record, decode
@@ -199,7 +199,7 @@ def _check_controller(name: str | None, sport: int) -> CheckResult:
 
 def _check_other_programs(received: ReceivedMessages, writers: Sequence[str]) -> CheckResult:
     announced = f"; announced writers: {choices(writers)}" if writers else ""
-    return judge(
+    return pass_if(
         "other programs",
         not received.commands,
         f"{received.commands} messages on {LOW_COMMAND_TOPIC} in {received.time:.1f} s{announced}",
@@ -237,7 +237,7 @@ def check_cells(record: Record, low: float) -> CheckResult:
         message = f"the state has no cell voltages; {float(record['power_v']):.1f} V"
         return CheckResult("cells", None, message, "check the display of the battery")
     lowest, soc, limit = float(cells.min()), int(record["bms_state"]["soc"]), low / len(cells)
-    return judge(
+    return pass_if(
         "cells",
         lowest >= limit,
         f"{len(cells)} cells, {lowest:.2f} to {float(cells.max()):.2f} V, {soc} %",
@@ -250,7 +250,7 @@ def check_cells(record: Record, low: float) -> CheckResult:
 def check_gains(kp: ArrayLike, kd: ArrayLike) -> CheckResult:
     """Check the servo gains that every command contains."""
     highest, damping = float(np.max(kp)), float(np.max(kd))
-    return judge(
+    return pass_if(
         "drive gains",
         float(np.min(kp)) > 0 and highest <= MAX_KP and float(np.min(kd)) >= 0 and damping <= MAX_KD,
         f"kp {float(np.min(kp)):g} to {highest:g}, kd {float(np.min(kd)):g} to {damping:g}",
@@ -285,7 +285,7 @@ def check_gravity(records: list[Record]) -> CheckResult:
     size = float(np.linalg.norm(force))
     angle = float(np.arccos(np.clip(up @ force / max(size, 1e-9), -1, 1)))
     passed = angle <= MAX_GRAVITY_ANGLE and abs(size / GRAVITY - 1) <= GRAVITY_TOLERANCE
-    return judge(
+    return pass_if(
         "gravity",
         bool(passed),
         f"the accelerometer measures {size:.2f} m/s2, {angle:.3f} rad from the orientation's vertical",

@@ -21,7 +21,7 @@ from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.messages import Handshake
 from surefoot.deploy.pacer import BOARD_PRIORITY, real_time_priority
 from surefoot.errors import SurefootError
-from surefoot.stop_signals import ALL
+from surefoot.stop_signals import STOP_SIGNALS
 
 _READY = "ready"
 _START_TIMEOUT, _DISCOVERY_TIMEOUT = 20.0, 2.0
@@ -115,7 +115,7 @@ def serve(prepare: Callable[[LinkConfig, Bus, list[SocketPort]], Runnable]) -> i
     Signals of a terminal or a service manager are ignored: the control loop first brings the robot to rest, then ends
     this process by closing its socket.
     """
-    for name in ALL:
+    for name in STOP_SIGNALS:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     config: LinkConfig = pickle.load(sys.stdin.buffer)
     ports = [SocketPort(socket.socket(fileno=int(word)), "the other process") for word in sys.argv[1:]]

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, skipped
+from surefoot.check_result import CheckResult, skip_checks
 from surefoot.deploy.doctor.rest_check import TimedState
 from surefoot.deploy.messages import Mode, State
 from surefoot.deploy.motion_runner import MotionRunner
@@ -33,9 +33,9 @@ class MotionStoppedError(RuntimeError):
             failed: result of the first check. Defaults to a failure with the guard's message.
         """
         if self.verdict.reason == "operator":
-            return skipped(names, "stopped by the operator", "run it again")
+            return skip_checks(names, "stopped by the operator", "run it again")
         failed = failed or CheckResult(names[0], False, self.verdict.text, "fix this, and run the doctor again")
-        return [failed, *skipped(names[1:], "the motion was stopped")]
+        return [failed, *skip_checks(names[1:], "the motion was stopped")]
 
 
 class TrackingError(RuntimeError):

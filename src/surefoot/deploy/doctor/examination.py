@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, fail_if, judge, skipped
+from surefoot.check_result import CheckResult, fail_if, pass_if, skip_checks
 from surefoot.deploy.checks import check_contract
 from surefoot.deploy.clock import MonotonicClock
 from surefoot.deploy.doctor import rack_check, tilt_check
@@ -79,7 +79,7 @@ def examine(
         yield from note_failures(results)
         if link.lockstep:
             message = "in lockstep nothing depends on the speed of this computer"
-            yield from skipped(("inference", "control loop"), message, "run without --lockstep")
+            yield from skip_checks(("inference", "control loop"), message, "run without --lockstep")
         else:
             inference = time_inference(policy, steps)
             yield from note_failures(check_computer(inference, *time_loop(policy, link, steps), contract.control_step))
@@ -93,17 +93,17 @@ def examine(
             (on_ground, tilt_check.NAMES, tilt_robot, f"{sit} --ground"),
         ):
             if not moves:
-                yield from skipped(names, "this check moves the motors", remedy)
+                yield from skip_checks(names, "this check moves the motors", remedy)
                 continue
             if failed:
-                yield from skipped(names, f"nothing moves while a check fails ({choices(failed)})")
+                yield from skip_checks(names, f"nothing moves while a check fails ({choices(failed)})")
                 continue
             with real_time_priority(), StopSignals() as operator:
                 try:
                     results = motion(link, contract, robot, operator)
                 except SurefootError as error:
                     failure = CheckResult(names[0], False, str(error), "switch the robot off and on, and run it again")
-                    results = [failure, *skipped(names[1:], "nothing has moved")]
+                    results = [failure, *skip_checks(names[1:], "nothing has moved")]
             yield from results
     except LinkLostError as error:
         remedy = "check plug and cable; the robot damps its motors on its own"
@@ -164,7 +164,7 @@ def check_computer(inference: Array, lateness: Array, missed: int, control_step:
     median_late, worst_late = map(float, np.percentile(lateness, (50, 99.9)))
     steps = len(lateness) + missed
     return [
-        judge(
+        pass_if(
             "inference",
             slow <= MAX_STEP_FRACTION * control_step,
             f"median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * slow:.3f} ms; the control step is "
@@ -173,7 +173,7 @@ def check_computer(inference: Array, lateness: Array, missed: int, control_step:
             "close other programs, take a faster computer, or train a smaller network",
             median,
         ),
-        judge(
+        pass_if(
             "control loop",
             worst_late <= MAX_STEP_FRACTION * control_step and missed <= MAX_MISSED * steps,
             f"lateness: median {1e3 * median_late:.3f} ms, 99.9th percentile {1e3 * worst_late:.3f} ms; "

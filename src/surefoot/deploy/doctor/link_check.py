@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge, skipped
+from surefoot.check_result import CheckResult, pass_if, skip_checks
 from surefoot.deploy.robot_link import RobotLink
 
 PINGS, PING_PERIOD = 200, 0.005
@@ -134,7 +134,7 @@ def check_link(metrics: LinkMetrics, lead: float, control_step: float, lockstep:
     """
     trips, pings = metrics.round_trips, metrics.lost + len(metrics.round_trips)
     counts = (metrics.lost, metrics.damaged, metrics.missing, metrics.unsent)
-    losses = judge(
+    losses = pass_if(
         "link, losses",
         max(counts) <= MAX_LOSS * pings,
         "{} of {} pings lost, {} frames damaged, {} missing, {} not sent".format(counts[0], pings, *counts[1:]),
@@ -143,14 +143,14 @@ def check_link(metrics: LinkMetrics, lead: float, control_step: float, lockstep:
         metrics.lost / pings,
     )
     if lockstep:
-        return [losses, *skipped(TIMING_CHECKS, "in lockstep frames take no time", "run without --lockstep")]
+        return [losses, *skip_checks(TIMING_CHECKS, "in lockstep frames take no time", "run without --lockstep")]
     if not len(trips):
-        return [losses, *skipped(TIMING_CHECKS, "no ping was answered")]
+        return [losses, *skip_checks(TIMING_CHECKS, "no ping was answered")]
     median, late = map(float, np.percentile(trips, (50, 99)))
     clock_error = metrics.clock_rate - 1
     return [
         losses,
-        judge(
+        pass_if(
             "link, bursts",
             metrics.burst < MAX_BURST,
             f"{metrics.burst:.1f} answers together on average, every {1e3 * metrics.gap:.1f} ms",
@@ -160,7 +160,7 @@ def check_link(metrics: LinkMetrics, lead: float, control_step: float, lockstep:
             "low_latency (with your port's name); if your adapter can't do this, use another one",
             metrics.burst,
         ),
-        judge(
+        pass_if(
             "link, round trip",
             median <= lead and late <= LATE_STEPS * control_step,
             f"median {1e3 * median:.2f} ms, 99th percentile {1e3 * late:.2f} ms, jitter {1e3 * np.std(trips):.2f} ms",
@@ -169,7 +169,7 @@ def check_link(metrics: LinkMetrics, lead: float, control_step: float, lockstep:
             "close other programs, use a direct USB port, and set the adapter's latency timer to 1 ms",
             median,
         ),
-        judge(
+        pass_if(
             "robot's clock",
             abs(clock_error) <= MAX_CLOCK_ERROR,
             f"runs {abs(clock_error):.2%} too {'fast' if clock_error > 0 else 'slow'}",

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge, skipped
+from surefoot.check_result import CheckResult, pass_if, skip_checks
 from surefoot.deploy.doctor.doctor_motion import DoctorMotion, MotionStoppedError
 from surefoot.deploy.doctor.rest_check import TimedState
 from surefoot.deploy.doctor.step_response import WINDOW, fit_response
@@ -215,13 +215,13 @@ def check_response(
     clear = [s for s in steps if len(s.age) >= _MIN_READINGS and s.moved[s.motor] / s.step > MAX_OTHER_RATIO]
     fits = [fit for fit in (fit_response(s.age, s.progress) for s in clear) if fit.error < _MAX_FIT_ERROR]
     if len(fits) < max(len(steps) // 2, 1):
-        return skipped(NAMES[1:], f"only {len(fits)} of {len(steps)} motors responded clearly")
+        return skip_checks(NAMES[1:], f"only {len(fits)} of {len(steps)} motors responded clearly")
     latency = float(np.median([fit.delay for fit in fits])) - servo_period / 2 + lead
     rise = float(np.median([fit.rise for fit in fits]))
     low, high = trained_latencies
     trained = f"{1e3 * low:g}" if low == high else f"{1e3 * low:g} to {1e3 * high:g}"
     return [
-        judge(
+        pass_if(
             NAMES[1],
             low - LATENCY_TOLERANCE <= latency <= high + LATENCY_TOLERANCE,
             f"{1e3 * latency:.1f} ms, including {1e3 * lead:g} ms from sending a state to its use; the policy was "
@@ -231,7 +231,7 @@ def check_response(
             f"{latency:.3f}",
             latency,
         ),
-        judge(
+        pass_if(
             NAMES[2],
             rise <= MAX_RISE,
             f"63 % of a step takes {1e3 * rise:.0f} ms",

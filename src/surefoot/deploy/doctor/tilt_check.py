@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge, skipped
+from surefoot.check_result import CheckResult, pass_if, skip_checks
 from surefoot.deploy.doctor.doctor_motion import DoctorMotion, MotionStoppedError
 from surefoot.deploy.doctor.rest_check import TimedState
 from surefoot.deploy.robot_link import RobotLink
@@ -72,7 +72,7 @@ def tilt_robot(
     """
     if not all(0 < sum(side in leg for leg in robot.leg_names) < len(robot.legs) for side in SIDES):
         message = f"the names of the legs ({choices(robot.leg_names)}) do not contain {' and '.join(SIDES)}"
-        return skipped(NAMES, message, "use such names in the data sheet, for example front_left")
+        return skip_checks(NAMES, message, "use such names in the data sheet, for example front_left")
     gyro_bias = np.mean([timed.state.angular_velocity_base for timed in at_rest], axis=0)
     stand = robot.pose_angles(*contract.rest)
     motion = DoctorMotion(link, robot, contract.control_step, operator, MAX_ERROR, sits=True)
@@ -122,7 +122,7 @@ def check_tilts(front: TiltReading, left: TiltReading) -> list[CheckResult]:
     return [
         _check_tilt(NAMES[0], "front legs shorter", front.angles, 1, 1.0),
         _check_tilt(NAMES[1], "left legs shorter", left.angles, 0, -1.0),
-        judge(
+        pass_if(
             NAMES[2],
             agree,
             "; ".join(rates),
@@ -149,7 +149,7 @@ def _check_tilt(name: str, condition: str, angles: Array, axis: int, sign: float
             "the legs did not tilt the robot: check the ground, the cables of the legs, and that the IMU is fixed to "
             "the body"
         )
-    return judge(
+    return pass_if(
         name,
         sign * main >= MIN_TILT and abs(other) <= MAX_CROSS_RATIO * abs(main),
         f"{condition}: {AXES[axis]} {main:+.3f}, {AXES[1 - axis]} {other:+.3f} rad",

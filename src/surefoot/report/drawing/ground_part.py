@@ -42,7 +42,7 @@ def _part(ground: Ground, x: float, y: float) -> Ground:
     for a in (0, 1):
         for b in (0, 1):
             corners[:, :, a, b] = ground.corners[i[a, :, None], j[b], end_x[a, :, None], end_y[b]]
-    course = ground.course[i[0, :, None], j[0]] if stride == 1 else corners.mean(axis=(2, 3))
+    course = ground.smooth_heights[i[0, :, None], j[0]] if stride == 1 else corners.mean(axis=(2, 3))
     middle = ground.grid[:2] + ground.cell * (first + 0.5 * stride * count)
     return Ground(corners, stride * ground.cell, (float(middle[0]), float(middle[1])), course)
 

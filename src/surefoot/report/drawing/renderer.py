@@ -81,7 +81,7 @@ class View:
         level = float(ground.smooth_height(at))
         if not ground.is_flat:
             # Raise the camera above a slope that rises towards it.
-            rise = float(ground.level(at + offset[:2])) - level
+            rise = float(ground.smooth_height(at + offset[:2])) - level
             offset[2] += max(rise - (1.0 - _CLEARANCE) * self.above, 0.0)
         self.eye = np.array([*at, level + camera.height]) + offset
         axis = -offset / np.linalg.norm(offset)
@@ -170,7 +170,9 @@ def _paint_ground(picture: NDArray[np.uint8], view: View, light: Light, base: fl
     highest, radius = max(float(light.occluder.max()), 1e-6), _SPREAD / light.texel
     cover = np.maximum(_blur(light.occluder > 0.0, radius, 1.0), 0.02)
     top = highest * _blur(light.occluder, radius, highest) / cover
-    ground = VisibleGround(np.column_stack([normals, away]), step_edges(part), part.course, part.grid, top, base)
+    ground = VisibleGround(
+        np.column_stack([normals, away]), step_edges(part), part.smooth_heights, part.grid, top, base
+    )
     color, haze = 255.0 * _GROUND, 255.0 * _HAZE
     style = GroundStyle(color, haze, TILE, _DARK, _SHADOW, float(_FAR * view.above), float(_HAZY * view.above))
     rays = view.rays(np.zeros(2), _PARTS)

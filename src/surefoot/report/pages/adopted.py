@@ -9,7 +9,7 @@ from pathlib import Path
 
 from surefoot import __version__
 from surefoot.adopt.diagnosis import FINAL_REPEATS, Diagnosis
-from surefoot.adopt.examination import GOOD, MAX_ERROR, Answer
+from surefoot.adopt.examination import MAX_ERROR, MIN_GOOD_SCORE, TrialResult
 from surefoot.check_result import CheckResult
 from surefoot.files import atomic_write
 from surefoot.report.pages import html
@@ -51,8 +51,8 @@ def write_page(
         "<h2>Changes tried</h2>",
         _tried(
             [
-                diagnosis.own,
-                *diagnosis.guesses,
+                diagnosis.baseline,
+                *diagnosis.variants,
                 *(one for one in diagnosis.ranked[:_MAX_CHANGES] if one.score >= _MIN_SCORE),
             ],
             len(diagnosis.ranked),
@@ -65,20 +65,20 @@ def write_page(
 
 def _verdict(diagnosis: Diagnosis) -> str:
     """Return a sentence on how the policy follows commands, and on the change that is recommended."""
-    own, mistake = diagnosis.own, diagnosis.mistake
-    good, fell = int((own.scores >= GOOD).sum()), int(own.fell.sum())
+    own, mistake = diagnosis.baseline, diagnosis.mistake
+    good, fell = int((own.scores >= MIN_GOOD_SCORE).sum()), int(own.fell.sum())
     text = (
         f"As it is, the policy follows {good} of {len(own.scores)} commands{f', and falls at {fell}' if fell else ''}."
     )
     if diagnosis.constants is not None:
         return f"{text} {diagnosis.constants.text}"
-    if diagnosis.explained is not None and not diagnosis.is_confirmed:
-        return f"{text} With {diagnosis.explained.text} it walks unchanged: its configuration may be right."
+    if diagnosis.explaining_variant is not None and not diagnosis.is_confirmed:
+        return f"{text} With {diagnosis.explaining_variant.text} it walks unchanged: its configuration may be right."
     if mistake is None or mistake.correction is None:
         return f"{text} No common mistake explains this." if good < len(own.scores) else text
     if not diagnosis.is_confirmed:
         return f"{text} A value is unusual, although it does not affect the motion. {mistake.correction.text}."
-    after = int((mistake.scores >= GOOD).sum())
+    after = int((mistake.scores >= MIN_GOOD_SCORE).sum())
     return f"{text} Most likely mistake: {mistake.correction.text}. With this correction it follows {after}."
 
 
@@ -90,8 +90,8 @@ def _tried(answers: Sequence[TrialResult], count: int) -> str:
         rows.append(html.row((answer.text, *scores, f"{answer.score:.2f}"), f"t{'n' * len(names)}n"))
     note = (
         f"{count} changes of the configuration, and other robots, were tried, each with one robot per command for some "
-        f"commands. The best changes, listed here, were tried again with {FINAL_REPEATS} other robots per command; the first "
-        "is the most likely. A change that leads to unusual values is less likely than its score. Score 1: follows the "
+        f"commands. The best changes, listed here, were tried again with {FINAL_REPEATS} other robots per command; the "
+        "first is the most likely. A change that leads to unusual values is less likely than its score. Score 1: follows the "
         f"command exactly; score 0: falls, or errs by {MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s sideways or "
         f"{MAX_ERROR[2]:g} rad/s."
     )

@@ -90,7 +90,7 @@ class ShownTrace:
     @property
     def time(self) -> Array:
         """Times of the rows (T,) since the start [s]; the first row of an imported log is at 0."""
-        return self.trace.time - (self.trace.time[0] if self.trace.imported else 0.0)
+        return self.trace.time - (self.trace.time[0] if self.trace.is_imported else 0.0)
 
     @property
     def duration(self) -> float:

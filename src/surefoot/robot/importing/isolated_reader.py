@@ -24,7 +24,7 @@ from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.urdf_file import read_xml
 from surefoot.sandbox import Limits
 
-LIMITS = Limits(memory=2 << 30, time=4.0, patience=20.0)
+LIMITS = Limits(memory=2 << 30, time=4.0, timeout=20.0)
 """Limits for reading a description, without the time for its meshes. Typical robots take a tenth of a second."""
 _MESH_SPEED = 5e6
 """Size of meshes per additional second of time limit [byte/s]; the reader is about twice as fast."""
@@ -55,7 +55,7 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True, limi
             importlib.import_module(package)  # raises the error with the command to install it
     size = _check(path, meshes)
     extra = min(size / _MESH_SPEED, _MAX_MESH_SECONDS)
-    limits = Limits(limits.memory, limits.time + extra, limits.patience + 2 * extra)
+    limits = Limits(limits.memory, limits.time + extra, limits.timeout + 2 * extra)
     words = [str(path), forward or "", "meshes" if meshes else "", str(limits.memory), str(math.ceil(limits.time))]
     ending = sandbox.run_module(__name__, words, limits)
     if ending.code == 2:
