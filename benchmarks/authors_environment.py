@@ -28,7 +28,7 @@ from surefoot.tables import write_csv
 from surefoot.task.contract_mapping import task_from_contract
 
 
-def put_the_past_in_place() -> None:
+def install_legacy_stubs() -> None:
     """Stand-ins for what that environment imports and this time no longer has; none of it is in the timed loop."""
     os.environ["PROTOCOL_BUFFERS_PYTHON_IMPLEMENTATION"] = "python"
     for name in ("", ".spaces", ".utils", ".utils.seeding", ".envs"):
@@ -44,7 +44,7 @@ def put_the_past_in_place() -> None:
 
 def make_environment(**settings: Any) -> Any:
     """The authors' environment; settings as it takes them."""
-    put_the_past_in_place()
+    install_legacy_stubs()
     from pybullet_envs.minitaur.envs import minitaur_gym_env
 
     return minitaur_gym_env.MinitaurGymEnv(render=False, log_path=None, **settings)

@@ -107,7 +107,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
             began = float(armed[0]) + 1e9 * (STARTUP_TIME + SETTLED) if len(armed) else np.nan
             walking = (commands["time"] > began) & (commands["time"] < began + 1e9 * (duration - SETTLED))
             row["speed"] = float(commands["forward"][walking].mean()) if walking.any() else float("nan")
-        row |= command_figures(seen) | bare_figures
+        row |= command_metrics(seen) | bare_figures
         for who, (before, then, after, now) in ((k, v) for k, v in loads.items() if len(v) == 4):
             row[f"{who}_load"] = (after - before) / (now - then)
         timing = run.get("timing", {})
@@ -115,7 +115,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
     return row
 
 
-def command_figures(seen: np.ndarray) -> dict[str, Any]:
+def command_metrics(seen: np.ndarray) -> dict[str, Any]:
     """Return rate and gaps of commands until the last with a gain, and what came after it."""
     active = np.flatnonzero(seen["kp"] > 0)
     if not len(active):

@@ -20,7 +20,7 @@ from result_numbers import read_rows
 
 from surefoot.api.policies import find_policy, load_policy, run_policy
 from surefoot.evaluation.conditions import Condition
-from surefoot.evaluation.recorded import ground_of
+from surefoot.evaluation.recorded import ground_for_trace
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.renderer import Camera, View, draw
 from surefoot.report.drawing.scene import extent, poses, trace_poses
@@ -46,7 +46,7 @@ FAINT = "#c3c8ce"
 """Color of a leg in its other pose."""
 TERRAIN, HOLES = ("stairs:0.12", "slope:20", "rough:0.12", "blocks:0.10"), ("gaps:0.25", "stones:0.25")
 """Terrain on which policies are shown."""
-ON_IT = 4.0
+TERRAIN_TIME = 4.0
 
 
 def sheet(pictures: list[Image.Image], columns: int) -> Image.Image:
@@ -77,7 +77,7 @@ def moving(run: ShownTrace, label: str, size: tuple[int, int]) -> Iterator[Image
     """Yield the frames of a run on its terrain, with an arrow for 0.4 s from each push."""
     placed = trace_poses(run.robot, run.trace)
     mesh, stack = Mesh(run.robot.appearance(), list(placed)), np.stack(list(placed.values()), axis=1)
-    base, ground = placed[run.robot.base][:, :3, 3], ground_of(run.trace)
+    base, ground = placed[run.robot.base][:, :3, 3], ground_for_trace(run.trace)
     camera = Camera.for_robot(1.15 * extent(run.robot))
     for now in np.arange(*BETWEEN, 1 / FPS):
         step = int(np.searchsorted(run.trace.time, now))
@@ -208,12 +208,12 @@ def run_on_terrain(policy: str, terrain: str, seconds: float = SECONDS) -> Shown
 
 
 def on_terrain(policy: str, terrain: str, size: tuple[int, int]) -> Image.Image:
-    """Return a picture of a policy on a terrain, `ON_IT` seconds after its start."""
-    run = run_on_terrain(policy, terrain, ON_IT)
+    """Return a picture of a policy on a terrain, `TERRAIN_TIME` seconds after its start."""
+    run = run_on_terrain(policy, terrain, TERRAIN_TIME)
     placed = trace_poses(run.robot, run.trace)
     mesh, stack = Mesh(run.robot.appearance(), list(placed)), np.array([frames[-1] for frames in placed.values()])
     place = placed[run.robot.base][-1, :2, 3]
-    picture = draw(mesh, stack, View(Camera.for_robot(1.2 * extent(run.robot)), place, size, ground_of(run.trace)))
+    picture = draw(mesh, stack, View(Camera.for_robot(1.2 * extent(run.robot)), place, size, ground_for_trace(run.trace)))
     write_label(picture, terrain)
     return picture
 

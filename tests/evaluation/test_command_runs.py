@@ -12,7 +12,7 @@ pytest.importorskip("mujoco")
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.errors import SurefootError
 from surefoot.evaluation.command_runs import FIXED, DrivenRobot
-from surefoot.evaluation.recorded import ground_of
+from surefoot.evaluation.recorded import ground_for_trace
 from surefoot.robot.params import PARAMETERS
 from surefoot.task.randomized_params import RandomizedParams
 
@@ -45,7 +45,7 @@ def test_terrain_is_that_of_the_robot_and_of_what_is_recorded():
     robot.step()
     trace = recording.trace()
     assert trace.meta["terrain"] == "blocks:0.03"
-    np.testing.assert_array_equal(ground_of(trace).corners, robot.env.state.ground.corners)
+    np.testing.assert_array_equal(ground_for_trace(trace).corners, robot.env.state.ground.corners)
     assert robot.env.state.ground.corners.max() > 0.02
 
 
@@ -96,19 +96,19 @@ def test_push_refuses_forces_and_durations_out_of_bounds(robot: DrivenRobot, for
 
 
 def test_every_knob_returns_the_value_that_was_set(robot: DrivenRobot):
-    knobs = robot.knobs()
-    assert not {knob.name for knob in knobs} & set(FIXED)
-    for knob in knobs:
+    live_parameters = robot.live_parameters()
+    assert not {knob.name for knob in live_parameters} & set(FIXED)
+    for knob in live_parameters:
         value = float(np.clip(1.1 * knob.value + 1e-3, knob.low, knob.high))
         robot.set(knob.name, value)
-        now = next(one.value for one in robot.knobs() if one.name == knob.name)
+        now = next(one.value for one in robot.live_parameters() if one.name == knob.name)
         assert now == pytest.approx(value, rel=1e-9), knob.name
         robot.set(knob.name, knob.value)
     robot.step()
 
 
 def names(robot: DrivenRobot) -> set[str]:
-    return {knob.name.partition(".")[0] for knob in robot.knobs()}
+    return {knob.name.partition(".")[0] for knob in robot.live_parameters()}
 
 
 def test_knobs_are_what_motors_and_engine_have(robot: DrivenRobot):
@@ -116,8 +116,8 @@ def test_knobs_are_what_motors_and_engine_have(robot: DrivenRobot):
     assert bullet_only == {"knee_friction", "knee_play", "floor_unevenness"}
     joint = {"voltage", "torque_constant", "resistance"}
     assert names(robot) == set(PARAMETERS) - set(FIXED) - bullet_only - joint
-    assert {knob.group for knob in robot.knobs()} == {"body", "motors", "contact", "sensors"}
-    units = {knob.name: knob.unit for knob in robot.knobs()}
+    assert {knob.group for knob in robot.live_parameters()} == {"body", "motors", "contact", "sensors"}
+    units = {knob.name: knob.unit for knob in robot.live_parameters()}
     assert [units[name] for name in ("servo_kp", "base_mass_ratio", "contact_friction", "imu_bias.roll")] == [
         *("N m/rad", "x nominal", "", "rad")
     ]
@@ -128,7 +128,7 @@ def test_knobs_are_what_motors_and_engine_have(robot: DrivenRobot):
 def test_constraint_motors_have_no_knobs_of_a_servo():
     robot = driven("steer", actuator="constraint")
     assert not names(robot) & {"servo_latency", "load_friction", "speed_filter", "presliding"}
-    assert {knob.name: knob.unit for knob in robot.knobs()}["servo_kp"] == "1/rad"
+    assert {knob.name: knob.unit for knob in robot.live_parameters()}["servo_kp"] == "1/rad"
 
 
 def test_bullet_has_knobs_of_its_own():

@@ -10,7 +10,7 @@ import pytest
 from scripted_world import COMMAND_LIMITS as LIMITS
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.tracking import GRID, Tracking, command_grid, distance_along, motion, settled_steps
+from surefoot.evaluation.tracking import GRID, Tracking, command_grid, distance_along, motion, settled_mask
 from surefoot.task.trace import EpisodeTrace
 
 STEP = 0.02
@@ -61,7 +61,7 @@ def test_the_second_after_a_change_of_command_is_left_out(trace_of: MakeTrace) -
     speed = np.zeros((steps, 2))
     speed[150:, 0] = 1.0  # follows a second later
     trace = trace_of(speed, np.zeros(steps + 1), command)
-    settled = settled_steps(trace)
+    settled = settled_mask(trace)
     assert np.flatnonzero(~settled[:100]).tolist() == list(range(49))
     assert np.flatnonzero(~settled[100:]).tolist() == list(range(49))
     # One step counts in which the robot had not followed yet: step 149 ends a second after the change.

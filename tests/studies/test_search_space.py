@@ -9,7 +9,7 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
-from surefoot.studies.search_space import Dimension, as_params, get, load_space, put, suggest
+from surefoot.studies.search_space import Dimension, to_optuna_params, get, load_space, put, suggest
 
 SPACE = """
 ppo.learning_rate: {low: 0.0001, high: 0.01, log: true}
@@ -41,9 +41,9 @@ def test_put_changes_the_fields_of_the_space_alone(tmp_path: Path) -> None:
     assert config.task == replace(trot.task, reference=replace(reference, swing=swing, extension=extension))
     assert replace(config, ppo=trot.ppo, task=trot.task) == trot
     assert {name: get(config, name) for name in space} == values
-    assert as_params(space, config) == values | {"ppo.value_hidden": "[32, 32]"}
+    assert to_optuna_params(space, config) == values | {"ppo.value_hidden": "[32, 32]"}
     # Out of the space: a learning rate over the range, layers that are no choice.
-    assert set(as_params(space, trot)) == {"ppo.learning_rate", "task.reference.swing.frequency"}
+    assert set(to_optuna_params(space, trot)) == {"ppo.learning_rate", "task.reference.swing.frequency"}
 
 
 def test_the_spaces_that_ship_fit_the_tasks_that_ship() -> None:
@@ -57,7 +57,7 @@ def test_the_spaces_that_ship_fit_the_tasks_that_ship() -> None:
         "task.reference.extension.amplitude",
     }
     # The paper's own layers are within.
-    assert {"ppo.policy_hidden.0": 185, "ppo.policy_hidden.1": 95}.items() <= as_params(without, gallop).items()
+    assert {"ppo.policy_hidden.0": 185, "ppo.policy_hidden.1": 95}.items() <= to_optuna_params(without, gallop).items()
 
 
 def test_logarithmic_range_of_negative_values_draws_their_magnitudes(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_logarithmic_range_of_negative_values_draws_their_magnitudes(tmp_path: P
     assert values == {"task.reward.energy": -0.004}
     (distribution,) = trial.distributions.values()
     assert (distribution.low, distribution.high, distribution.log) == (0.002, 0.02, True)
-    assert as_params(space, put(gallop, space, values)) == trial.params
+    assert to_optuna_params(space, put(gallop, space, values)) == trial.params
 
 
 def test_costs_of_energy_are_searched_where_the_reward_has_them() -> None:

@@ -66,14 +66,14 @@ def summary_rows(summaries: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
 
 def saturation_note(summary: dict[str, Any]) -> str | None:
     """Return a note on the motor that is saturated for the longest time, if motors limit the gait; else None."""
-    from surefoot.evaluation.runs import SATURATION
+    from surefoot.evaluation.runs import MIN_LIMITING_SATURATION
 
     fractions = {name: value for name, value in summary["saturation"].items() if value is not None}
     worst = max(fractions, key=lambda name: fractions[name], default=None)
-    if worst is None or fractions[worst] < SATURATION:
+    if worst is None or fractions[worst] < MIN_LIMITING_SATURATION:
         return None
-    count = sum(value >= SATURATION for value in fractions.values()) - 1
-    others = f", and {count} more motors for over {SATURATION:.0%}" if count else ""
+    count = sum(value >= MIN_LIMITING_SATURATION for value in fractions.values()) - 1
+    others = f", and {count} more motors for over {MIN_LIMITING_SATURATION:.0%}" if count else ""
     return (
         f"motors limit this gait: {worst} is at its limit for {fractions[worst]:.0%} of the time{others}; "
         "surefoot robot check computes the torque that a trot requires"
@@ -151,13 +151,13 @@ def _gait_text(summary: dict[str, Any]) -> str:
 
 def film(robot: RobotDescription, trace: EpisodeTrace, path: Path, ground: Ground | None = None) -> Path:
     """Write a video (.mp4) of a trace; return its path. The ground defaults to the trace's."""
-    from surefoot.evaluation.recorded import ground_of
+    from surefoot.evaluation.recorded import ground_for_trace
     from surefoot.report.drawing.renderer import Camera
     from surefoot.report.drawing.scene import extent, trace_poses
     from surefoot.report.drawing.video import render_video
 
     parts, poses = robot.appearance(), trace_poses(robot, trace)
-    camera, ground = Camera.for_robot(extent(robot)), ground or ground_of(trace)
+    camera, ground = Camera.for_robot(extent(robot)), ground or ground_for_trace(trace)
     text = captions(trace)
     return render_video(parts, poses, trace.time, path, overlay=text, follow=robot.base, camera=camera, ground=ground)
 

@@ -200,7 +200,7 @@ def _show_runs(argv: list[str]) -> int:
 def _film_run(shown: list[ShownTrace], out: Path, what: str) -> int:
     """Write the video of a single run."""
     from surefoot.api.episodes import film
-    from surefoot.evaluation.recorded import ground_of
+    from surefoot.evaluation.recorded import ground_for_trace
 
     if len(shown) > 1:
         raise SurefootError(f"{len(shown)} runs are given; a video shows only one, a page (.html) shows all of them")

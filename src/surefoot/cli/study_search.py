@@ -18,7 +18,7 @@ from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Within
 from surefoot.errors import prefix_errors
 from surefoot.learn.config import Steps
-from surefoot.studies.search import Search, SearchConfig, check_holds_search, make_config
+from surefoot.studies.search import Search, SearchConfig, check_search_folder, make_config
 from surefoot.studies.search_space import put
 from surefoot.studies.workers import check_address
 
@@ -69,7 +69,7 @@ def main(argv: list[str]) -> int:
     check_folder(out)
     continues = command.resume or command.report_only
     if continues:
-        check_holds_search(out)
+        check_search_folder(out)
     _check(config)
     console = make_console()
     out.mkdir(parents=True, exist_ok=True)

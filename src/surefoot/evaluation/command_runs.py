@@ -35,7 +35,7 @@ _MAX_FORCE = 2000.0
 
 
 @dataclass(frozen=True)
-class Knob:
+class LiveParameter:
     """A physical parameter that can be changed while the robot runs."""
 
     name: str
@@ -202,9 +202,9 @@ class DrivenRobot:
         self.env.state.push_force[:] = force_world
         self.env.world.push(force_world)
 
-    def knobs(self) -> list[Knob]:
+    def live_parameters(self) -> list[LiveParameter]:
         """Return the numbers that can be set: what the robot's motors have and the world's engine models."""
-        knobs = []
+        live_parameters = []
         for name, declared in PARAMETERS.items():
             if not self._has(name, declared):
                 continue
@@ -214,8 +214,8 @@ class DrivenRobot:
             parts = {"": (nominal.mean(), values.mean())}
             if declared.per not in ("", "motors"):
                 parts = dict(zip(declared.element_names(()), zip(nominal, values, strict=True), strict=True))
-            knobs += [
-                Knob(
+            live_parameters += [
+                LiveParameter(
                     f"{name}.{part}".removesuffix("."),
                     declared.group,
                     f"{declared.label}, {part}".removesuffix(", "),
@@ -226,7 +226,7 @@ class DrivenRobot:
                 )
                 for part, pair in parts.items()
             ]
-        return knobs
+        return live_parameters
 
     def _has(self, name: str, declared: Parameter) -> bool:
         ignored = declared.servo_only and self.env.task.actuator == "constraint"
@@ -241,7 +241,7 @@ class DrivenRobot:
             SurefootError: no such knob, or a value that robot or engine do not allow; then nothing has changed.
         """
         name, _, column = knob.partition(".")
-        if knob not in (one.name for one in self.knobs()):
+        if knob not in (one.name for one in self.live_parameters()):
             raise SurefootError(f"'{knob}' is not a parameter of {self.robot.name} that can be set while it runs")
         world = self.env.world
         now, nominal = getattr(world.params, name), getattr(self.env.nominal, name)

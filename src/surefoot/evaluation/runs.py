@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls, circular_phase
 from surefoot.evaluation.statistics import MeanEstimate
-from surefoot.evaluation.tracking import Tracking, distance_along, kept_up
+from surefoot.evaluation.tracking import Tracking, distance_along, is_successful
 from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
 
-SATURATION = 0.25
+MIN_LIMITING_SATURATION = 0.25
 """Share of time at its limit from which a motor is said to limit a gait. A trotting leg stands for half of the time, so
 this is half of every stance; trots that have enough torque stay below .04."""
 
@@ -165,7 +165,7 @@ def following(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
     commanded = [trace for trace in traces if is_commanded(trace)]
     if not commanded:
         return {}
-    return {**Tracking.from_traces(commanded).to_mapping(), "success": _mean([kept_up(trace) for trace in commanded])}
+    return {**Tracking.from_traces(commanded).to_mapping(), "success": _mean([is_successful(trace) for trace in commanded])}
 
 
 def summarize_load(traces: Sequence[EpisodeTrace], weight: float) -> dict[str, Any]:

@@ -40,7 +40,7 @@ class Tracking:
         """
         steps, strides = [np.empty((0, 3))], [np.empty((0, 3))]
         for trace in traces:
-            errors, settled = motion(trace) - trace.command, settled_steps(trace)
+            errors, settled = motion(trace) - trace.command, settled_mask(trace)
             steps.append(errors[settled])
             period = stride or trace.meta["gait_period"] or STRIDE
             count = max(round(period / trace.meta["control_step"]), 1)
@@ -89,16 +89,16 @@ def check_command(command: tuple[float, float, float], limits: CommandLimits | N
 
 def distance_along(trace: EpisodeTrace) -> float:
     """Return how far a run went along its commands [m]: steps whose command has no linear speed cover nothing."""
-    return float(_step_ways(trace)[1].sum())
+    return float(_step_distances(trace)[1].sum())
 
 
-def kept_up(trace: EpisodeTrace) -> bool:
+def is_successful(trace: EpisodeTrace) -> bool:
     """Return whether a run ended without a fall and went .7 to 1.25 of the way that its commands lead."""
-    commanded, covered = _step_ways(trace)
+    commanded, covered = _step_distances(trace)
     return bool(is_success(commanded.sum(), covered.sum(), np.asarray(trace.meta["ended"] == "time")))
 
 
-def _step_ways(trace: EpisodeTrace) -> tuple[Array, Array]:
+def _step_distances(trace: EpisodeTrace) -> tuple[Array, Array]:
     return step_distances(np.nan_to_num(trace.command[:, :2]), motion(trace)[:, :2], np.diff(trace.time, prepend=0.0))
 
 
@@ -110,7 +110,7 @@ def motion(trace: EpisodeTrace) -> Array:
     return np.column_stack([in_heading_frame(velocity, yaw[:-1])[:, :2], turned / step])
 
 
-def settled_steps(trace: EpisodeTrace) -> np.ndarray:
+def settled_mask(trace: EpisodeTrace) -> np.ndarray:
     """Return for each control step whether its command has been the same for `SETTLING`, (T,)."""
     changed = np.any(np.diff(trace.command, axis=0, prepend=np.nan) != 0, axis=1)
     since = trace.time - np.maximum.accumulate(np.where(changed, np.concatenate([[0.0], trace.time[:-1]]), 0.0))

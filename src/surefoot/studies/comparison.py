@@ -22,14 +22,14 @@ from surefoot.evaluation.statistics import (
     MeanEstimate,
     crossed_interval,
     holm,
-    share_difference,
-    share_interval,
+    proportion_difference,
+    proportion_interval,
     t_interval,
     welch_interval,
 )
 from surefoot.files import atomic_write
 from surefoot.report.figures.learning import bin_curve, learning_curve
-from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, evaluation_names, find_gap, gap_from_result
+from surefoot.studies.evaluations import EVALUATIONS, Result, ResultMetric, evaluation_names, find_gap, gap_from_result
 from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import plain_rows, write_csv
 
@@ -61,7 +61,7 @@ def late_gain(curve: pd.DataFrame) -> float:
 
 def policy_row(group: str, seed: int, log: Sequence[dict[str, Any]], results: dict[str, Result]) -> dict[str, Any]:
     """Return the row of a trained policy in a comparison from the log of its training and its evaluations."""
-    figures = [EVALUATIONS[kind].read_figures(result) for kind, result in results.items()]
+    figures = [EVALUATIONS[kind].read_metrics(result) for kind, result in results.items()]
     gait = {name: results["gait"][name] for name in ("gait", "pattern")} if "gait" in results else {}
     row = {"group": group, "seed": seed, "steps": log[-1]["steps"], "training_seconds": round(log[-1]["seconds"], 1)}
     row |= {"best_steps": None, **{name: value for part in figures for name, value in part.items()}, **gait}
@@ -92,12 +92,12 @@ class Comparison:
         return find_gap(self.kinds)
 
     @property
-    def figures(self) -> tuple[ResultFigure, ...]:
+    def figures(self) -> tuple[ResultMetric, ...]:
         """The numbers that are compared."""
         return tuple(figure for kind in self.kinds for figure in EVALUATIONS[kind].figures)
 
     @property
-    def primary(self) -> ResultFigure:
+    def primary(self) -> ResultMetric:
         """The figure that the comparisons are about."""
         return next(figure for figure in self.figures if figure.name == self.study.primary)
 
@@ -106,7 +106,7 @@ class Comparison:
         """Names of the groups that have policies."""
         return list(self.policies.group.unique())
 
-    def of_group(self, group: str) -> pd.DataFrame:
+    def select_group(self, group: str) -> pd.DataFrame:
         """Return the policies of a group."""
         return self.policies[self.policies.group == group]
 
@@ -118,35 +118,35 @@ class Comparison:
         ranked = self.policies.sort_values("nominal_return", ascending=False, kind="stable")
         return replace(self, policies=pd.concat([ranked[ranked.group == g][: self.study.top] for g in self.groups]))
 
-    def interval(self, group: str, figure: ResultFigure) -> Interval:
+    def interval(self, group: str, figure: ResultMetric) -> Interval:
         """Return the mean of a figure over a group with its interval over seeds, and over robots where it has them."""
         values = self._values(group, figure)
         if figure.trials:
-            return share_interval(values / figure.whole, figure.trials).scale(figure.whole)
+            return proportion_interval(values / figure.whole, figure.trials).scale(figure.whole)
         return crossed_interval(values) if values.ndim == 2 else t_interval(values)
 
-    def difference(self, group: str, base: str, figure: ResultFigure) -> Interval:
+    def difference(self, group: str, base: str, figure: ResultMetric) -> Interval:
         """Return the mean of a figure over a group less that over another with its interval."""
         if figure.trials:
-            return share_difference(self.interval(group, figure), self.interval(base, figure))
+            return proportion_difference(self.interval(group, figure), self.interval(base, figure))
         values, others = self._values(group, figure), self._values(base, figure)
         return crossed_interval(values, others) if values.ndim == 2 else welch_interval(values, others)
 
-    def _values(self, group: str, figure: ResultFigure) -> Array:
+    def _values(self, group: str, figure: ResultMetric) -> Array:
         """Return a figure of each policy of a group (P,), or of each of its runs (P, R)."""
         kind = next(kind for kind in self.kinds if figure in EVALUATIONS[kind].figures)
         read = EVALUATIONS[kind].read_runs
-        return np.array([read(results[kind])[figure.name] for results in self.of_group(group).results])
+        return np.array([read(results[kind])[figure.name] for results in self.select_group(group).results])
 
     def sensitivities(self, group: str) -> list[Sensitivity]:
         """Return the results of each policy of a group in test worlds."""
-        rows = self.of_group(group).itertuples()
+        rows = self.select_group(group).itertuples()
         return [Sensitivity.from_mapping(row.results["sensitivity"], self._name(row)) for row in rows]
 
     def gap(self, group: str) -> PolicyGap:
         """Return the runs of all policies of a group at home, away and, last, at home as described."""
         parts = [
-            gap_from_result(row.results[self.gap_kind], self._name(row)) for row in self.of_group(group).itertuples()
+            gap_from_result(row.results[self.gap_kind], self._name(row)) for row in self.select_group(group).itertuples()
         ]
         return PolicyGap.pooled(self.study.label(group), parts)
 
@@ -176,12 +176,12 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
         "policies": policies.drop(columns=["results", "curve", "policy"]),
         "groups": [
             {"group": group, "label": comparison.study.label(group), "figure": figure, "unit": unit}
-            | {"seeds": len(comparison.of_group(group)), "mean": interval.mean}
+            | {"seeds": len(comparison.select_group(group)), "mean": interval.mean}
             | {"low": interval.low, "high": interval.high}
             for group in groups
             for figure, unit, interval in [
                 *((one.name, one.unit, comparison.interval(group, one)) for one in comparison.figures),
-                ("late_gain", "m", t_interval(comparison.of_group(group).late_gain)),
+                ("late_gain", "m", t_interval(comparison.select_group(group).late_gain)),
             ]
         ],
         "differences": _differences(comparison, comparison.figures),
@@ -206,7 +206,7 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
     return {name: pd.DataFrame(table) for name, table in tables.items()}
 
 
-def _differences(comparison: Comparison, figures: Sequence[ResultFigure]) -> pd.DataFrame:
+def _differences(comparison: Comparison, figures: Sequence[ResultMetric]) -> pd.DataFrame:
     """Return a row for each pair and figure; p values of a figure are adjusted for the number of pairs."""
     rows = [
         {"group": other, "against": base, "figure": figure.name, "unit": figure.unit}
@@ -255,13 +255,13 @@ def _episodes(policies: pd.DataFrame) -> pd.DataFrame:
 
 def _gap_rows(which: str, group: str, comparison: Comparison) -> list[dict[str, Any]]:
     """Return the rows of a group's gap, a row a world: home, away, and home as described."""
-    gap, seeds = comparison.gap(group), " ".join(map(str, comparison.of_group(group).seed))
+    gap, seeds = comparison.gap(group), " ".join(map(str, comparison.select_group(group).seed))
     rows = []
     for number, world in enumerate(gap.worlds):
         runs, balanced = gap.in_world(world), gap.table(world, "balanced")
         row = {"group": group, "label": gap.name, "policies": which, "seeds": seeds, **summarize_runs(runs)}
         row |= crossed_interval(gap.table(world, "return")).columns("return")
-        row |= share_interval(balanced, balanced.shape[1]).columns("balanced_share")
+        row |= proportion_interval(balanced, balanced.shape[1]).columns("balanced_share")
         row |= {"balanced": int(balanced.sum()), "far": int((runs.distance > FAR).sum())}
         row |= {"least_distance": float(runs.distance.min())}
         over_runs = gap.gap_over_runs(world) if number else MeanEstimate()

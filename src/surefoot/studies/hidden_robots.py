@@ -129,7 +129,7 @@ def read_identified(folder: Path | None, seed: int, robot: str) -> ParamsFile | 
     return read_params(path, RobotDescription.load(robot))
 
 
-def take_identified(file: ParamsFile, names: tuple[str, ...]) -> dict[str, ParamValue]:
+def select_identified(file: ParamsFile, names: tuple[str, ...]) -> dict[str, ParamValue]:
     """Return the values of a file that a group takes, by parameter; never the controller's."""
     return {
         name: value

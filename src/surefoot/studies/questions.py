@@ -18,7 +18,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.configuration import Positive
 from surefoot.errors import SurefootError, suggest
-from surefoot.evaluation.statistics import CONFIDENCE, Interval, equivalence_p, holm, t_interval
+from surefoot.evaluation.statistics import CONFIDENCE, Interval, equivalence_p_value, holm, t_interval
 
 FIGURES = {
     "home": ("return at home", "m", 2),
@@ -136,7 +136,7 @@ def answer(question: Question, values: Values, not_learned: Mapping[str, str]) -
         numbers = np.array(list(table.values()))
         interval = t_interval(numbers, 1 - 2 * LEVEL)
         reason = leaves.get(question.group, "") or ("" if len(numbers) else "no results")
-        p = equivalence_p(numbers, question.within)
+        p = equivalence_p_value(numbers, question.within)
         return Answer(question, (ComparedPair(question.group, "", interval, p, robots=len(numbers), left_out=reason),))
     comparisons = []
     for against, group in question.pairs:

@@ -66,7 +66,7 @@ def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str])
     with new_figure(path, (3.4 * len(figures), 1.5 + 0.55 * len(groups)), columns=len(figures)) as (picture, axes):
         for ax, figure in zip(axes, figures, strict=True):
             for row, group in enumerate(groups):
-                values = comparison.of_group(group)[figure.name]
+                values = comparison.select_group(group)[figure.name]
                 _group_bar(ax, row, comparison.interval(group, figure), values, f"C{row}")
             ax.set_title(capitalize_first(figure.heading))
             ax.set_ylim(len(groups) - 0.4, -0.6)

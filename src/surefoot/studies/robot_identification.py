@@ -96,7 +96,7 @@ def _run_experiment(name: str, words: list[str], log: Path, stopped: Callable[[]
     return True
 
 
-def waiting_robots(robots: HiddenRobots, folder: Path) -> list[int]:
+def unidentified_robots(robots: HiddenRobots, folder: Path) -> list[int]:
     """Return the seeds of robots that are not identified yet."""
     return [seed for seed in robots.seeds if not robot_file(folder, seed).is_file()]
 
@@ -134,7 +134,7 @@ def identify_robots(
         return not stopped() and identify_robot((*options, "--seed", seed), path, place, robots.robot, stopped)
 
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        futures = {pool.submit(identify, seed): seed for seed in waiting_robots(robots, folder)}
+        futures = {pool.submit(identify, seed): seed for seed in unidentified_robots(robots, folder)}
         for future in as_completed(futures):
             seed, error = futures[future], ""
             try:

@@ -21,7 +21,7 @@ from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.files import atomic_write
 from surefoot.learn.config import Steps, TrainConfig
 from surefoot.seeding import generator
-from surefoot.studies.search_space import Dimension, as_params, load_space, put, suggest
+from surefoot.studies.search_space import Dimension, to_optuna_params, load_space, put, suggest
 from surefoot.studies.training import Training, base_config, difference
 from surefoot.studies.workers import ProgressReport
 
@@ -30,7 +30,7 @@ EVALUATIONS = 10
 EVALUATION_EPISODES = 8
 RANDOM_TRIALS = 12
 """Trials whose settings are drawn at random, before the sampler learns from them."""
-PRUNING_FROM = 1 / 3
+PRUNING_START = 1 / 3
 """Share of a trial's steps before which it is not pruned."""
 MIN_TRIALS_FOR_IMPORTANCE = 8
 """Complete trials from which on the importance of fields is computed."""
@@ -55,7 +55,7 @@ class SearchConfig:
         return -(-self.train.steps // self.train.evaluate_every)
 
 
-def check_holds_search(folder: Path) -> None:
+def check_search_folder(folder: Path) -> None:
     """Refuse a folder that holds no search."""
     if not (folder / SETTINGS).is_file():
         raise SurefootError(f"{folder}: holds no search to go on with; leave --resume out to begin one")
@@ -116,8 +116,8 @@ class Search:
                 write_yaml(settings, config)
         # This process has locked the folder: a lock of the journal was left by a process that was killed.
         Path(f"{self.journal}.lock").unlink(missing_ok=True)
-        warm = math.ceil(PRUNING_FROM * config.evaluations)
-        with _readable(self.journal):
+        warm = math.ceil(PRUNING_START * config.evaluations)
+        with _wrap_optuna_errors(self.journal):
             self.study = optuna.create_study(
                 storage=JournalStorage(JournalFileBackend(str(self.journal))),
                 pruner=optuna.pruners.MedianPruner(n_startup_trials=8, n_warmup_steps=warm),
@@ -214,7 +214,7 @@ class Search:
         if not path.exists():
             return sampler
         with prefix_errors(path):
-            params = as_params(self.config.space, from_mapping(TrainConfig, read_yaml(path)))
+            params = to_optuna_params(self.config.space, from_mapping(TrainConfig, read_yaml(path)))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
             return optuna.samplers.PartialFixedSampler(params, sampler)
@@ -266,7 +266,7 @@ class Search:
 
 
 @contextmanager
-def _readable(journal: Path) -> Iterator[None]:
+def _wrap_optuna_errors(journal: Path) -> Iterator[None]:
     """Raise errors of Optuna about records that are not its own in one line."""
     try:
         yield

@@ -178,7 +178,7 @@ def suggest(space: Space, trial: Trial) -> dict[str, Any]:
     return values
 
 
-def as_params(space: Space, config: TrainConfig) -> dict[str, Any]:
+def to_optuna_params(space: Space, config: TrainConfig) -> dict[str, Any]:
     """Return the values of a configuration as parameters of Optuna; those outside of the space are left out."""
     params = {}
     for name, dimension in space.items():

@@ -19,12 +19,12 @@ from surefoot.report.figures.parameters import parameter_figure, parameters_figu
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import capitalize_first
 from surefoot.studies.comparison import CONTENTS, FAR, Comparison, read_tables, study_tables, write_tables
-from surefoot.studies.evaluations import EVALUATIONS, ResultFigure, load_gait_trace
+from surefoot.studies.evaluations import EVALUATIONS, ResultMetric, load_gait_trace
 from surefoot.studies.report import group_figure, image, readme, stride_cells
 from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import markdown
 
-_BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std", "gap_away", "gap", "gap_balanced")
+_BAR_METRICS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std", "gap_away", "gap", "gap_balanced")
 _COLUMNS = 4
 """Figures that one table of the report holds."""
 _LEVEL = 1 - CONFIDENCE
@@ -54,7 +54,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
     return path
 
 
-def text_of_tables(study: StudyConfig, folder: Path, command: str) -> str:
+def report_from_tables(study: StudyConfig, folder: Path, command: str) -> str:
     """Return README.md of a study from the tables of its report, without the runs."""
     tables = read_tables(folder)
     missing = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["missing"]
@@ -80,12 +80,12 @@ def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], comm
         *(image("Learning curves", file) for file in _curve_files(comparison)),
         *(_gaps(comparison, tables) if comparison.gap_kind else []),
         "## Results",
-        *_by_figure(figures, [{"group": label(group)} for group in comparison.groups], levels),
+        *_by_metric(figures, [{"group": label(group)} for group in comparison.groups], levels),
         image("Groups side by side", "groups.png"),
         "## Differences",
         *_differences(comparison, tables["differences"], comparison.figures),
         "## Every seed",
-        *_by_figure(
+        *_by_metric(
             figures,
             [{"group": label(row["group"]), "seed": row["seed"]} for row in seeds],
             [{one.name: decimal(row[one.name], one.digits) for one in figures} for row in seeds],
@@ -101,9 +101,9 @@ def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], comm
 def _draw(comparison: Comparison, folder: Path) -> None:
     """Draw the figures that the text shows."""
     label = comparison.study.label
-    group_figure(comparison, folder / "groups.png", _BARS)
+    group_figure(comparison, folder / "groups.png", _BAR_METRICS)
     for file, groups in _curve_files(comparison).items():
-        curves = {label(group): list(comparison.of_group(group).curve) for group in groups}
+        curves = {label(group): list(comparison.select_group(group).curve) for group in groups}
         learning_curves(curves, folder / file)
     if comparison.gap_kind:
         best = comparison.best()
@@ -112,7 +112,7 @@ def _draw(comparison: Comparison, folder: Path) -> None:
             gap_figure([best.gap(group) for group in names], folder / f"gap_{name}_top.png")
     if "gait" in comparison.kinds:
         for group in comparison.groups:
-            footfall_diagram(load_gait_trace(comparison.of_group(group).policy.iloc[0]), folder / f"gait_{group}.png")
+            footfall_diagram(load_gait_trace(comparison.select_group(group).policy.iloc[0]), folder / f"gait_{group}.png")
     if "sensitivity" in comparison.kinds:
         tested = {label(group): comparison.sensitivities(group) for group in comparison.groups}
         parameters_figure(tested, folder / "parameters.png")
@@ -153,7 +153,7 @@ def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
     return [*lines, *(["In the paper:", "\n".join(claims)] if claims else [])]
 
 
-def _change(row: Any, figure: ResultFigure) -> str:
+def _change(row: Any, figure: ResultMetric) -> str:
     """Return a difference with its interval, bold if it is significant after correction."""
     interval = Interval(row.difference, row.difference_low, row.difference_high)
     text = interval.text(figure.digits, sign=True)
@@ -164,7 +164,7 @@ def _p(value: float) -> str:
     return "< 0.001" if value < 0.001 else decimal(value, 3)
 
 
-def _differences(comparison: Comparison, table: pd.DataFrame, figures: Sequence[ResultFigure]) -> list[str]:
+def _differences(comparison: Comparison, table: pd.DataFrame, figures: Sequence[ResultMetric]) -> list[str]:
     """Return tables of differences, a row a pair."""
     if not len(table):
         return ["There are no two groups to compare."]
@@ -175,11 +175,11 @@ def _differences(comparison: Comparison, table: pd.DataFrame, figures: Sequence[
         {row.figure: _change(row, by_name[row.figure]) for row in part.itertuples()}
         for _, part in table.groupby(["group", "against"], sort=False)
     ]
-    return _by_figure(figures, heads, cells)
+    return _by_metric(figures, heads, cells)
 
 
-def _by_figure(
-    figures: Sequence[ResultFigure], heads: Sequence[dict[str, Any]], cells: Sequence[Mapping[str, str]]
+def _by_metric(
+    figures: Sequence[ResultMetric], heads: Sequence[dict[str, Any]], cells: Sequence[Mapping[str, str]]
 ) -> list[str]:
     """Return tables with rows that begin with `heads` and a column for each figure, a few figures a table."""
     return [
@@ -195,7 +195,7 @@ def _by_figure(
 
 def _training(comparison: Comparison, tables: Mapping[str, pd.DataFrame], group: str) -> dict[str, str]:
     """Return the row of a group's trainings."""
-    policies = comparison.of_group(group)
+    policies = comparison.select_group(group)
     return {
         "group": comparison.study.label(group),
         "name": f"`{group}`",
@@ -222,7 +222,7 @@ def _gaits(comparison: Comparison, table: pd.DataFrame) -> list[str]:
         | stride_cells(row)
         for row in table.to_dict("records")
     ]
-    firsts = {group: comparison.of_group(group).seed.iloc[0] for group in comparison.groups}
+    firsts = {group: comparison.select_group(group).seed.iloc[0] for group in comparison.groups}
     figures = [image(f"Footfalls: {label(group)}, seed {seed}", f"gait_{group}.png") for group, seed in firsts.items()]
     return ["## Gaits", markdown(rows), *figures]
 

@@ -69,7 +69,7 @@ GAINS: Ranges = {
     "roll_rate": (0.0, 0.3, 0.03),
 }
 """Gains of Raibert's controller."""
-MAX_STROKE = 0.5
+MAX_STROKE_RATIO = 0.5
 """In parts of the reach, so that a start at a high speed is in reach."""
 FEEDBACK = {
     "rad": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.25, 0.25)),
@@ -80,10 +80,10 @@ _SPEED_PENALTY = 300.0
 """Cost [W] of a speed of zero; of others in proportion to the missing speed."""
 _FALL_PENALTY = 1000.0
 """Cost [W] of a fall, and once more in proportion to the missing time."""
-_TRIES = 200
+_MAX_RESAMPLES = 200
 _FINAL_EPISODES = 20
 """Episodes of each candidate of the last selection, at least."""
-_LEAST_GAIN = 0.02
+_MIN_IMPROVEMENT = 0.02
 """Part of the cost that a search must gain within its patience."""
 
 
@@ -147,7 +147,7 @@ def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: fl
 
     return FootConfig(
         frequency=frequency,
-        stroke=min(values["stride"] * speed * values["duty_factor"] / frequency, MAX_STROKE * reach),
+        stroke=min(values["stride"] * speed * values["duty_factor"] / frequency, MAX_STROKE_RATIO * reach),
         clearance=reach * values["clearance"],
         duty_factor=values["duty_factor"],
         phase=dict(zip(legs, phase, strict=True)),
@@ -176,7 +176,7 @@ def has_converged(curve: Sequence[float], patience: int) -> bool:
         patience: how many are compared, above 0.
     """
     before = curve[-2 * patience : -patience]
-    return len(before) == patience and min(curve[-patience:]) > (1.0 - _LEAST_GAIN) * min(before)
+    return len(before) == patience and min(curve[-patience:]) > (1.0 - _MIN_IMPROVEMENT) * min(before)
 
 
 class Tuner:
@@ -301,12 +301,12 @@ class Tuner:
 
     def _within_reach(self, point: Array) -> Array:
         """Return a point of the search, or another one in its place if feet would leave the legs' reach."""
-        for _ in range(_TRIES):
+        for _ in range(_MAX_RESAMPLES):
             reason = self._refusal(self._values(point))
             if not reason:
                 return point
             point = self._search.ask(1)[0]
-        raise SurefootError(f"{_TRIES} gaits in a row were refused, the last one because {reason}; ask for less speed")
+        raise SurefootError(f"{_MAX_RESAMPLES} gaits in a row were refused, the last one because {reason}; ask for less speed")
 
     def _refusal(self, values: Mapping[str, float]) -> str:
         """Return why a gait is out of the legs' reach; empty if it is not."""

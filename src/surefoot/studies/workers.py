@@ -37,7 +37,7 @@ _REPORT_PERIOD = 1.0
 """Time [s] after which a worker reports, at the next end of an update."""
 _CONNECT_TIMEOUT = 5.0
 """How long [s] a cluster may take to answer."""
-_FILES = ("config.yaml", "run.json", "figures.jsonl", "policy.onnx")
+_RETURNED_FILES = ("config.yaml", "run.json", "figures.jsonl", "policy.onnx")
 """Files that a computer without the shared folder sends back beside the copies of robot and table; the policy, which
 marks the end, comes last."""
 _SETTINGS = {
@@ -152,7 +152,7 @@ class Worker:
         if self._training.trial:
             shutil.rmtree(folder.checkpoints, ignore_errors=True)
         self._lock.close()
-        names = (*_FILES, *copied_files(folder.path))
+        names = (*_RETURNED_FILES, *copied_files(folder.path))
         files = {name: (folder.path / name).read_bytes() for name in names}
         return ProgressReport(folder.rows()[-1]["steps"], None, tuple(folder.evaluations()), True, files)
 
@@ -334,6 +334,6 @@ def _store_files(training: Training, report: ProgressReport) -> None:
     """Write the files from a computer that does not share the folder."""
     if training.policy.exists():
         return
-    for name in sorted({*report.files, *_FILES}, key=lambda name: (name == _FILES[-1], name)):
+    for name in sorted({*report.files, *_RETURNED_FILES}, key=lambda name: (name == _RETURNED_FILES[-1], name)):
         (training.path / name).parent.mkdir(parents=True, exist_ok=True)
         (training.path / name).write_bytes(report.files[name])

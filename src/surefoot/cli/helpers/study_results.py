@@ -72,7 +72,7 @@ def evaluate_runs(study: StudyConfig, runs: list[Training], root: Path, threads:
         for number, (run, name, kind) in enumerate(todo, start=1):
             start = time.perf_counter()
             with console.status(f"evaluating {run.name}: {name} ({number} of {len(todo)})"):
-                values = kind.read_figures(evaluate(run.policy, name, threads, kind))
+                values = kind.read_metrics(evaluate(run.policy, name, threads, kind))
             metrics = ", ".join(
                 f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in kind.figures
             )

@@ -23,7 +23,7 @@ import viser
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.evaluation.foot_forces import foot_forces
-from surefoot.evaluation.recorded import ground_of
+from surefoot.evaluation.recorded import ground_for_trace
 from surefoot.evaluation.tracking import motion
 from surefoot.report.drawing.ground_part import ground_around
 from surefoot.report.drawing.scene import extent, poses
@@ -75,7 +75,7 @@ class ShownTrace:
     robot: RobotDescription
     trace: EpisodeTrace
     map_file: Path | None = None
-    """File of the height map, see `ground_of`."""
+    """File of the height map, see `ground_for_trace`."""
 
     def __post_init__(self) -> None:
         """Reject a trace of another robot, and one that is too long."""
@@ -110,7 +110,7 @@ def recording_page(traces: Sequence[ShownTrace], layout: str = "side") -> str:
     runs, paths, grounds = [], [], list[Ground]()
     for number, one in enumerate(traces):
         with prefix_errors(one.name):
-            ground = ground_of(one.trace, one.map_file)
+            ground = ground_for_trace(one.trace, one.map_file)
             run, path = _run(one, rate, f"/world/r{number}", ground)
         if ground not in grounds:
             grounds.append(ground)
