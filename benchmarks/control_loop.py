@@ -36,7 +36,7 @@ import numpy as np
 from emulated import gain_options
 
 from surefoot.api.policies import find_policy, open_policy
-from surefoot.studies.robot_identification import SUREFOOT
+from surefoot.studies.robot_identification import SUREFOOT_COMMAND
 from surefoot.tables import write_csv
 
 
@@ -74,7 +74,7 @@ def run(policy: str, world: str, line: str, options: argparse.Namespace) -> dict
         words = ["--robot", str(robot.folder), "--world", world, *([] if options.ground else ["--rack"])]
         words += gain_options(policy)
         emulator = subprocess.Popen(
-            [*SUREFOOT, "emulate", *words, *(["--socket", f"{folder}/robot"] if line == "socket" else [])],
+            [*SUREFOOT_COMMAND, "emulate", *words, *(["--socket", f"{folder}/robot"] if line == "socket" else [])],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -85,7 +85,9 @@ def run(policy: str, world: str, line: str, options: argparse.Namespace) -> dict
                 raise SystemExit(f"no emulator: {emulator.communicate()[1]}")
             bare = bare_loop(options.seconds, runtime.contract.control_step)
             words = ["deploy", policy, "--port", port[1], "--duration", str(options.seconds), "--json"]
-            done = subprocess.run([*SUREFOOT, *words, "--out", folder], capture_output=True, text=True, check=False)
+            done = subprocess.run(
+                [*SUREFOOT_COMMAND, *words, "--out", folder], capture_output=True, text=True, check=False
+            )
         finally:
             emulator.send_signal(signal.SIGINT)
             output = emulator.communicate(timeout=20)[1]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.api.policies import find_policy, open_policy
-from surefoot.studies.robot_identification import SUREFOOT, emulated_robot
+from surefoot.studies.robot_identification import SUREFOOT_COMMAND, emulated_robot
 from surefoot.task.trace import EpisodeTrace
 
 
@@ -35,7 +35,9 @@ def deploy(policy: str, *options: object, robot: tuple[object, ...] = ()) -> lis
         capture = f"{folder}/capture.csv"
         with emulated_robot(*robot, *gain_options(policy), "--out", capture) as port:
             words = ["--port", port, "--lockstep", "--motion-capture", capture, "--out", folder, *map(str, options)]
-            done = subprocess.run([*SUREFOOT, "deploy", policy, *words], capture_output=True, text=True, check=False)
+            done = subprocess.run(
+                [*SUREFOOT_COMMAND, "deploy", policy, *words], capture_output=True, text=True, check=False
+            )
         runs = sorted(Path(folder).glob("run_*.npz"))
         if not runs:
             raise SystemExit(f"deploy {policy}: {done.stderr.strip()}")

@@ -29,7 +29,7 @@ from typing import Any
 from surefoot.api.policies import shipped_policies
 from surefoot.cli import evaluate, train
 from surefoot.configuration import read_yaml
-from surefoot.evaluation.statistics import share_interval
+from surefoot.evaluation.statistics import proportion_interval
 from surefoot.tables import write_csv
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -98,7 +98,7 @@ def measure(path: Path, options: str, threads: int) -> dict[str, Any]:
     with redirect_stdout(io.StringIO()) as output:
         evaluate.main([str(path), *shlex.split(options), "--threads", str(threads), "--json"])
     summary = json.loads(output.getvalue())
-    share = share_interval([summary["falls"] / summary["episodes"]], summary["episodes"]).scale(100)
+    share = proportion_interval([summary["falls"] / summary["episodes"]], summary["episodes"]).scale(100)
     errors = {f"{kind}_{k}": x for kind in ("rmse", "rmse_stride") for k, x in summary.get(kind, {}).items()}
     worst = max((value for value in summary["saturation"].values() if value is not None), default=None)
     row = {**summary, **errors, **share.columns("falls_percent"), "saturation": worst}

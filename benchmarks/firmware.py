@@ -55,7 +55,7 @@ from surefoot.emulator.firmware_process import FirmwareProcess
 from surefoot.evaluation.runs import measure_runs
 from surefoot.firmware.project import build_firmware, write_sources
 from surefoot.robot import RobotDescription
-from surefoot.studies.robot_identification import SUREFOOT
+from surefoot.studies.robot_identification import SUREFOOT_COMMAND
 from surefoot.tables import write_csv
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"
@@ -254,8 +254,8 @@ def run_live(runs: int, folder: Path) -> Iterator[dict[str, Any]]:
     for name, target in (("C", "board"), ("QEMU", "board-qemu")):
         programs[name] = ["--firmware", build_firmware(folder, target=target)]
     for number, (name, options) in itertools.product(range(1, runs + 1), programs.items()):
-        robot = [*SUREFOOT, "emulate", "--socket", folder / "line", *options]
-        host = [*SUREFOOT, "deploy", "trot-robust", "--port", folder / "line", "--duration", 10, "--json"]
+        robot = [*SUREFOOT_COMMAND, "emulate", "--socket", folder / "line", *options]
+        host = [*SUREFOOT_COMMAND, "deploy", "trot-robust", "--port", folder / "line", "--duration", 10, "--json"]
         with subprocess.Popen(
             list(map(str, robot)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         ) as process:

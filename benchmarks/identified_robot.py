@@ -19,13 +19,13 @@ from pathlib import Path
 from emulated import deploy
 
 from surefoot.evaluation.runs import measure_runs
-from surefoot.studies.robot_identification import SUREFOOT, identify_robot
+from surefoot.studies.robot_identification import SUREFOOT_COMMAND, identify_robot
 from surefoot.tables import write_csv
 
 
 def surefoot(*words: object) -> str:
     """Run a command; return its output."""
-    done = subprocess.run([*SUREFOOT, *map(str, words)], capture_output=True, text=True, check=False)
+    done = subprocess.run([*SUREFOOT_COMMAND, *map(str, words)], capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(done.stderr)
     return done.stdout

@@ -37,7 +37,7 @@ from authors_environment import put_the_past_in_place
 from surefoot.actuator.motor import motor_current, servo_duty
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.arrays import Array
-from surefoot.evaluation.conditions import home_task
+from surefoot.evaluation.conditions import undisturbed_task
 from surefoot.evaluation.rollout import run_to_end
 from surefoot.tables import print_table, write_csv
 from surefoot.task.env import LocomotionEnv
@@ -127,7 +127,7 @@ def measure(path: Path, condition: str, command: Command) -> dict[str, Any]:
     """Return the row of a gait in one of surefoot's worlds."""
     name, params = CONDITIONS[condition]
     policy, _, task, _ = load_gait(path, None)
-    task = home_task(replace(task, params={**task.params, **params}))
+    task = undisturbed_task(replace(task, params={**task.params, **params}))
     env = LocomotionEnv(task, command.episodes, find_world(name), command.seed, autoreset=False, threads=1)
     observation, _ = env.reset()
     meter = Meter()

@@ -23,7 +23,7 @@ from rounds import measure, ratio_quartiles
 from throughput import Bench
 
 from surefoot.api.policies import find_policy
-from surefoot.evaluation.conditions import home_task
+from surefoot.evaluation.conditions import undisturbed_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -60,7 +60,7 @@ def with_half_step(robot: RobotDescription, folder: Path) -> Path:
 def figures(name: str, episodes: int, num_envs: int, turns: int, rounds: int) -> dict[str, float | str]:
     """Return one policy's row."""
     policy = PolicyRuntime.load(find_policy(name))
-    task = home_task(task_from_contract(policy.contract))
+    task = undisturbed_task(task_from_contract(policy.contract))
     robot = RobotDescription.load(task.robot)
     row: dict[str, float | str] = {"policy": name, "robot": robot.name, "step": robot.timing.servo_step}
     row["speed"], row["falls"] = speed_and_falls(policy, task, episodes)

@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 
 from surefoot.api.policies import find_policy, load_policy
-from surefoot.evaluation.conditions import away_task
+from surefoot.evaluation.conditions import data_sheet_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -102,7 +102,7 @@ def changed(make: SimulationFactory, change: Change, other: RobotDescription | N
 def measure(command: Command, name: str) -> Iterator[dict[str, Any]]:
     """Yield one row of figures for each change."""
     policy, robot, task = load_policy(find_policy(name), None)
-    base, make = away_task(task), find_world(command.world)
+    base, make = data_sheet_task(task), find_world(command.world)
     with tempfile.TemporaryDirectory() as scratch:
         for change in CHANGES:
             other = thick_feet(robot, Path(scratch) / "thick") if change.thick_feet else None

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import tyro
 
-from surefoot.evaluation.conditions import away_task
+from surefoot.evaluation.conditions import data_sheet_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import RobotDescription
@@ -47,7 +47,7 @@ def run(command: Command) -> None:
     for world in command.worlds:
         policy = OpenLoop(len(task.gait(robot).action_names))
         episodes = len(WORLDS[world].seeds or range(command.episodes))
-        runs = measure_runs(run_episodes(policy, away_task(task), episodes, find_world(world), command.seed))
+        runs = measure_runs(run_episodes(policy, data_sheet_task(task), episodes, find_world(world), command.seed))
         speeds = {f"speed_{how}": getattr(runs.speed, how)() for how in ("mean", "min", "max")}
         ends = {"upright": runs.balanced.sum(), "falls": runs.fell.sum(), "episodes": len(runs)}
         rows.append({"world": world, **speeds, **ends})

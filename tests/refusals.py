@@ -628,7 +628,7 @@ REFUSALS = [
             "none.yaml": "none.yaml: can't be read",
             "study-kind.yaml": "evaluate: 'luck' is no kind of evaluation; choices: nominal, table1, sensitivity, gap",
             "study-primary.yaml": (
-                "primary: 'gap' is no figure of its evaluations; choices: nominal_speed, nominal_return"
+                "primary: 'gap' is no metric of its evaluations; choices: nominal_speed, nominal_return"
             ),
             "study-gaps.yaml": "evaluate: a study measures one reality gap; it has gap, gap_test",
             "study-bars.yaml": "bars: they show the reality gap; evaluate must name 'gap' or 'gap_test' for them",

@@ -20,7 +20,7 @@ from result_numbers import read_rows
 
 from surefoot.api.policies import find_policy, load_policy, run_policy
 from surefoot.evaluation.conditions import Condition
-from surefoot.evaluation.recorded import ground_of
+from surefoot.evaluation.recorded import ground_for_trace
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.renderer import Camera, View, draw
 from surefoot.report.drawing.scene import extent, poses, trace_poses
@@ -77,7 +77,7 @@ def moving(run: ShownTrace, label: str, size: tuple[int, int]) -> Iterator[Image
     """Yield the frames of a run on its terrain, with an arrow for 0.4 s from each push."""
     placed = trace_poses(run.robot, run.trace)
     mesh, stack = Mesh(run.robot.appearance(), list(placed)), np.stack(list(placed.values()), axis=1)
-    base, ground = placed[run.robot.base][:, :3, 3], ground_of(run.trace)
+    base, ground = placed[run.robot.base][:, :3, 3], ground_for_trace(run.trace)
     camera = Camera.for_robot(1.15 * extent(run.robot))
     for now in np.arange(*BETWEEN, 1 / FPS):
         step = int(np.searchsorted(run.trace.time, now))
@@ -213,7 +213,9 @@ def on_terrain(policy: str, terrain: str, size: tuple[int, int]) -> Image.Image:
     placed = trace_poses(run.robot, run.trace)
     mesh, stack = Mesh(run.robot.appearance(), list(placed)), np.array([frames[-1] for frames in placed.values()])
     place = placed[run.robot.base][-1, :2, 3]
-    picture = draw(mesh, stack, View(Camera.for_robot(1.2 * extent(run.robot)), place, size, ground_of(run.trace)))
+    picture = draw(
+        mesh, stack, View(Camera.for_robot(1.2 * extent(run.robot)), place, size, ground_for_trace(run.trace))
+    )
     write_label(picture, terrain)
     return picture
 

@@ -86,8 +86,8 @@ def write_report(root: Path, name: str) -> str:
         if match is None:
             raise SurefootError(f"{folder / 'README.md'}: has no command")
         if (folder / "search.yaml").is_file():
-            return search_report.text_of_tables(folder, match[1])
-        return study_report.text_of_tables(load_study(root / "studies" / f"{name}.yaml"), folder, match[1])
+            return search_report.report_from_tables(folder, match[1])
+        return study_report.report_from_tables(load_study(root / "studies" / f"{name}.yaml"), folder, match[1])
 
 
 def changes(old: str, new: str) -> list[str]:

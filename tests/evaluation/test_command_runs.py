@@ -11,8 +11,8 @@ pytest.importorskip("mujoco")
 
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.errors import SurefootError
-from surefoot.evaluation.command_runs import FIXED, DrivenRobot
-from surefoot.evaluation.recorded import ground_of
+from surefoot.evaluation.command_runs import FIXED_PARAMETERS, DrivenRobot
+from surefoot.evaluation.recorded import ground_for_trace
 from surefoot.robot.params import PARAMETERS
 from surefoot.task.randomized_params import RandomizedParams
 
@@ -45,7 +45,7 @@ def test_terrain_is_that_of_the_robot_and_of_what_is_recorded():
     robot.step()
     trace = recording.trace()
     assert trace.meta["terrain"] == "blocks:0.03"
-    np.testing.assert_array_equal(ground_of(trace).corners, robot.env.state.ground.corners)
+    np.testing.assert_array_equal(ground_for_trace(trace).corners, robot.env.state.ground.corners)
     assert robot.env.state.ground.corners.max() > 0.02
 
 
@@ -95,29 +95,29 @@ def test_push_refuses_forces_and_durations_out_of_bounds(robot: DrivenRobot, for
         robot.push([1.0, 0.0, 0.0], 11.0)
 
 
-def test_every_knob_returns_the_value_that_was_set(robot: DrivenRobot):
-    knobs = robot.knobs()
-    assert not {knob.name for knob in knobs} & set(FIXED)
-    for knob in knobs:
-        value = float(np.clip(1.1 * knob.value + 1e-3, knob.low, knob.high))
-        robot.set(knob.name, value)
-        now = next(one.value for one in robot.knobs() if one.name == knob.name)
-        assert now == pytest.approx(value, rel=1e-9), knob.name
-        robot.set(knob.name, knob.value)
+def test_every_live_parameter_returns_the_value_that_was_set(robot: DrivenRobot):
+    parameters = robot.live_parameters()
+    assert not {parameter.name for parameter in parameters} & set(FIXED_PARAMETERS)
+    for parameter in parameters:
+        value = float(np.clip(1.1 * parameter.value + 1e-3, parameter.low, parameter.high))
+        robot.set(parameter.name, value)
+        now = next(one.value for one in robot.live_parameters() if one.name == parameter.name)
+        assert now == pytest.approx(value, rel=1e-9), parameter.name
+        robot.set(parameter.name, parameter.value)
     robot.step()
 
 
 def names(robot: DrivenRobot) -> set[str]:
-    return {knob.name.partition(".")[0] for knob in robot.knobs()}
+    return {parameter.name.partition(".")[0] for parameter in robot.live_parameters()}
 
 
-def test_knobs_are_what_motors_and_engine_have(robot: DrivenRobot):
+def test_live_parameters_are_those_of_motors_and_engine(robot: DrivenRobot):
     bullet_only = {name for name, declared in PARAMETERS.items() if declared.engines}
     assert bullet_only == {"knee_friction", "knee_play", "floor_unevenness"}
     joint = {"voltage", "torque_constant", "resistance"}
-    assert names(robot) == set(PARAMETERS) - set(FIXED) - bullet_only - joint
-    assert {knob.group for knob in robot.knobs()} == {"body", "motors", "contact", "sensors"}
-    units = {knob.name: knob.unit for knob in robot.knobs()}
+    assert names(robot) == set(PARAMETERS) - set(FIXED_PARAMETERS) - bullet_only - joint
+    assert {parameter.group for parameter in robot.live_parameters()} == {"body", "motors", "contact", "sensors"}
+    units = {parameter.name: parameter.unit for parameter in robot.live_parameters()}
     assert [units[name] for name in ("servo_kp", "base_mass_ratio", "contact_friction", "imu_bias.roll")] == [
         *("N m/rad", "x nominal", "", "rad")
     ]
@@ -125,19 +125,19 @@ def test_knobs_are_what_motors_and_engine_have(robot: DrivenRobot):
         robot.set("knee_play", 0.0)
 
 
-def test_constraint_motors_have_no_knobs_of_a_servo():
+def test_constraint_motors_have_no_servo_parameters():
     robot = driven("steer", actuator="constraint")
     assert not names(robot) & {"servo_latency", "load_friction", "speed_filter", "presliding"}
-    assert {knob.name: knob.unit for knob in robot.knobs()}["servo_kp"] == "1/rad"
+    assert {parameter.name: parameter.unit for parameter in robot.live_parameters()}["servo_kp"] == "1/rad"
 
 
-def test_bullet_has_knobs_of_its_own():
+def test_bullet_has_parameters_of_its_own():
     pytest.importorskip("pybullet")
     assert {"knee_friction", "knee_play", "floor_unevenness"} < names(driven("go2-steer", "bullet"))
 
 
 @pytest.mark.parametrize(("name", "value"), [("speed", 1.0), ("control_step", 0.01), ("base_mass_ratio", 99.0)])
-def test_set_refuses_an_unknown_knob_and_a_value_out_of_bounds(robot: DrivenRobot, name: str, value: float):
+def test_set_rejects_an_unknown_parameter_and_a_value_out_of_bounds(robot: DrivenRobot, name: str, value: float):
     before = robot.env.world.params
     with pytest.raises(SurefootError, match=name):
         robot.set(name, value)

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.conditions import Condition, away_task, episode_duration, home_task
+from surefoot.evaluation.conditions import Condition, data_sheet_task, episode_duration, undisturbed_task
 from surefoot.robot import RobotDescription
 from surefoot.task.config import load_task
 from surefoot.task.pushes import PushConfig
@@ -81,12 +81,12 @@ def test_robots_with_commands_are_turned_on_terrain():
 
 
 def test_the_home_task_has_no_randomization_and_no_pushes():
-    home = home_task(TASK)
+    home = undisturbed_task(TASK)
     assert (home.randomize, home.pushes) == ({}, replace(TASK.pushes, enabled=False))
     assert replace(home, randomize=TASK.randomize, pushes=TASK.pushes) == TASK
 
 
 def test_the_away_task_is_on_the_robot_of_the_data_sheet():
     ideal = replace(TASK, actuator="constraint", params_source={"file": "robot.toml"})
-    away = replace(home_task(TASK), params={"servo_kp": 30.0, "control_step": 0.016}, params_source={})
-    assert away_task(ideal) == away
+    away = replace(undisturbed_task(TASK), params={"servo_kp": 30.0, "control_step": 0.016}, params_source={})
+    assert data_sheet_task(ideal) == away

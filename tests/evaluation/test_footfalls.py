@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surefoot.evaluation.footfalls import FEET, STANDS, Footfalls, analyze_footfalls, classify, stance_intervals
+from surefoot.evaluation.footfalls import (
+    FEET,
+    STANDING_REASON,
+    Footfalls,
+    analyze_footfalls,
+    classify,
+    stance_intervals,
+)
 
 STEP = 0.006
 PHASES = {  # by FEET: front_left, back_left, front_right, back_right
@@ -205,7 +212,7 @@ def test_stance_intervals_by_hand() -> None:
 def test_a_robot_that_stands_and_feet_that_idle_are_named() -> None:
     time = np.arange(1, 601) * 0.01
     touch = np.ones((600, 4))
-    assert analyzed(touch, time).reason == STANDS
+    assert analyzed(touch, time).reason == STANDING_REASON
     touch[:, 2] = 0.0
     touch[:, 3] = np.arange(600) % 40 < 20
     reason = analyzed(touch, time).reason

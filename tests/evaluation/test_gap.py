@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from run_tables import policy_gap
 
-from surefoot.evaluation.gap import PolicyGap, gap_text
+from surefoot.evaluation.gap import PolicyGap, gap_cells
 from surefoot.evaluation.statistics import MeanEstimate
 
 
@@ -37,7 +37,7 @@ def test_a_gap_has_a_row_for_each_world():
     assert [home[name] for name in ("return_mean", "return_error", "power_mean", "runs", "falls")] == [4, 1, 10, 2, 0]
     assert (bullet["gap"], bullet["gap_error"]) == (2, pytest.approx(math.sqrt(2)))
     assert np.isnan([home["gap"], robot["gap"], robot["gap_error"], robot["return_mean"]]).all()
-    assert [gap_text(row, row["side"] == "home", sign=True)["gap (m)"] for row in policy.rows()] == [
+    assert [gap_cells(row, row["side"] == "home", sign=True)["gap (m)"] for row in policy.rows()] == [
         "",
         "+2.00 ± 1.41",
         "-",

@@ -15,8 +15,8 @@ from surefoot.evaluation.policy_table import (
     COLUMNS,
     common_commands,
     comparison_conditions,
+    format_rows,
     measure,
-    texts,
     with_commands,
 )
 from surefoot.evaluation.rollout import run_episodes
@@ -58,9 +58,9 @@ def test_texts_have_a_row_for_each_policy():
 
     row = dict.fromkeys(COLUMNS, 1.25) | {"falls": 3, "cost_of_transport": float("nan")}
     table = pd.DataFrame([{"policy": name, "condition": "nominal", "episodes": 32, **row} for name in ("a", "b")])
-    first, second = texts(table, "nominal")
+    first, second = format_rows(table, "nominal")
     assert (first["policy"], second["policy"]) == ("a", "b")
     assert first["falls"] == "3 of 32"
     assert first["error forward (m/s)"] == "1.250"
     assert first["cost of transport"] == "-"
-    assert texts(table, "feet") == []
+    assert format_rows(table, "feet") == []

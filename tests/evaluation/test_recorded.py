@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.recorded import assign_to_policies, find_traces, ground_of, save_runs
+from surefoot.evaluation.recorded import assign_to_policies, find_traces, ground_for_trace, save_runs
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
@@ -26,13 +26,13 @@ def test_traces_are_found_in_all_folders_below(tmp_path: Path, make_run: MakeRun
 
 
 def test_ground_of_a_trace_is_made_again_and_never_read_from_a_file(tmp_path: Path, make_run: MakeRun):
-    ground = ground_of(make_run(terrain="blocks:0.1", seed=3))
-    assert ground is ground_of(make_run(2.0, terrain="blocks:0.1", seed=3))
-    assert (ground.corners != ground_of(make_run(terrain="blocks:0.1", seed=4)).corners).any()
+    ground = ground_for_trace(make_run(terrain="blocks:0.1", seed=3))
+    assert ground is ground_for_trace(make_run(2.0, terrain="blocks:0.1", seed=3))
+    assert (ground.corners != ground_for_trace(make_run(terrain="blocks:0.1", seed=4)).corners).any()
     for name in ("flat", "field", "map.npz", str(tmp_path / "a:1.npz"), "stairs:0.1.png"):
-        assert ground_of(make_run(terrain=name)).is_flat
+        assert ground_for_trace(make_run(terrain=name)).is_flat
     with pytest.raises(SurefootError, match="terrain stairs: size is 99 m"):
-        ground_of(make_run(terrain="stairs:99"))
+        ground_for_trace(make_run(terrain="stairs:99"))
 
 
 def test_a_map_that_is_given_is_the_ground_of_traces_with_its_name(tmp_path: Path, make_run: MakeRun):
@@ -40,9 +40,9 @@ def test_a_map_that_is_given_is_the_ground_of_traces_with_its_name(tmp_path: Pat
     heights[30:] = 0.2
     np.savez(tmp_path / "hill.npz", heights=heights, cell=0.1)
     trace = make_run(terrain="hill.npz")
-    assert ground_of(trace, tmp_path / "hill.npz").height(np.array([1.5, 0.0])) == pytest.approx(0.2)
-    assert ground_of(trace).is_flat
-    assert ground_of(make_run(terrain="other.npz"), tmp_path / "hill.npz").is_flat
+    assert ground_for_trace(trace, tmp_path / "hill.npz").height(np.array([1.5, 0.0])) == pytest.approx(0.2)
+    assert ground_for_trace(trace).is_flat
+    assert ground_for_trace(make_run(terrain="other.npz"), tmp_path / "hill.npz").is_flat
 
 
 def test_find_traces_refuses_a_folder_without_traces(tmp_path: Path):

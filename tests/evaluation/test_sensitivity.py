@@ -22,7 +22,7 @@ pytest.importorskip("gymnasium")
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
-from surefoot.evaluation.sensitivity import Sensitivity, find_breaks, make_test_worlds, row_unit, run_sensitivity
+from surefoot.evaluation.sensitivity import Sensitivity, find_gait_limits, make_test_worlds, row_unit, run_sensitivity
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges, RelativeRange, load_ranges
 from surefoot.task.config import TaskConfig, load_task
@@ -252,7 +252,7 @@ def test_the_nearest_break_comes_first():
         },
         {MASS: [0, 0, 0, 0, 4], LATENCY: [0, 0, 0, 1, 3]},
     )
-    latency, mass = find_breaks(study).itertuples()
+    latency, mass = find_gait_limits(study).itertuples()
     assert (latency.row, latency.value, latency.above, latency.fraction) == (
         LATENCY,
         0.03,
@@ -281,7 +281,7 @@ def test_the_nearest_break_comes_first():
     ],
 )
 def test_breaks_on_both_sides(returns: list[float], falls: list[int], breaks: list[tuple[float, int, int]]):
-    result = find_breaks(made_up({LATENCY: returns}, {LATENCY: falls}, nominal=10.0 if returns[0] > 0 else -1.0))
+    result = find_gait_limits(made_up({LATENCY: returns}, {LATENCY: falls}, nominal=10.0 if returns[0] > 0 else -1.0))
     assert [(item.value, item.beyond, item.broken_beyond) for item in result.itertuples()] == [
         (pytest.approx(value), beyond, broken) for value, beyond, broken in breaks
     ]

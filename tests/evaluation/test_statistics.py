@@ -14,10 +14,10 @@ from surefoot.evaluation.statistics import (
     Interval,
     MeanEstimate,
     crossed_interval,
-    equivalence_p,
+    equivalence_p_value,
     holm,
-    share_difference,
-    share_interval,
+    proportion_difference,
+    proportion_interval,
     t_interval,
     welch_interval,
 )
@@ -68,27 +68,27 @@ def test_one_or_two_numbers_have_no_interval() -> None:
 
 def test_share_interval_is_the_exact_binomial_one() -> None:
     # None of 100: 1 - .025^(1 / 100).
-    none = share_interval([0.0, 0.0], 50)
+    none = proportion_interval([0.0, 0.0], 50)
     assert (none.mean, none.low, none.high) == pytest.approx((0.0, 0.0, 1 - 0.025**0.01))
-    assert share_interval([1.0, 1.0], 2).low == pytest.approx(0.025**0.25)
+    assert proportion_interval([1.0, 1.0], 2).low == pytest.approx(0.025**0.25)
     for hits, trials in ((3, 10), (41, 100)):
         expected = stats.binomtest(hits, trials).proportion_ci(method="exact")
-        interval = share_interval([hits / trials], trials)
+        interval = proportion_interval([hits / trials], trials)
         assert (interval.mean, interval.low, interval.high) == pytest.approx((hits / trials, *expected), rel=1e-10)
 
 
 def test_shares_that_differ_between_seeds_or_robots_widen_their_interval_within_bounds() -> None:
-    alike, unlike = share_interval([0.5, 0.5, 0.5], 20), share_interval([0.0, 0.5, 1.0], 20)
+    alike, unlike = proportion_interval([0.5, 0.5, 0.5], 20), proportion_interval([0.0, 0.5, 1.0], 20)
     assert alike.mean == unlike.mean == 0.5
     assert 0.0 <= unlike.low < alike.low < 0.5 < alike.high < unlike.high <= 1.0
     # Korn and Graubard 1998: .25 / (.25 / 3) = 3 trials, times (t(.975, 59) / t(.975, 2))^2 = (2.000995 / 4.302653)^2.
     hits = 0.5 * 3 * (2.000995 / 4.302653) ** 2
     assert unlike.high == pytest.approx(stats.beta.ppf(0.975, hits + 1, hits), rel=1e-6)
-    robots = share_interval(np.repeat([[0.0, 1.0]], 10, axis=1).repeat(3, axis=0), 20)
+    robots = proportion_interval(np.repeat([[0.0, 1.0]], 10, axis=1).repeat(3, axis=0), 20)
     assert unlike.low < robots.low < alike.low
     random, inside = np.random.default_rng(2), 0
     for _ in range(1000):
-        share = share_interval(random.binomial(20, random.beta(3.0, 7.0, 4)) / 20, 20)
+        share = proportion_interval(random.binomial(20, random.beta(3.0, 7.0, 4)) / 20, 20)
         inside += share.low <= 0.3 <= share.high
     assert inside / 1000 >= 0.95
 
@@ -96,13 +96,13 @@ def test_shares_that_differ_between_seeds_or_robots_widen_their_interval_within_
 def test_difference_of_shares_joins_their_intervals() -> None:
     # Newcombe 1998, table II, (a): 56 of 70 less 48 of 80 by Wilson's intervals is .2 [.0524, .3339].
     wilson = Interval(0.8, 0.6918, 0.8769), Interval(0.6, 0.4904, 0.7003)
-    change = share_difference(*wilson)
+    change = proportion_difference(*wilson)
     assert (change.mean, change.low, change.high) == pytest.approx((0.2, 0.0524, 0.3339), abs=2e-4)
     # Altman and Bland 2011: the standard error is the part towards zero over 1.96.
     assert change.p == pytest.approx(2 * stats.norm.sf(0.2 / (0.1476 / 1.96)), rel=0.02)
-    worst = share_difference(share_interval([1.0], 2), share_interval([0.0], 2))
+    worst = proportion_difference(proportion_interval([1.0], 2), proportion_interval([0.0], 2))
     assert -1.0 <= worst.low < worst.high == 1.0
-    assert share_difference(share_interval([0.0], 20), share_interval([0.0], 20)).p == 1.0
+    assert proportion_difference(proportion_interval([0.0], 20), proportion_interval([0.0], 20)).p == 1.0
 
 
 def test_holm_by_hand() -> None:
@@ -189,15 +189,15 @@ def test_t_interval_of_another_confidence_is_scipys() -> None:
 
 def test_equivalence_of_three_numbers_by_hand() -> None:
     # Mean 0, standard error 1 / sqrt 3. The bound is t(0.95, 2) = 2.919986 standard errors away, so p is .05.
-    assert equivalence_p([-1.0, 0.0, 1.0], 2.919986 / math.sqrt(3)) == pytest.approx(0.05, rel=1e-6)
+    assert equivalence_p_value([-1.0, 0.0, 1.0], 2.919986 / math.sqrt(3)) == pytest.approx(0.05, rel=1e-6)
     # A mean at the bound lies as likely on either side of it.
-    assert equivalence_p([1.0, 2.0, 3.0], 2.0) == pytest.approx(0.5)
-    assert [equivalence_p([level] * 3, 0.5) for level in (0.4, 0.6)] == pytest.approx([0, 1], abs=1e-9)
-    assert math.isnan(equivalence_p([0.1, 0.2], 0.5))
+    assert equivalence_p_value([1.0, 2.0, 3.0], 2.0) == pytest.approx(0.5)
+    assert [equivalence_p_value([level] * 3, 0.5) for level in (0.4, 0.6)] == pytest.approx([0, 1], abs=1e-9)
+    assert math.isnan(equivalence_p_value([0.1, 0.2], 0.5))
 
 
 def test_equivalence_is_scipys_pair_of_one_sided_tests() -> None:
     values = np.random.default_rng(2).normal(0.2, 0.3, 12)
     tests = ((-0.5, "greater"), (0.5, "less"))
     p = max(stats.ttest_1samp(values, bound, alternative=side).pvalue for bound, side in tests)
-    assert equivalence_p(values, 0.5) == pytest.approx(p, rel=1e-10)
+    assert equivalence_p_value(values, 0.5) == pytest.approx(p, rel=1e-10)

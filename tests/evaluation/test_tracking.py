@@ -10,7 +10,14 @@ import pytest
 from scripted import COMMAND_LIMITS as LIMITS
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.tracking import GRID, Tracking, command_grid, distance_along, motion, settled_steps
+from surefoot.evaluation.tracking import (
+    GRID_SIZE,
+    Tracking,
+    command_grid,
+    distance_along,
+    measured_velocity,
+    settled_mask,
+)
 from surefoot.task.trace import EpisodeTrace
 
 STEP = 0.02
@@ -39,7 +46,7 @@ def trace_of(make_run: Callable[..., EpisodeTrace]) -> MakeTrace:
 def test_motion_is_in_the_heading_frame(trace_of: MakeTrace) -> None:
     yaw = np.linspace(3.0, 3.5, 101)  # through half a turn
     speed = np.tile([0.4, -0.1], (100, 1))
-    measured = motion(trace_of(speed, yaw, np.zeros((100, 3))))
+    measured = measured_velocity(trace_of(speed, yaw, np.zeros((100, 3))))
     assert measured[:, :2] == pytest.approx(speed)
     assert measured[:, 2] == pytest.approx(0.5 / (100 * STEP))
 
@@ -61,7 +68,7 @@ def test_the_second_after_a_change_of_command_is_left_out(trace_of: MakeTrace) -
     speed = np.zeros((steps, 2))
     speed[150:, 0] = 1.0  # follows a second later
     trace = trace_of(speed, np.zeros(steps + 1), command)
-    settled = settled_steps(trace)
+    settled = settled_mask(trace)
     assert np.flatnonzero(~settled[:100]).tolist() == list(range(49))
     assert np.flatnonzero(~settled[100:]).tolist() == list(range(49))
     # One step counts in which the robot had not followed yet: step 149 ends a second after the change.
@@ -96,15 +103,15 @@ def test_a_trace_keeps_its_commands_in_its_file(trace_of: MakeTrace, tmp_path) -
 
 def test_a_grid_covers_the_range_of_the_commands() -> None:
     rows = command_grid(LIMITS)
-    turning, sideways = rows[: GRID * GRID], rows[GRID * GRID :]
-    assert len(set(turning)) == GRID * GRID
+    turning, sideways = rows[: GRID_SIZE * GRID_SIZE], rows[GRID_SIZE * GRID_SIZE :]
+    assert len(set(turning)) == GRID_SIZE * GRID_SIZE
     assert {y for _, y, _ in turning} == {0.0} == {w for _, _, w in sideways}
     for column, name in ((0, "forward"), (2, "yaw_rate")):
         values = [row[column] for row in turning]
         assert (min(values), max(values)) == getattr(LIMITS, name)
     # What is straight on is there already.
-    assert len(set(rows)) == len(rows) == GRID * (2 * GRID - 1)
+    assert len(set(rows)) == len(rows) == GRID_SIZE * (2 * GRID_SIZE - 1)
     assert {(x, y) for x, y, _ in sideways} >= {(LIMITS.high[0], LIMITS.low[1]), (LIMITS.low[0], LIMITS.high[1])}
-    assert len(command_grid(replace(LIMITS, sideways=(0.0, 0.0)))) == GRID * GRID
+    assert len(command_grid(replace(LIMITS, sideways=(0.0, 0.0)))) == GRID_SIZE * GRID_SIZE
     with pytest.raises(SurefootError, match="this policy has no commands to follow"):
         command_grid(None)

@@ -54,7 +54,7 @@ def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies_and_robots(
 def test_differences_of_gaps_join_the_errors_of_four_means(gap_comparison: MakeComparison) -> None:
     best = gap_comparison().best()
     a, b = best.gap("a"), best.gap("b")
-    crossed = best.difference("b", "a", next(figure for figure in best.figures if figure.name == "gap"))
+    crossed = best.difference("b", "a", next(metric for metric in best.metrics if metric.name == "gap"))
     # The policies of b agree, and robots do what they do to both: all that varies are the three of a.
     assert crossed.mean == pytest.approx(-1.3)
     columns = b.gaps("bullet").mean(axis=0) - a.gaps("bullet").mean(axis=0)

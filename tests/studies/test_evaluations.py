@@ -114,7 +114,7 @@ def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollo
 
 def test_figures_of_a_gap_are_means_over_its_runs(rollouts: Rollouts) -> None:
     result, _ = run("gap")
-    figures = EVALUATIONS["gap"].read_figures(result)
+    figures = EVALUATIONS["gap"].read_metrics(result)
     # Distances 3.5, 3.6 and .5 m at home and 1.5, 1.6 and .5 m away; 100, 100 and 60 steps of 2 J at .008 m/J.
     spent = 0.008 * 2 * (100 + 100 + 60) / 3
     assert figures["gap_home"] == pytest.approx(7.6 / 3 - spent)

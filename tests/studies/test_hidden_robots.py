@@ -18,7 +18,7 @@ from surefoot.studies.hidden_robots import (
     check_identified,
     read_identified,
     robot_file,
-    take_identified,
+    select_identified,
 )
 
 MINITAUR = RobotDescription.load("minitaur")
@@ -57,8 +57,8 @@ def test_trainings_take_parameters_by_name_or_group_and_never_the_controllers(tm
     names = ("base_mass_ratio", "control_step", "control_latency", "voltage", "imu_noise", "servo_kp", "servo_kd")
     write_params(robot_file(tmp_path, 201), MINITAUR, params, names=names)
     file = read_params(tmp_path / "robot_201.toml", MINITAUR)
-    assert list(take_identified(file, ("body", "imu_noise"))) == ["base_mass_ratio", "imu_noise"]
-    everything = take_identified(file, ("body", "motors", "contact", "sensors"))
+    assert list(select_identified(file, ("body", "imu_noise"))) == ["base_mass_ratio", "imu_noise"]
+    everything = select_identified(file, ("body", "motors", "contact", "sensors"))
     assert everything == {"base_mass_ratio": 1.1, "control_latency": 0.02, "voltage": 15.0, "imu_noise": 0.0}
     found = read_identified(tmp_path, 201, "minitaur")
     assert found is not None

@@ -12,7 +12,7 @@ from surefoot.configuration import read_yaml
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies import robot_identification
 from surefoot.studies.hidden_robots import HiddenRobots, OtherMotors
-from surefoot.studies.robot_identification import identify_robots, waiting_robots
+from surefoot.studies.robot_identification import identify_robots, unidentified_robots
 
 SCRIPT = """
 import json, sys, time
@@ -37,7 +37,7 @@ ROBOTS = HiddenRobots(
 @pytest.fixture(autouse=True)
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "script.py").write_text(SCRIPT)
-    monkeypatch.setattr(robot_identification, "SUREFOOT", (sys.executable, "script.py"))
+    monkeypatch.setattr(robot_identification, "SUREFOOT_COMMAND", (sys.executable, "script.py"))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -70,7 +70,7 @@ def test_every_robot_is_identified_once_and_a_failure_stops_no_other() -> None:
 
     # The same again tries the robot that is left.
     before = len(calls())
-    assert waiting_robots(ROBOTS, folder) == [2]
+    assert unidentified_robots(ROBOTS, folder) == [2]
     assert list(identify_robots(ROBOTS, folder, work, 1, lambda *_: None)) == [2]
     assert len(calls()) == before + 6
 
@@ -84,4 +84,4 @@ def test_a_stop_leaves_no_half_of_a_file() -> None:
         return count > 3
 
     assert identify_robots(ROBOTS, Path("robots"), Path("work"), 1, lambda *_: None, stopped) == {}
-    assert waiting_robots(ROBOTS, Path("robots")) == [1, 2, 3]
+    assert unidentified_robots(ROBOTS, Path("robots")) == [1, 2, 3]

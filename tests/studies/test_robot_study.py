@@ -14,7 +14,7 @@ pytest.importorskip("gymnasium")
 pytest.importorskip("matplotlib")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.conditions import away_task
+from surefoot.evaluation.conditions import data_sheet_task
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import read_params, write_params
 from surefoot.robot.randomization import load_ranges
@@ -149,7 +149,7 @@ def test_a_policy_keeps_its_gains_and_control_step_on_a_robot(tmp_path: Path) ->
     task = replace(task, actuator="constraint", params=own)
     on = robot_task(task, robots, 4, folder)
     assert (on.actuator, on.robot, on.randomize) == ("dc", str(folder), {})
-    assert replace(on, params={}, robot=task.robot) == replace(away_task(task), params={})
+    assert replace(on, params={}, robot=task.robot) == replace(data_sheet_task(task), params={})
     params, truth = on.nominal(RobotDescription.load(on.robot)), robots.params(4, folder)
     for name in PhysicalParams.names(MINITAUR):
         expected = own[name] if name in ("servo_kd", "control_step") else getattr(truth, name)[0]
@@ -176,7 +176,7 @@ def test_a_policy_runs_at_home_and_on_its_robots(
     assert calls == [("mujoco", "constraint", 15.0), *(("bullet", "dc", voltage) for voltage in voltages)]
     assert [*dict.fromkeys(result["runs"]["world"])] == ["mujoco", "robot_2", "robot_4"]
     assert traces == {}
-    figures = kind.read_figures(result)
+    figures = kind.read_metrics(result)
     assert figures["home"] - figures["on_robot"] == pytest.approx(3.0)
     assert figures["falls"] == 0
     # Another robot, another range or other motors are another evaluation.

@@ -15,7 +15,7 @@ pytest.importorskip("optuna")
 from surefoot.configuration import write_yaml
 from surefoot.errors import SurefootError
 from surefoot.studies.search import Search, SearchConfig, make_config
-from surefoot.studies.search_space import get
+from surefoot.studies.search_space import get_value
 from surefoot.studies.training import Training
 from surefoot.studies.workers import ProgressReport
 
@@ -34,7 +34,7 @@ def make(folder: Path, seed: int = 3) -> SearchConfig:
 
 def settings(training: Training) -> tuple[Any, ...]:
     names = ("ppo.learning_rate", "ppo.epochs", "ppo.value_hidden")
-    return training.config.seed, *(get(training.config, name) for name in names)
+    return training.config.seed, *(get_value(training.config, name) for name in names)
 
 
 def evaluated(steps: int, value: float) -> dict[str, Any]:

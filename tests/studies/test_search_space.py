@@ -9,7 +9,14 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
-from surefoot.studies.search_space import Dimension, as_params, get, load_space, put, suggest
+from surefoot.studies.search_space import (
+    Dimension,
+    get_value,
+    load_space,
+    suggest_values,
+    to_optuna_params,
+    with_values,
+)
 
 SPACE = """
 ppo.learning_rate: {low: 0.0001, high: 0.01, log: true}
@@ -34,16 +41,16 @@ def test_put_changes_the_fields_of_the_space_alone(tmp_path: Path) -> None:
         "ppo.value_hidden": [32, 32],
         "task.reference.swing.frequency": 2.5,
     }
-    config = put(trot, space, values)
+    config = with_values(trot, space, values)
     assert config.ppo == replace(trot.ppo, learning_rate=0.002, policy_hidden=(125, 33), value_hidden=(32, 32))
     reference = trot.task.reference
     swing, extension = replace(reference.swing, frequency=2.5), replace(reference.extension, frequency=2.5)
     assert config.task == replace(trot.task, reference=replace(reference, swing=swing, extension=extension))
     assert replace(config, ppo=trot.ppo, task=trot.task) == trot
-    assert {name: get(config, name) for name in space} == values
-    assert as_params(space, config) == values | {"ppo.value_hidden": "[32, 32]"}
+    assert {name: get_value(config, name) for name in space} == values
+    assert to_optuna_params(space, config) == values | {"ppo.value_hidden": "[32, 32]"}
     # Out of the space: a learning rate over the range, layers that are no choice.
-    assert set(as_params(space, trot)) == {"ppo.learning_rate", "task.reference.swing.frequency"}
+    assert set(to_optuna_params(space, trot)) == {"ppo.learning_rate", "task.reference.swing.frequency"}
 
 
 def test_the_spaces_that_ship_fit_the_tasks_that_ship() -> None:
@@ -57,7 +64,7 @@ def test_the_spaces_that_ship_fit_the_tasks_that_ship() -> None:
         "task.reference.extension.amplitude",
     }
     # The paper's own layers are within.
-    assert {"ppo.policy_hidden.0": 185, "ppo.policy_hidden.1": 95}.items() <= as_params(without, gallop).items()
+    assert {"ppo.policy_hidden.0": 185, "ppo.policy_hidden.1": 95}.items() <= to_optuna_params(without, gallop).items()
 
 
 def test_logarithmic_range_of_negative_values_draws_their_magnitudes(tmp_path: Path) -> None:
@@ -65,11 +72,11 @@ def test_logarithmic_range_of_negative_values_draws_their_magnitudes(tmp_path: P
     gallop = load_train_config("gallop")
     space = load_space(space_file(tmp_path, "task.reward.energy: {low: -0.02, high: -0.002, log: true}"), gallop)
     trial = optuna.trial.FixedTrial({"task.reward.energy": 0.004})
-    values = suggest(space, trial)
+    values = suggest_values(space, trial)
     assert values == {"task.reward.energy": -0.004}
     (distribution,) = trial.distributions.values()
     assert (distribution.low, distribution.high, distribution.log) == (0.002, 0.02, True)
-    assert as_params(space, put(gallop, space, values)) == trial.params
+    assert to_optuna_params(space, with_values(gallop, space, values)) == trial.params
 
 
 def test_costs_of_energy_are_searched_where_the_reward_has_them() -> None:

@@ -22,7 +22,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges
 from surefoot.studies.comparison import Comparison, late_gain, policy_row, study_tables
 from surefoot.studies.study_config import GroupConfig, StudyConfig
-from surefoot.studies.study_report import text_of_tables, write_report
+from surefoot.studies.study_report import report_from_tables, write_report
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
@@ -155,7 +155,7 @@ def test_the_report_holds_the_tables_and_figures(tmp_path: Path, study: Comparis
     for file in re.findall(r"\]\(([^)]+)\)", text):
         assert (tmp_path / file).stat().st_size > 100, file
     # The same text follows from the tables alone.
-    assert text_of_tables(study.study, tmp_path, "surefoot study studies/robustness.yaml") == text
+    assert report_from_tables(study.study, tmp_path, "surefoot study studies/robustness.yaml") == text
     with (tmp_path / "sensitivity.csv").open() as table:
         assert len(list(csv.DictReader(table))) == 4 * 3 * len(WORLDS)
 
@@ -166,7 +166,7 @@ def test_the_report_of_one_seed_has_no_intervals(tmp_path: Path) -> None:
     assert cells(text, "Results", "4-D")[2] == "2.00"
     assert "**" not in "".join(cells(text, "Differences", "4-D, randomized"))
     assert "small_plain seed 1" in text.split("## Trainings")[0]
-    assert text_of_tables(study.study, tmp_path, "command") == text
+    assert report_from_tables(study.study, tmp_path, "command") == text
 
 
 def test_the_report_names_gaits_and_draws_one_of_each_group(tmp_path: Path, make_run: MakeRun) -> None:
@@ -186,7 +186,7 @@ def test_the_report_names_gaits_and_draws_one_of_each_group(tmp_path: Path, make
     with (tmp_path / "out" / "policies.csv").open() as table:
         gaits = [(row["gait"], row["pattern"], row["gait_agree"]) for row in csv.DictReader(table)]
     assert gaits == [("pace", "walking pace", "4")] * (4 * 2)
-    assert text_of_tables(study, tmp_path / "out", "command") == text
+    assert report_from_tables(study, tmp_path / "out", "command") == text
     for group in plain.groups:
         assert (tmp_path / "out" / f"gait_{group}.png").stat().st_size > 1000
         assert f"![Footfalls: {plain.study.label(group)}, seed 0](gait_{group}.png)" in section
@@ -195,7 +195,7 @@ def test_the_report_names_gaits_and_draws_one_of_each_group(tmp_path: Path, make
 def test_the_report_on_gaps(tmp_path: Path, gap_comparison: Callable[..., Comparison]) -> None:
     comparison = gap_comparison()
     text = write_report(comparison, tmp_path, "surefoot study gaps.yaml").read_text()
-    assert text_of_tables(comparison.study, tmp_path, "surefoot study gaps.yaml") == text
+    assert report_from_tables(comparison.study, tmp_path, "surefoot study gaps.yaml") == text
     for file in re.findall(r"\]\(([^)]+)\)", text):
         assert (tmp_path / file).exists(), file
     for file in ("gap_both.png", "gap_others.png", "learning_curves_both.png"):

@@ -10,12 +10,12 @@ import pytest
 
 pytest.importorskip("cma")
 
-from surefoot.studies.tune import GAINS, PATH, PHASES, TuneConfig, Tuner, foot_config, has_converged
+from surefoot.studies.tune import GAIN_RANGES, PATH_RANGES, PHASE_RANGES, TuneConfig, Tuner, foot_config, has_converged
 from surefoot.task.handcrafted import OpenLoop
 from surefoot.task.raibert import RaibertController
 from surefoot.world.sim_world import SimWorld
 
-USUAL = {name: usual for name, (_, _, usual) in PATH.items()}
+USUAL = {name: usual for name, (_, _, usual) in PATH_RANGES.items()}
 SMALL = TuneConfig(generations=2, population=4, starts=2, duration=0.5, threads=1)
 
 
@@ -44,7 +44,7 @@ def test_foot_config_scales_parameters_by_reach_and_speed():
 )
 def test_phases_of_each_gait(gait, phase):
     free = {"back_phase": 0.4, "front_lead": 0.1, "back_lead": -0.1}
-    values = USUAL | {name: free[name] for name in PHASES[gait]}
+    values = USUAL | {name: free[name] for name in PHASE_RANGES[gait]}
     assert foot_config(values, gait, 1.0, 0.3).phase == pytest.approx(phase)
 
 
@@ -68,7 +68,7 @@ def test_a_search_gets_better_and_keeps_the_best_of_another_start():
     best = dict(tuner.best)
     again = Tuner(replace(SMALL, raibert=True), SimWorld, best)
     assert {name: again.best[name] for name in best} == best
-    assert set(again.best) - set(best) == set(GAINS)
+    assert set(again.best) - set(best) == set(GAIN_RANGES)
     assert isinstance(again.gait().policy(), RaibertController)
     assert isinstance(tuner.gait().policy(), OpenLoop)
     tuner.finish()

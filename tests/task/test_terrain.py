@@ -12,7 +12,7 @@ from resuming import assert_resumes_exactly
 from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import on_terrain
 from surefoot.evaluation.rollout import EpisodeRecorder
-from surefoot.evaluation.tracking import distance_along, kept_up
+from surefoot.evaluation.tracking import distance_along, is_successful
 from surefoot.robot import RobotDescription
 from surefoot.rotations import in_heading_frame
 from surefoot.task.config import load_task
@@ -105,7 +105,7 @@ def test_a_curriculum_counts_the_ways_that_success_is_judged_by(env):
             if env.component(TerrainCurriculum).commanded[i]
             else 0.0
         )
-        assert kept_up(trace) == bool(0.7 <= share <= 1.25 or not env.component(TerrainCurriculum).commanded[i])
+        assert is_successful(trace) == bool(0.7 <= share <= 1.25 or not env.component(TerrainCurriculum).commanded[i])
     assert np.abs(env.component(TerrainCurriculum).covered).max() > 0.01
 
 

@@ -239,7 +239,7 @@ class DrivePage:
             legs=robot.leg_names,
             source=self.source_name,
             limits=None if limits is None else [[*getattr(limits, name)] for name in COMMANDS],
-            knobs=[asdict(knob) for knob in self.robot.knobs()],
+            live_parameters=[asdict(parameter) for parameter in self.robot.live_parameters()],
             speeds=SPEEDS,
             pushes=_PUSH_DURATIONS,
         )

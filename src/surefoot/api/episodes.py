@@ -45,10 +45,10 @@ def print_summaries(summaries: dict[str, dict[str, Any]], reward: Mapping[str, f
 
 def standing_note(summary: dict[str, Any], reward: Mapping[str, float]) -> str | None:
     """Return a line that says why a policy stands that should walk, by the terms of its reward."""
-    from surefoot.evaluation.footfalls import STANDS
+    from surefoot.evaluation.footfalls import STANDING_REASON
 
     asked = summary.get("rmse", {}).get("forward")
-    if summary.get("gait_reason") != STANDS or not reward or (asked is not None and asked < _ASKED):
+    if summary.get("gait_reason") != STANDING_REASON or not reward or (asked is not None and asked < _ASKED):
         return None
     terms = [f"{name} {weight:g}" for name, weight in sorted(reward.items(), key=lambda one: -one[1]) if weight]
     return (
@@ -66,14 +66,14 @@ def summary_rows(summaries: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
 
 def saturation_note(summary: dict[str, Any]) -> str | None:
     """Return a line that names the motor that is longest at its limit, if that limits the gait."""
-    from surefoot.evaluation.runs import SATURATION
+    from surefoot.evaluation.runs import MIN_LIMITING_SATURATION
 
     shares = {name: share for name, share in summary["saturation"].items() if share is not None}
     worst = max(shares, key=lambda name: shares[name], default=None)
-    if worst is None or shares[worst] < SATURATION:
+    if worst is None or shares[worst] < MIN_LIMITING_SATURATION:
         return None
-    count = sum(share >= SATURATION for share in shares.values()) - 1
-    others = f", {count} more in over {SATURATION:.0%}" if count else ""
+    count = sum(share >= MIN_LIMITING_SATURATION for share in shares.values()) - 1
+    others = f", {count} more in over {MIN_LIMITING_SATURATION:.0%}" if count else ""
     return (
         f"motors limit this gait: {worst} is at its limit in {shares[worst]:.0%} of the time{others}; "
         "surefoot robot check says what torque a trot asks for"
@@ -141,23 +141,23 @@ def _hottest_text(summary: dict[str, Any]) -> str:
 
 def _gait_text(summary: dict[str, Any]) -> str:
     """Return the name of a gait; of one that has none, the reason."""
-    from surefoot.evaluation.footfalls import STANDS
+    from surefoot.evaluation.footfalls import STANDING_REASON
 
     reason = summary.get("gait_reason", "")
     if summary["gait"] != "other" or not reason:
         return str(summary["gait"])
-    return f"{'stands' if reason == STANDS else 'other'}: {reason}"
+    return f"{'stands' if reason == STANDING_REASON else 'other'}: {reason}"
 
 
 def film(robot: RobotDescription, trace: EpisodeTrace, path: Path, ground: Ground | None = None) -> Path:
     """Write a video (.mp4) of a trace on a ground, the trace's if None; return its path."""
-    from surefoot.evaluation.recorded import ground_of
+    from surefoot.evaluation.recorded import ground_for_trace
     from surefoot.report.drawing.renderer import Camera
     from surefoot.report.drawing.scene import extent, trace_poses
     from surefoot.report.drawing.video import render_video
 
     parts, poses = robot.appearance(), trace_poses(robot, trace)
-    camera, ground = Camera.for_robot(extent(robot)), ground or ground_of(trace)
+    camera, ground = Camera.for_robot(extent(robot)), ground or ground_for_trace(trace)
     text = captions(trace)
     return render_video(parts, poses, trace.time, path, overlay=text, follow=robot.base, camera=camera, ground=ground)
 
@@ -170,13 +170,13 @@ def captions(trace: EpisodeTrace) -> list[str]:
     import numpy as np
 
     from surefoot.evaluation.statistics import decimal
-    from surefoot.evaluation.tracking import motion
+    from surefoot.evaluation.tracking import measured_velocity
 
     half, steered = max(round(0.5 / trace.meta["control_step"]), 1), bool(np.isfinite(trace.command).any())
     terrain = trace.meta["terrain"]
     place = str(trace.meta["world"]) + ("" if terrain == "flat" else f" on {terrain}")
     lines = []
-    velocity = motion(trace) if steered else np.zeros((trace.num_steps, 3))
+    velocity = measured_velocity(trace) if steered else np.zeros((trace.num_steps, 3))
     for step, time in enumerate(trace.time):
         start = max(step + 1 - half, 0)
         moved = trace.base_position_world[step + 1, 0] - trace.base_position_world[start, 0]

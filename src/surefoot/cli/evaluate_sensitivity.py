@@ -80,7 +80,7 @@ def main(argv: list[str]) -> int:
     condition = command.simulator.condition(**own, curricula=True)
     tasks = [condition.apply(one.task, robot) for one in loaded]
     make_figures_folder(command.out)
-    from surefoot.evaluation.sensitivity import find_breaks, trained_ranges
+    from surefoot.evaluation.sensitivity import find_gait_limits, trained_ranges
     from surefoot.report.figures.parameters import aggregate_figure, parameter_figure
     from surefoot.tables import write_csv
 
@@ -92,7 +92,7 @@ def main(argv: list[str]) -> int:
     groups, trained = {one.policy: [one] for one in results}, {one.name: trained_ranges(one.task) for one in loaded}
     tables = {
         "policies": [pd.DataFrame([_summary(one)]).drop(columns="breaks") for one in results],
-        "breaks": [find_breaks(one).assign(policy=one.policy) for one in results],
+        "breaks": [find_gait_limits(one).assign(policy=one.policy) for one in results],
         "sensitivity": [one.worlds.assign(policy=one.policy) for one in results],
         "episodes": [one.episodes.assign(policy=one.policy) for one in results],
     }
@@ -129,7 +129,7 @@ def main(argv: list[str]) -> int:
 
 def _summary(result: Sensitivity) -> dict[str, Any]:
     """Return the aggregates of one policy's test worlds, as JSON holds them."""
-    from surefoot.evaluation.sensitivity import find_breaks
+    from surefoot.evaluation.sensitivity import find_gait_limits
 
     return {
         "policy": result.policy,
@@ -141,7 +141,7 @@ def _summary(result: Sensitivity) -> dict[str, Any]:
         "nominal_falls": int(result.nominal.fell.sum()),
         "falls": int(result.tests.fell.sum()),
         "episodes": len(result.tests),
-        "breaks": find_breaks(result).to_dict("records"),
+        "breaks": find_gait_limits(result).to_dict("records"),
     }
 
 
@@ -150,7 +150,7 @@ def _print_tables(results: list[Sensitivity], files: list[Path], unit: str) -> N
 
     `unit` is that of returns.
     """
-    from surefoot.evaluation.sensitivity import find_breaks, row_unit
+    from surefoot.evaluation.sensitivity import find_gait_limits, row_unit
     from surefoot.tables import print_files, print_table, with_unit
 
     policies, rows = [], []
@@ -164,7 +164,7 @@ def _print_tables(results: list[Sensitivity], files: list[Path], unit: str) -> N
                 "falls": f"{result.tests.fell.sum()} of {len(result.tests)}",
             }
         )
-        breaks = find_breaks(result)
+        breaks = find_gait_limits(result)
         for row in result.rows:
             worlds = result.of_row(row)
             worst = worlds.loc[worlds.return_mean.idxmin()]

@@ -220,7 +220,7 @@ def _report(
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
-    from surefoot.evaluation.gap import PolicyGap, gap_text
+    from surefoot.evaluation.gap import PolicyGap, gap_cells
     from surefoot.evaluation.runs import measure_runs
     from surefoot.report.figures.gap import gap_figure
     from surefoot.report.figures.runs import side_by_side
@@ -245,7 +245,7 @@ def _report(
     if not command.json:
         title = f"Reality gap: return in {gaps[0].worlds[0]} less return elsewhere, ± one standard error"
         texts = [
-            {"policy": name} | gap_text(row, row["side"] == "home", sign=True, unit=unit)
+            {"policy": name} | gap_cells(row, row["side"] == "home", sign=True, unit=unit)
             for name, part in rows.items()
             for row in part
         ]

@@ -195,12 +195,12 @@ def _show_runs(argv: list[str]) -> int:
 def _film_run(shown: list[ShownTrace], out: Path, what: str) -> int:
     """Write the video of a single run."""
     from surefoot.api.episodes import film
-    from surefoot.evaluation.recorded import ground_of
+    from surefoot.evaluation.recorded import ground_for_trace
 
     if len(shown) > 1:
         raise SurefootError(f"{len(shown)} runs are given; a video shows one, and a page (.html) all of them")
     _note(what)
-    print(f"wrote {film(shown[0].robot, shown[0].trace, out, ground_of(shown[0].trace, shown[0].map_file))}")
+    print(f"wrote {film(shown[0].robot, shown[0].trace, out, ground_for_trace(shown[0].trace, shown[0].map_file))}")
     return 0
 
 

@@ -153,10 +153,10 @@ def identify(robots: HiddenRobots, name: str, root: Path, out: Path, workers: in
         KeyboardInterrupt: the operator stopped.
     """
     from surefoot.cli.helpers.study_results import robots_folder
-    from surefoot.studies.robot_identification import identify_robots, waiting_robots
+    from surefoot.studies.robot_identification import identify_robots, unidentified_robots
 
     folder = robots_folder(out)
-    waiting, start, count = waiting_robots(robots, folder), time.perf_counter(), 0
+    waiting, start, count = unidentified_robots(robots, folder), time.perf_counter(), 0
     if not waiting:
         console.print(f"{name}: all {len(robots.seeds)} robots are identified")
         return {}

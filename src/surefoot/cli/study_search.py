@@ -18,8 +18,8 @@ from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Within
 from surefoot.errors import prefix_errors
 from surefoot.learn.config import Steps
-from surefoot.studies.search import Search, SearchConfig, check_holds_search, make_config
-from surefoot.studies.search_space import put
+from surefoot.studies.search import Search, SearchConfig, check_search_folder, make_config
+from surefoot.studies.search_space import with_values
 from surefoot.studies.workers import check_address
 
 
@@ -64,7 +64,7 @@ def main(argv: list[str]) -> int:
     check_folder(out)
     going_on = command.resume or command.report_only
     if going_on:
-        check_holds_search(out)
+        check_search_folder(out)
     _check(config)
     console = make_console()
     out.mkdir(parents=True, exist_ok=True)
@@ -94,7 +94,7 @@ def _check(config: SearchConfig) -> None:
     for end in (0, -1):
         values = {name: one.samples[end] for name, one in config.space.items()}
         with prefix_errors("space"):
-            check_config(put(config.train, config.space, values))
+            check_config(with_values(config.train, config.space, values))
 
 
 def _train(search: Search, command: SearchCommand, console: Console) -> bool:

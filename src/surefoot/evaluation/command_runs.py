@@ -22,7 +22,7 @@ from surefoot.task.terrain import TerrainConfig
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world, is_modelled
 
-FIXED = ("control_step",)
+FIXED_PARAMETERS = ("control_step",)
 """Parameters that belong to the policy, and can't be changed while it runs."""
 _SEED = 1
 _MAX_STEPS = 1_000_000
@@ -35,7 +35,7 @@ _MAX_FORCE = 2000.0
 
 
 @dataclass(frozen=True)
-class Knob:
+class LiveParameter:
     """A physical parameter that can be changed while the robot runs."""
 
     name: str
@@ -202,9 +202,9 @@ class DrivenRobot:
         self.env.state.push_force[:] = force_world
         self.env.world.push(force_world)
 
-    def knobs(self) -> list[Knob]:
+    def live_parameters(self) -> list[LiveParameter]:
         """Return the numbers that can be set: what the robot's motors have and the world's engine models."""
-        knobs = []
+        parameters = []
         for name, declared in PARAMETERS.items():
             if not self._has(name, declared):
                 continue
@@ -214,8 +214,8 @@ class DrivenRobot:
             parts = {"": (nominal.mean(), values.mean())}
             if declared.per not in ("", "motors"):
                 parts = dict(zip(declared.parts(()), zip(nominal, values, strict=True), strict=True))
-            knobs += [
-                Knob(
+            parameters += [
+                LiveParameter(
                     f"{name}.{part}".removesuffix("."),
                     declared.group,
                     f"{declared.label}, {part}".removesuffix(", "),
@@ -226,23 +226,28 @@ class DrivenRobot:
                 )
                 for part, pair in parts.items()
             ]
-        return knobs
+        return parameters
 
     def _has(self, name: str, declared: Parameter) -> bool:
         ignored = declared.servo_only and self.env.task.actuator == "constraint"
-        return name not in FIXED and declared.belongs_to(self.robot) and is_modelled(self.world, name) and not ignored
+        return (
+            name not in FIXED_PARAMETERS
+            and declared.belongs_to(self.robot)
+            and is_modelled(self.world, name)
+            and not ignored
+        )
 
-    def set(self, knob: str, value: float) -> None:
-        """Set a knob's parameter in the running simulation.
+    def set(self, parameter: str, value: float) -> None:
+        """Set a physical parameter in the running simulation.
 
         Where each motor has a value of its own, all are scaled to the new mean.
 
         Raises:
-            SurefootError: no such knob, or a value that robot or engine do not allow; then nothing has changed.
+            SurefootError: no such parameter, or a value that robot or engine do not allow; then nothing has changed.
         """
-        name, _, column = knob.partition(".")
-        if knob not in (one.name for one in self.knobs()):
-            raise SurefootError(f"'{knob}' is not a parameter of {self.robot.name} that can be set while it runs")
+        name, _, column = parameter.partition(".")
+        if parameter not in (one.name for one in self.live_parameters()):
+            raise SurefootError(f"'{parameter}' is not a parameter of {self.robot.name} that can be set while it runs")
         world = self.env.world
         now, nominal = getattr(world.params, name), getattr(self.env.nominal, name)
         if column:

@@ -33,7 +33,7 @@ class Condition:
     world: str = "mujoco"
     """Name of the world."""
     data_sheet: bool = False
-    """Take the robot and the motors of the data sheet, as `away_task`."""
+    """Take the robot and the motors of the data sheet, as `data_sheet_task`."""
     actuator: Actuator | None = None
     """Actuator of the motors; defaults to the task's."""
     params_file: Path | None = None
@@ -74,7 +74,7 @@ class Condition:
                 task's robot and control step.
         """
         if self.data_sheet:
-            task = away_task(task)
+            task = data_sheet_task(task)
         if self.params_file is not None:
             task = _apply_file(task, self.params_file, self.estimated_gains)
         task = replace(task, actuator=self.actuator or task.actuator, params={**task.params, **self.params})
@@ -115,18 +115,18 @@ class Condition:
         return whole if whole.max_steps > task.max_steps else task
 
 
-def home_task(task: TaskConfig) -> TaskConfig:
+def undisturbed_task(task: TaskConfig) -> TaskConfig:
     """Return the task in the policy's own simulator, with its actuator and latencies; no randomization, no pushes."""
     return replace(task, randomize={}, pushes=replace(task.pushes, enabled=False))
 
 
-def away_task(task: TaskConfig) -> TaskConfig:
+def data_sheet_task(task: TaskConfig) -> TaskConfig:
     """Return the task on the robot of the data sheet, whatever it was trained with: a stand-in for reality.
 
     What the controller sets stays: control step and gains.
     """
     params = {name: value for name, value in task.params.items() if name in CONTROLLER}
-    return replace(home_task(task), actuator="dc", params=params, params_source={})
+    return replace(undisturbed_task(task), actuator="dc", params=params, params_source={})
 
 
 def _apply_file(task: TaskConfig, path: Path, estimated_gains: bool) -> TaskConfig:

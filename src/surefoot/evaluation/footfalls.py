@@ -32,15 +32,15 @@ from surefoot.task.trace import EpisodeTrace
 
 FEET = ("front_left", "back_left", "front_right", "back_right")
 
-BIN = 1 / 8  # half the width of a bin of phase
-TOGETHER = 1 / 16  # two feet of a pair closer than this strike as one
-RUNNING_DUTY = 0.6  # a gallop has duty factors below about a half; some room for compliant feet
+PHASE_TOLERANCE = 1 / 8  # half the width of a bin of phase
+MAX_TOGETHER_LAG = 1 / 16  # two feet of a pair closer than this strike as one
+MAX_GALLOP_DUTY = 0.6  # a gallop has duty factors below about a half; some room for compliant feet
 MIN_CONCENTRATION = 0.75  # circular scatter of about .12 stride
 MIN_STRIDES = 3
 TRANSIENT = 1.0  # s at the start that are left out, never more than a third of the episode
 DEBOUNCE = 0.015  # s
 MIN_STRIDE_PERIOD = 0.08  # s
-STANDS = "no foot leaves the ground"
+STANDING_REASON = "no foot leaves the ground"
 """Reason of a gait that is none, since the robot stands."""
 
 Intervals = tuple[tuple[float, float], ...]
@@ -131,9 +131,9 @@ def classify(phase: dict[str, float], duty: float) -> tuple[str, str, str]:
     """Return gait, pattern and, when it is "other", the reason, from each foot's phase and the mean duty factor."""
     lag_fore = _lag(phase["front_right"], phase["front_left"])
     lag_hind = _lag(phase["back_right"], phase["back_left"])
-    if max(abs(_lag(phase[a], phase[b])) for a in FEET for b in FEET) <= BIN:
+    if max(abs(_lag(phase[a], phase[b])) for a in FEET for b in FEET) <= PHASE_TOLERANCE:
         return "pronk", "pronk", ""
-    paired = [abs(lag) >= 0.5 - BIN for lag in (lag_fore, lag_hind)]
+    paired = [abs(lag) >= 0.5 - PHASE_TOLERANCE for lag in (lag_fore, lag_hind)]
     if all(paired):
         sides = [phase["front_left"] - phase["back_left"], phase["front_right"] - phase["back_right"]]
         return _symmetrical(_circular_mean(sides)[0], duty)
@@ -143,12 +143,12 @@ def classify(phase: dict[str, float], duty: float) -> tuple[str, str, str]:
 
     fore = _circular_mean([phase["front_left"], phase["front_right"]])[0]
     hind = _circular_mean([phase["back_left"], phase["back_right"]])[0]
-    if abs(_lag(hind, fore)) <= BIN:
+    if abs(_lag(hind, fore)) <= PHASE_TOLERANCE:
         return "other", "other", "fore and hind feet strike together, left and right feet do not"
-    fore_as_one, hind_as_one = abs(lag_fore) <= TOGETHER, abs(lag_hind) <= TOGETHER
+    fore_as_one, hind_as_one = abs(lag_fore) <= MAX_TOGETHER_LAG, abs(lag_hind) <= MAX_TOGETHER_LAG
     if fore_as_one and hind_as_one:
         return "bound", "bound", ""
-    if duty > RUNNING_DUTY:
+    if duty > MAX_GALLOP_DUTY:
         return "other", "other", f"asymmetrical, but duty factor {duty:.2f} is too long for a gallop"
     if hind_as_one:
         return "gallop", "half-bound", ""
@@ -161,7 +161,7 @@ def _symmetrical(diagonality: float, duty: float) -> tuple[str, str, str]:
     """Name a symmetrical gait (Hildebrand 1965); diagonality in strides."""
     walking = duty > 0.5
     for name, centre in (("trot", 0.5), ("pace", 0.0)):
-        if abs(_lag(diagonality, centre)) <= BIN:
+        if abs(_lag(diagonality, centre)) <= PHASE_TOLERANCE:
             return name, f"{'walking' if walking else 'running'} {name}", ""
     pattern = f"{'lateral' if diagonality < 0.5 else 'diagonal'}-sequence {'walk' if walking else 'run'}"
     if pattern == "lateral-sequence walk":
@@ -276,7 +276,7 @@ def _irregularity(
     idle = [name for name in names if not len(touchdowns[name])]
     down = [name for name in idle if any(a <= window[0] and b >= window[1] for a, b in intervals[name])]
     if len(down) == len(names):
-        return STANDS
+        return STANDING_REASON
     parts = (
         f"{' and '.join(feet)} never {verb if len(feet) > 1 else one}"
         for feet, verb, one in (

@@ -97,7 +97,7 @@ class PolicyGap:
         return rows
 
 
-def gap_text(row: Mapping[str, Any], is_home: bool, sign: bool = False, unit: str = "m") -> dict[str, str]:
+def gap_cells(row: Mapping[str, Any], is_home: bool, sign: bool = False, unit: str = "m") -> dict[str, str]:
     """Return cells of text on a row with the columns of `summarize_runs`, gap and gap_error: means with one error.
 
     `unit` is that of returns.

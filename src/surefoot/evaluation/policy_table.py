@@ -11,7 +11,7 @@ import pandas as pd
 
 from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import Condition
-from surefoot.evaluation.runs import following, summarize_load
+from surefoot.evaluation.runs import command_metrics, summarize_load
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.robot.randomization import Ranges
@@ -21,11 +21,11 @@ from surefoot.task.config import TaskConfig
 from surefoot.task.pushes import PushConfig
 from surefoot.task.trace import EpisodeTrace
 
-PUSH = (0.5, 0.8)
+PUSH_FORCE_RANGE = (0.5, 0.8)
 """Least and greatest push [weights of the robot]."""
-LATENCY = 0.020
+READING_LATENCY = 0.020
 """Age of the readings [s] under the condition of that name."""
-STIFFNESS = 3.0
+FOOT_STIFFNESS_RATIO = 3.0
 """Stiffness of the feet over the nominal one, under the condition of that name."""
 
 
@@ -37,18 +37,18 @@ def comparison_conditions(robot: RobotDescription, table1: Ranges, duration: flo
         table1: ranges of the paper's table I.
         duration: length of an episode [s].
     """
-    pushes = PushConfig(enabled=True, relative=True, force=PUSH, direction="horizontal")
-    pushed = f"pushed by {PUSH[0]:g} to {PUSH[1]:g} of its weight for 60 ms, each 1.2 s"
+    pushes = PushConfig(enabled=True, relative=True, force=PUSH_FORCE_RANGE, direction="horizontal")
+    pushed = f"pushed by {PUSH_FORCE_RANGE[0]:g} to {PUSH_FORCE_RANGE[1]:g} of its weight for 60 ms, each 1.2 s"
     conditions = [
         Condition("nominal", "nominal robot"),
         Condition("bullet", "nominal robot in the other engine", "bullet"),
         Condition("table1", "robots of table I", randomize=table1),
         Condition("pushes", pushed, pushes=pushes),
-        Condition("latency", f"readings {1e3 * LATENCY:g} ms old", params={"control_latency": LATENCY}),
+        Condition("latency", f"readings {1e3 * READING_LATENCY:g} ms old", params={"control_latency": READING_LATENCY}),
         Condition(
             "feet",
-            f"feet {STIFFNESS:g} times as stiff",
-            params={"contact_stiffness": STIFFNESS * robot.contact.stiffness},
+            f"feet {FOOT_STIFFNESS_RATIO:g} times as stiff",
+            params={"contact_stiffness": FOOT_STIFFNESS_RATIO * robot.contact.stiffness},
         ),
     ]
     return {one.name: replace(one, terrain=None, duration=duration, curricula=True) for one in conditions}
@@ -77,7 +77,7 @@ def with_commands(task: TaskConfig, commands: CommandConfig) -> TaskConfig:
 
 def measure(traces: Sequence[EpisodeTrace], weight: float) -> dict[str, Any]:
     """Return the measures of a policy under a condition from its episodes, see `COLUMNS`; `weight` [N] of the robot."""
-    followed = following(traces)
+    followed = command_metrics(traces)
     errors = {f"{kind}_{name}": value for kind in ("rmse", "rmse_stride") for name, value in followed[kind].items()}
     return {
         "episodes": len(traces),
@@ -105,7 +105,7 @@ square); mechanical power; energy over weight and distance along commands; mean 
 once."""
 
 
-def texts(table: pd.DataFrame, condition: str) -> list[dict[str, str]]:
+def format_rows(table: pd.DataFrame, condition: str) -> list[dict[str, str]]:
     """Return the rows of a condition as text, a policy in each."""
     rows = []
     for row in table[table.condition == condition].to_dict("records"):

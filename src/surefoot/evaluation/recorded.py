@@ -37,7 +37,7 @@ def load_robot(path: Path, trace: EpisodeTrace) -> RobotDescription:
         return trace.load_robot()
 
 
-def ground_of(trace: EpisodeTrace, map_file: Path | None = None) -> Ground:
+def ground_for_trace(trace: EpisodeTrace, map_file: Path | None = None) -> Ground:
     """Return what a recorded robot stood on; the plane, where a trace does not hold it.
 
     Args:

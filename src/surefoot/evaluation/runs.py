@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls, circular_phase
 from surefoot.evaluation.statistics import MeanEstimate
-from surefoot.evaluation.tracking import Tracking, distance_along, kept_up
+from surefoot.evaluation.tracking import Tracking, distance_along, is_successful
 from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
 
-SATURATION = 0.25
+MIN_LIMITING_SATURATION = 0.25
 """Share of time at its limit from which a motor is said to limit a gait. A trotting leg stands for half of the time, so
 this is half of every stance; trots that have enough torque stay below .04."""
 
@@ -120,9 +120,9 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         a dict that JSON can hold (None for NaN): episodes, falls, steps_mean, distance_mean (m), speed_mean and
         speed_std (m/s), power_mean (W), return_mean, return_std, drift_mean (m to either side), cost_of_transport_mean
         (energy over weight times distance, where that is over 0: along the commands, if there are any), with commands
-        what `following` returns, gait and why it is "other" (gait_reason), hottest_motor and its mean hottest_heat (W),
-        and by leg name duty_factor, phases (strides after front_left) and stance
-        (s), by motor name saturation (share of time at the motor's limit), world, policy.
+        the result of `command_metrics`, gait and why it is "other" (gait_reason), hottest_motor and its mean
+        hottest_heat (W), by leg name duty_factor, phases (strides after front_left) and stance (s), by motor name
+        saturation (fraction of time at the motor's limit), world, policy.
 
     Raises:
         SurefootError: episodes of several worlds or policies.
@@ -153,11 +153,11 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         **_hottest(traces),
         "world": runs.world.iloc[0],
         "policy": policy,
-        **following(traces),
+        **command_metrics(traces),
     }
 
 
-def following(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
+def command_metrics(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
     """Return how well episodes follow their commands: `rmse` and `rmse_stride` by command, see `Tracking`, and success.
 
     Success is the share of episodes that have kept up. Empty without commands.
@@ -165,7 +165,10 @@ def following(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
     commanded = [trace for trace in traces if is_commanded(trace)]
     if not commanded:
         return {}
-    return {**Tracking.from_traces(commanded).to_mapping(), "success": _mean([kept_up(trace) for trace in commanded])}
+    return {
+        **Tracking.from_traces(commanded).to_mapping(),
+        "success": _mean([is_successful(trace) for trace in commanded]),
+    }
 
 
 def summarize_load(traces: Sequence[EpisodeTrace], weight: float) -> dict[str, Any]:

@@ -267,7 +267,7 @@ def _share_streams(env: LocomotionEnv, episodes: int) -> None:
     env.set_state(state)
 
 
-def find_breaks(sensitivity: Sensitivity) -> pd.DataFrame:
+def find_gait_limits(sensitivity: Sensitivity) -> pd.DataFrame:
     """Find where a gait breaks, going from each row's nominal value to either end of its range.
 
     A gait breaks in a world in which it falls in half of the episodes or more, or in which its mean return is below

@@ -16,7 +16,7 @@ from surefoot.arrays import Array
 
 CONFIDENCE = 0.95
 """Chance that an interval covers the true value."""
-MIN_NUMBERS = 3
+MIN_SAMPLES = 3
 """Fewest numbers whose mean has an interval: that of two numbers is 13 times as wide as their distance."""
 _NORMAL_QUANTILE = 1.959963984540054
 """Of `CONFIDENCE` on both sides."""
@@ -87,7 +87,7 @@ class Interval:
 
 
 def t_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """Return the mean of numbers (N,) with Student's t interval; fewer than `MIN_NUMBERS` have none."""
+    """Return the mean of numbers (N,) with Student's t interval; fewer than `MIN_SAMPLES` have none."""
     array = np.asarray(values, np.float64)
     if not array.size:
         return Interval(math.nan)
@@ -95,17 +95,17 @@ def t_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     return interval if interval.is_finite else Interval(interval.mean, values=tuple(map(float, array)))
 
 
-def equivalence_p(values: ArrayLike, bound: float) -> float:
+def equivalence_p_value(values: ArrayLike, bound: float) -> float:
     """Return the p value of the claim that the mean of numbers (N,) lies within +-bound.
 
     It is the greater one of two one-sided t tests, of mean <= -bound and of mean >= bound (Schuirmann 1987). It is
-    below a level exactly if the interval of confidence 1 - 2 level lies within the bounds. Fewer than `MIN_NUMBERS`
+    below a level exactly if the interval of confidence 1 - 2 level lies within the bounds. Fewer than `MIN_SAMPLES`
     have NaN.
     """
     from scipy.special import stdtr
 
     array = np.asarray(values, np.float64)
-    if len(array) < MIN_NUMBERS:
+    if len(array) < MIN_SAMPLES:
         return math.nan
     room = bound - abs(float(array.mean()))
     error = float(array.std(ddof=1)) / math.sqrt(len(array))
@@ -114,7 +114,7 @@ def equivalence_p(values: ArrayLike, bound: float) -> float:
     return float(stdtr(len(array) - 1, -room / error))
 
 
-def share_interval(shares: ArrayLike, trials: int) -> Interval:
+def proportion_interval(shares: ArrayLike, trials: int) -> Interval:
     """Return the mean of shares with the exact binomial interval (Clopper and Pearson 1934).
 
     Trials of one seed are alike. Where shares differ more than chance among independent trials explains, there are
@@ -140,7 +140,7 @@ def share_interval(shares: ArrayLike, trials: int) -> Interval:
     return Interval(share, low, float(betaincinv(hits + 1, misses, 1 - tail)) if misses > 0 else 1.0)
 
 
-def share_difference(share: Interval, base: Interval) -> Interval:
+def proportion_difference(share: Interval, base: Interval) -> Interval:
     """Return a share less another, independent one, with the interval of their two (Zou and Donner 2008).
 
     Its p value follows from the interval (Altman and Bland 2011).
@@ -168,7 +168,7 @@ def holm(p: ArrayLike) -> Array:
 def welch_interval(values: ArrayLike, base: ArrayLike) -> Interval:
     """Return the mean of `values` (N,) less that of `base` (M,) with Welch's interval for unequal variances.
 
-    Degrees of freedom are those of Welch and Satterthwaite. Fewer than `MIN_NUMBERS` on either side have no interval.
+    Degrees of freedom are those of Welch and Satterthwaite. Fewer than `MIN_SAMPLES` on either side have no interval.
     """
     first, second = np.asarray(values, np.float64), np.asarray(base, np.float64)
     return _satterthwaite([first, second], float(first.mean() - second.mean()))
@@ -180,10 +180,10 @@ def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interv
     Rows are policies, of which each table has its own; columns are robots, the same in both tables. The variance of
     the mean is that of the row means over their number, for each table, plus that of the column means (of the tables'
     differences) over theirs. Variance that rows and columns share counts twice, so the interval is conservative.
-    Degrees of freedom are those of Satterthwaite. Fewer than `MIN_NUMBERS` rows or columns have no interval.
+    Degrees of freedom are those of Satterthwaite. Fewer than `MIN_SAMPLES` rows or columns have no interval.
     """
     tables = [np.asarray(table, np.float64) for table in ((values,) if base is None else (values, base))]
-    if base is None and len(tables[0]) < MIN_NUMBERS:
+    if base is None and len(tables[0]) < MIN_SAMPLES:
         return t_interval(tables[0].mean(axis=1))
     columns = tables[0].mean(axis=0) - (tables[1].mean(axis=0) if base is not None else 0.0)
     return _satterthwaite([*(table.mean(axis=1) for table in tables), columns], float(columns.mean()))
@@ -195,7 +195,7 @@ def _satterthwaite(samples: Sequence[Array], mean: float | None = None, confiden
     from scipy.special import stdtr, stdtrit
 
     mean = float(samples[0].mean()) if mean is None else mean
-    if min(map(len, samples)) < MIN_NUMBERS:
+    if min(map(len, samples)) < MIN_SAMPLES:
         return Interval(mean)
     variance, freedom = _variance_of_sum(samples)
     if variance == 0:

@@ -15,11 +15,11 @@ from surefoot.tables import plain_value
 from surefoot.task.command_tracking import has_kept_up, step_ways
 from surefoot.task.trace import EpisodeTrace
 
-STRIDE = 0.5
+DEFAULT_STRIDE_PERIOD = 0.5
 """Time [s] to average over where the gait has no period of its own."""
-GRID = 7
+GRID_SIZE = 7
 """Commands along each side of a grid."""
-SETTLING = 1.0
+SETTLING_TIME = 1.0
 """Time [s] after a change of the command that is left out: no robot follows a jump."""
 
 
@@ -36,13 +36,13 @@ class Tracking:
     def from_traces(cls, traces: Iterable[EpisodeTrace], stride: float | None = None) -> Tracking:
         """Measure recorded runs with commands; a stride takes `stride` [s], by default the gait's period.
 
-        Steps within `SETTLING` after the command changed are left out, and for averages all strides that hold one.
+        Steps within `SETTLING_TIME` after the command changed are left out, and for averages all strides that hold one.
         """
         steps, strides = [np.empty((0, 3))], [np.empty((0, 3))]
         for trace in traces:
-            errors, settled = motion(trace) - trace.command, settled_steps(trace)
+            errors, settled = measured_velocity(trace) - trace.command, settled_mask(trace)
             steps.append(errors[settled])
-            period = stride or trace.meta["gait_period"] or STRIDE
+            period = stride or trace.meta["gait_period"] or DEFAULT_STRIDE_PERIOD
             count = max(round(period / trace.meta["control_step"]), 1)
             if len(errors) >= count:
                 whole = np.lib.stride_tricks.sliding_window_view(settled, count).all(axis=-1)
@@ -66,7 +66,9 @@ def command_grid(limits: CommandLimits | None) -> tuple[tuple[float, float, floa
     """
     if limits is None:
         raise SurefootError("--command-grid is given; this policy has no commands to follow")
-    forward, sideways, turn = (np.linspace(low, high, GRID) for low, high in zip(limits.low, limits.high, strict=True))
+    forward, sideways, turn = (
+        np.linspace(low, high, GRID_SIZE) for low, high in zip(limits.low, limits.high, strict=True)
+    )
     rows = [(float(x), 0.0, float(w)) for w in turn for x in forward]
     if np.ptp(sideways) > 0:
         rows += [(float(x), float(y), 0.0) for y in sideways for x in forward if y]
@@ -89,20 +91,22 @@ def check_command(command: tuple[float, float, float], limits: CommandLimits | N
 
 def distance_along(trace: EpisodeTrace) -> float:
     """Return how far a run went along its commands [m]: steps whose command has no linear speed cover nothing."""
-    return float(_step_ways(trace)[1].sum())
+    return float(_step_distances(trace)[1].sum())
 
 
-def kept_up(trace: EpisodeTrace) -> bool:
+def is_successful(trace: EpisodeTrace) -> bool:
     """Return whether a run ended without a fall and went .7 to 1.25 of the way that its commands lead."""
-    commanded, covered = _step_ways(trace)
+    commanded, covered = _step_distances(trace)
     return bool(has_kept_up(commanded.sum(), covered.sum(), np.asarray(trace.meta["ended"] == "time")))
 
 
-def _step_ways(trace: EpisodeTrace) -> tuple[Array, Array]:
-    return step_ways(np.nan_to_num(trace.command[:, :2]), motion(trace)[:, :2], np.diff(trace.time, prepend=0.0))
+def _step_distances(trace: EpisodeTrace) -> tuple[Array, Array]:
+    return step_ways(
+        np.nan_to_num(trace.command[:, :2]), measured_velocity(trace)[:, :2], np.diff(trace.time, prepend=0.0)
+    )
 
 
-def motion(trace: EpisodeTrace) -> Array:
+def measured_velocity(trace: EpisodeTrace) -> Array:
     """Return mean speeds forward and to the left [m/s] and yaw rate [rad/s] over each control step, (T, 3)."""
     yaw, step = quat_yaw(trace.base_quat_world), np.diff(trace.time, prepend=0.0)
     velocity = np.diff(trace.base_position_world, axis=0) / step[:, None]
@@ -110,11 +114,11 @@ def motion(trace: EpisodeTrace) -> Array:
     return np.column_stack([in_heading_frame(velocity, yaw[:-1])[:, :2], turned / step])
 
 
-def settled_steps(trace: EpisodeTrace) -> np.ndarray:
-    """Return for each control step whether its command has been the same for `SETTLING`, (T,)."""
+def settled_mask(trace: EpisodeTrace) -> np.ndarray:
+    """Return for each control step whether its command has been the same for `SETTLING_TIME`, (T,)."""
     changed = np.any(np.diff(trace.command, axis=0, prepend=np.nan) != 0, axis=1)
     since = trace.time - np.maximum.accumulate(np.where(changed, np.concatenate([[0.0], trace.time[:-1]]), 0.0))
-    settled: np.ndarray = np.isfinite(trace.command).all(axis=1) & (since >= SETTLING - 1e-9)
+    settled: np.ndarray = np.isfinite(trace.command).all(axis=1) & (since >= SETTLING_TIME - 1e-9)
     return settled
 
 

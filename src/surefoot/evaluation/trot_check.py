@@ -11,7 +11,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge, warn_if
 from surefoot.errors import SurefootError
-from surefoot.evaluation.runs import SATURATION
+from surefoot.evaluation.runs import MIN_LIMITING_SATURATION
 from surefoot.robot import RobotDescription
 from surefoot.robot.actuator import JointActuatorData
 from surefoot.task.config import load_task
@@ -21,17 +21,19 @@ from surefoot.world.motor_load import available_torque, describe_torque, measure
 
 DURATION = 3.0
 """How long the robot trots [s]: six strides and more."""
-_USUAL = 0.95
+_TYPICAL_QUANTILE = 0.95
 """Share of the time for which the torque is below the one that is reported."""
-_LEAST_SPEED = 0.4
+_MIN_SPEED_RATIO = 0.4
 """Speed limit, over what a trot asks for, below which no trot comes: at 0.75 ANYmal C trots a tenth slower."""
-_FASTEST = 80.0
+_MAX_JOINT_SPEED = 80.0
 """Speed [rad/s] that no joint of a leg has."""
-_MOST = 0.5
+_MIN_SATURATED_FRACTION = 0.5
 """Share of the time at the limit from which a fall is put down to the motor."""
-_SUNK = 0.7
+_MIN_HEIGHT_RATIO = 0.7
 """Height of the base, over that with any torque, below which a robot lies."""
-REMEDY = "take stronger motors or a lighter robot, or trot slower with smaller strides (frequency, stroke of a task)"
+TROT_REMEDY = (
+    "take stronger motors or a lighter robot, or trot slower with smaller strides (frequency, stroke of a task)"
+)
 
 
 def check_trot(robot: RobotDescription) -> Iterator[CheckResult]:
@@ -60,34 +62,36 @@ def check_trot(robot: RobotDescription) -> Iterator[CheckResult]:
         times = np.arange(0.0, DURATION, robot.timing.control_step)
         targets = np.concatenate([plain.motor_targets([time], zero) for time in times])
         speeds = np.abs(np.diff(targets, axis=0)) / robot.timing.control_step
-        yield _check_speed(robot, robot.actuator, np.quantile(speeds, _USUAL, axis=0))
-    shares, asked = own.saturation.mean(axis=0), np.quantile(np.abs(free.torque), _USUAL, axis=0)
+        yield _check_speed(robot, robot.actuator, np.quantile(speeds, _TYPICAL_QUANTILE, axis=0))
+    saturation, required = own.saturation.mean(axis=0), np.quantile(np.abs(free.torque), _TYPICAL_QUANTILE, axis=0)
     worst = int(
-        np.argmax(shares if shares.any() else asked / [available_torque(robot, k) for k in range(robot.num_motors)])
+        np.argmax(
+            saturation if saturation.any() else required / [available_torque(robot, k) for k in range(robot.num_motors)]
+        )
     )
-    share, fastest = float(shares[worst]), float(np.quantile(np.abs(own.speed[:, worst]), _USUAL))
+    share, fastest = float(saturation[worst]), float(np.quantile(np.abs(own.speed[:, worst]), _TYPICAL_QUANTILE))
     message = (
-        f"{robot.motor_names[worst]} is asked for {asked[worst]:.3g} N m, {describe_torque(robot, worst, fastest)}"
+        f"{robot.motor_names[worst]} is asked for {required[worst]:.3g} N m, {describe_torque(robot, worst, fastest)}"
         f"; at its limit in {share:.0%} of the time"
     )
-    if share >= SATURATION:
+    if share >= MIN_LIMITING_SATURATION:
         message += "; a slower trot with smaller strides asks for less"
     low, usual = (load.end.base_position_world[0, 2] for load in (own, free))
-    down, able = not own.finished or bool(low < _SUNK * usual), free.finished or robot.actuator.kind == "dc"
-    weak = down and able and share >= _MOST
+    down, able = not own.finished or bool(low < _MIN_HEIGHT_RATIO * usual), free.finished or robot.actuator.kind == "dc"
+    weak = down and able and share >= _MIN_SATURATED_FRACTION
     rule = "; the robot goes down, with stronger motors it does not"
-    yield judge("torque to trot", not weak, message, rule, REMEDY, share)
+    yield judge("torque to trot", not weak, message, rule, TROT_REMEDY, share)
 
 
-def _check_speed(robot: RobotDescription, data: JointActuatorData, asked: Array) -> CheckResult:
+def _check_speed(robot: RobotDescription, data: JointActuatorData, required: Array) -> CheckResult:
     """Compare the speeds (M,) [rad/s] that a trot asks for with the motors' limits."""
-    limits = np.broadcast_to(np.asarray(data.speed_limit, float), asked.shape)
-    worst = int(np.argmax(asked / limits))
-    need, limit = float(asked[worst]), float(limits[worst])
+    limits = np.broadcast_to(np.asarray(data.speed_limit, float), required.shape)
+    worst = int(np.argmax(required / limits))
+    need, limit = float(required[worst]), float(limits[worst])
     message = f"a trot turns {robot.motor_names[worst]} at up to {need:.2g} rad/s, and its limit is {limit:.3g} rad/s"
     remedy = "put the drive's no-load speed into actuator.speed_limit, in rad/s at the joint, or trot slower"
-    if 1.2 * need <= math.tau * limit <= _FASTEST:
+    if 1.2 * need <= math.tau * limit <= _MAX_JOINT_SPEED:
         remedy += f"; if these are revolutions per second, it is {math.tau * limit:.3g} rad/s"
-    if limit < _LEAST_SPEED * need:
+    if limit < _MIN_SPEED_RATIO * need:
         return CheckResult("speed to trot", False, message, remedy, need)
     return warn_if("speed to trot", message if limit < need else None, message, remedy, need)

@@ -22,18 +22,18 @@ from surefoot.evaluation.statistics import (
     MeanEstimate,
     crossed_interval,
     holm,
-    share_difference,
-    share_interval,
+    proportion_difference,
+    proportion_interval,
     t_interval,
     welch_interval,
 )
 from surefoot.files import atomic_write
 from surefoot.report.figures.learning import bin_curve, learning_curve
-from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, evaluation_names, find_gap, gap_from_result
+from surefoot.studies.evaluations import EVALUATIONS, Result, ResultMetric, evaluation_names, find_gap, gap_from_result
 from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import plain_rows, write_csv
 
-FAR = 3.0
+FAR_DISTANCE = 3.0
 """A run goes far over this [m]; the paper counts such runs among nine on the robot."""
 CONTENTS = {
     "policies": "one row per trained policy",
@@ -61,10 +61,10 @@ def late_gain(curve: pd.DataFrame) -> float:
 
 def policy_row(group: str, seed: int, log: Sequence[dict[str, Any]], results: dict[str, Result]) -> dict[str, Any]:
     """Return the row of a trained policy in a comparison from the log of its training and its evaluations."""
-    figures = [EVALUATIONS[kind].read_figures(result) for kind, result in results.items()]
+    metrics = [EVALUATIONS[kind].read_metrics(result) for kind, result in results.items()]
     gait = {name: results["gait"][name] for name in ("gait", "pattern")} if "gait" in results else {}
     row = {"group": group, "seed": seed, "steps": log[-1]["steps"], "training_seconds": round(log[-1]["seconds"], 1)}
-    row |= {"best_steps": None, **{name: value for part in figures for name, value in part.items()}, **gait}
+    row |= {"best_steps": None, **{name: value for part in metrics for name, value in part.items()}, **gait}
     curve = learning_curve(log)
     return row | {"late_gain": late_gain(curve), "results": results, "curve": curve, "policy": None}
 
@@ -92,14 +92,14 @@ class Comparison:
         return find_gap(self.kinds)
 
     @property
-    def figures(self) -> tuple[ResultFigure, ...]:
+    def metrics(self) -> tuple[ResultMetric, ...]:
         """The numbers that are compared."""
-        return tuple(figure for kind in self.kinds for figure in EVALUATIONS[kind].figures)
+        return tuple(metric for kind in self.kinds for metric in EVALUATIONS[kind].metrics)
 
     @property
-    def primary(self) -> ResultFigure:
+    def primary(self) -> ResultMetric:
         """The figure that the comparisons are about."""
-        return next(figure for figure in self.figures if figure.name == self.study.primary)
+        return next(metric for metric in self.metrics if metric.name == self.study.primary)
 
     @property
     def groups(self) -> list[str]:
@@ -118,25 +118,25 @@ class Comparison:
         ranked = self.policies.sort_values("nominal_return", ascending=False, kind="stable")
         return replace(self, policies=pd.concat([ranked[ranked.group == g][: self.study.top] for g in self.groups]))
 
-    def interval(self, group: str, figure: ResultFigure) -> Interval:
+    def interval(self, group: str, metric: ResultMetric) -> Interval:
         """Return the mean of a figure over a group with its interval over seeds, and over robots where it has them."""
-        values = self._values(group, figure)
-        if figure.trials:
-            return share_interval(values / figure.whole, figure.trials).scale(figure.whole)
+        values = self._values(group, metric)
+        if metric.trials:
+            return proportion_interval(values / metric.full_scale, metric.trials).scale(metric.full_scale)
         return crossed_interval(values) if values.ndim == 2 else t_interval(values)
 
-    def difference(self, group: str, base: str, figure: ResultFigure) -> Interval:
+    def difference(self, group: str, base: str, metric: ResultMetric) -> Interval:
         """Return the mean of a figure over a group less that over another with its interval."""
-        if figure.trials:
-            return share_difference(self.interval(group, figure), self.interval(base, figure))
-        values, others = self._values(group, figure), self._values(base, figure)
+        if metric.trials:
+            return proportion_difference(self.interval(group, metric), self.interval(base, metric))
+        values, others = self._values(group, metric), self._values(base, metric)
         return crossed_interval(values, others) if values.ndim == 2 else welch_interval(values, others)
 
-    def _values(self, group: str, figure: ResultFigure) -> Array:
+    def _values(self, group: str, metric: ResultMetric) -> Array:
         """Return a figure of each policy of a group (P,), or of each of its runs (P, R)."""
-        kind = next(kind for kind in self.kinds if figure in EVALUATIONS[kind].figures)
+        kind = next(kind for kind in self.kinds if metric in EVALUATIONS[kind].metrics)
         read = EVALUATIONS[kind].read_runs
-        return np.array([read(results[kind])[figure.name] for results in self.of_group(group).results])
+        return np.array([read(results[kind])[metric.name] for results in self.of_group(group).results])
 
     def sensitivities(self, group: str) -> list[Sensitivity]:
         """Return the results of each policy of a group in test worlds."""
@@ -175,16 +175,16 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
     tables: dict[str, Any] = {
         "policies": policies.drop(columns=["results", "curve", "policy"]),
         "groups": [
-            {"group": group, "label": comparison.study.label(group), "figure": figure, "unit": unit}
+            {"group": group, "label": comparison.study.label(group), "figure": metric, "unit": unit}
             | {"seeds": len(comparison.of_group(group)), "mean": interval.mean}
             | {"low": interval.low, "high": interval.high}
             for group in groups
-            for figure, unit, interval in [
-                *((one.name, one.unit, comparison.interval(group, one)) for one in comparison.figures),
+            for metric, unit, interval in [
+                *((one.name, one.unit, comparison.interval(group, one)) for one in comparison.metrics),
                 ("late_gain", "m", t_interval(comparison.of_group(group).late_gain)),
             ]
         ],
-        "differences": _differences(comparison, comparison.figures),
+        "differences": _differences(comparison, comparison.metrics),
         "episodes": _episodes(policies),
     }
     if "sensitivity" in comparison.kinds:
@@ -197,7 +197,7 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
         tables["gap_groups"] = [
             row for group in groups for which, part in parts.items() for row in _gap_rows(which, group, part)
         ]
-        tables["top_differences"] = _differences(best, EVALUATIONS[comparison.gap_kind].figures)
+        tables["top_differences"] = _differences(best, EVALUATIONS[comparison.gap_kind].metrics)
     if "gait" in comparison.kinds:
         tables["gaits"] = [
             {"group": row.group, "seed": row.seed} | {name: row.results["gait"][name] for name in _GAIT_COLUMNS}
@@ -206,15 +206,15 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
     return {name: pd.DataFrame(table) for name, table in tables.items()}
 
 
-def _differences(comparison: Comparison, figures: Sequence[ResultFigure]) -> pd.DataFrame:
+def _differences(comparison: Comparison, metrics: Sequence[ResultMetric]) -> pd.DataFrame:
     """Return a row for each pair and figure; p values of a figure are adjusted for the number of pairs."""
     rows = [
-        {"group": other, "against": base, "figure": figure.name, "unit": figure.unit}
+        {"group": other, "against": base, "figure": metric.name, "unit": metric.unit}
         | interval.columns("difference")
         | {"p": interval.p}
         for base, other in comparison.present_pairs()
-        for figure in figures
-        for interval in [comparison.difference(other, base, figure)]
+        for metric in metrics
+        for interval in [comparison.difference(other, base, metric)]
     ]
     table = pd.DataFrame(rows)
     return table.assign(p_holm=table.groupby("figure").p.transform(holm)) if rows else table
@@ -261,8 +261,8 @@ def _gap_rows(which: str, group: str, comparison: Comparison) -> list[dict[str, 
         runs, balanced = gap.in_world(world), gap.table(world, "balanced")
         row = {"group": group, "label": gap.name, "policies": which, "seeds": seeds, **summarize_runs(runs)}
         row |= crossed_interval(gap.table(world, "return")).columns("return")
-        row |= share_interval(balanced, balanced.shape[1]).columns("balanced_share")
-        row |= {"balanced": int(balanced.sum()), "far": int((runs.distance > FAR).sum())}
+        row |= proportion_interval(balanced, balanced.shape[1]).columns("balanced_share")
+        row |= {"balanced": int(balanced.sum()), "far": int((runs.distance > FAR_DISTANCE).sum())}
         row |= {"least_distance": float(runs.distance.min())}
         over_runs = gap.gap_over_runs(world) if number else MeanEstimate()
         interval = crossed_interval(gap.gaps(world)) if number else Interval(math.nan)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError, choices, suggest
-from surefoot.evaluation.conditions import away_task, home_task
+from surefoot.evaluation.conditions import data_sheet_task, undisturbed_task
 from surefoot.evaluation.footfalls import analyze_footfalls
 from surefoot.evaluation.gap import PolicyGap
 from surefoot.evaluation.recorded import save_runs
@@ -33,7 +33,7 @@ from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import WORLDS, find_world
 
-SAME_NUMBERS_SINCE = "0.6.0"
+RESULTS_VALID_SINCE = "0.6.0"
 """Version since which evaluations give the same numbers; kept results of an earlier one are computed again."""
 SEED = 1
 GAP_SEED = 2
@@ -45,7 +45,7 @@ Traces = dict[str, list[EpisodeTrace]]
 
 
 @dataclass(frozen=True)
-class ResultFigure:
+class ResultMetric:
     """A number that policies are compared by."""
 
     name: str
@@ -56,7 +56,7 @@ class ResultFigure:
     """Episodes of a policy that a share counts; 0: it is no share."""
 
     @property
-    def whole(self) -> float:
+    def full_scale(self) -> float:
         """Number that stands for a share of one."""
         return 100.0 if self.unit == "%" else float(self.trials)
 
@@ -97,7 +97,7 @@ class EvaluationKind:
     run: Callable[[EvaluationRun], tuple[Result, Traces]]
     read: Callable[[Result], tuple[ArrayLike, ...]]
     """Returns the figures of a result; arrays hold a number for each run, where run k of every policy is on robot k."""
-    figures: tuple[ResultFigure, ...]
+    metrics: tuple[ResultMetric, ...]
 
     @property
     def world_names(self) -> tuple[str, ...]:
@@ -106,10 +106,10 @@ class EvaluationKind:
 
     def read_runs(self, result: Result) -> dict[str, Array]:
         """Return the figures of a result by name, each as `read` gives it."""
-        names = [figure.name for figure in self.figures]
+        names = [metric.name for metric in self.metrics]
         return {name: np.asarray(values, np.float64) for name, values in zip(names, self.read(result), strict=True)}
 
-    def read_figures(self, result: Result) -> dict[str, float]:
+    def read_metrics(self, result: Result) -> dict[str, float]:
         """Return the figures of a result by name."""
         return {name: float(values.mean()) for name, values in self.read_runs(result).items()}
 
@@ -119,7 +119,7 @@ def _run_episodes(run: EvaluationRun) -> tuple[Result, Traces]:
 
     Actuator and nominal parameters are those of the policy's task.
     """
-    task = replace(home_task(run.task), randomize=load_ranges(run.settings["ranges"], robot=run.task.robot))
+    task = replace(undisturbed_task(run.task), randomize=load_ranges(run.settings["ranges"], robot=run.task.robot))
     runs = measure_runs(run.run(task, run.settings["world"]))
     # A diverged simulation counts as a fall: the policy has brought the robot to where the model does not hold.
     return {"runs": runs.assign(fell=~runs.balanced).to_dict("list")}, {}
@@ -137,8 +137,8 @@ def _run_gap(run: EvaluationRun) -> tuple[Result, Traces]:
 
     As many again in the engine of home on the robot of the data sheet separate the effect of motors and delays.
     """
-    home, away, described = run.settings["home"], run.settings["away"], away_task(run.task)
-    traces = {home: run.run(home_task(run.task), home), away: run.run(described, away)}
+    home, away, described = run.settings["home"], run.settings["away"], data_sheet_task(run.task)
+    traces = {home: run.run(undisturbed_task(run.task), home), away: run.run(described, away)}
     traces[f"{home}-described"] = run.run(described, home)
     runs = pd.concat([measure_runs(part, name) for name, part in traces.items()])
     return {"runs": runs.to_dict("list")}, traces
@@ -147,7 +147,7 @@ def _run_gap(run: EvaluationRun) -> tuple[Result, Traces]:
 def _name_gait(run: EvaluationRun) -> tuple[Result, Traces]:
     """Name the gait of some episodes at home; store the first episode with the most frequent name."""
     world = run.settings["world"]
-    traces = run.run(home_task(run.task), world)
+    traces = run.run(undisturbed_task(run.task), world)
     feet = [analyze_footfalls(trace) for trace in traces]
     gaits = [one.gait for one in feet]
     gait = Counter(gaits).most_common(1)[0][0]
@@ -201,14 +201,14 @@ def _gap_kind(away: str) -> EvaluationKind:
         _run_gap,
         _read_gap,
         (
-            ResultFigure("gap_home", "return at home", "m", 2),
-            ResultFigure("gap_described", "return at home as described", "m", 2),
-            ResultFigure("gap_away", "return away", "m", 2),
-            ResultFigure("gap", "gap", "m", 2),
-            ResultFigure("gap_balanced", "balanced away", "%", 1, robots),
-            ResultFigure("gap_distance", "distance away", "m", 2),
-            ResultFigure("gap_speed", "speed away", "m/s", 3),
-            ResultFigure("gap_power", "power away", "W", 1),
+            ResultMetric("gap_home", "return at home", "m", 2),
+            ResultMetric("gap_described", "return at home as described", "m", 2),
+            ResultMetric("gap_away", "return away", "m", 2),
+            ResultMetric("gap", "gap", "m", 2),
+            ResultMetric("gap_balanced", "balanced away", "%", 1, robots),
+            ResultMetric("gap_distance", "distance away", "m", 2),
+            ResultMetric("gap_speed", "speed away", "m/s", 3),
+            ResultMetric("gap_power", "power away", "W", 1),
         ),
     )
 
@@ -220,9 +220,9 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         _run_episodes,
         _read_runs,
         (
-            ResultFigure("nominal_speed", "speed, nominal", "m/s", 3),
-            ResultFigure("nominal_return", "return, nominal", "m", 2),
-            ResultFigure("nominal_falls", "falls, nominal", "%", 1, 20),
+            ResultMetric("nominal_speed", "speed, nominal", "m/s", 3),
+            ResultMetric("nominal_return", "return, nominal", "m", 2),
+            ResultMetric("nominal_falls", "falls, nominal", "%", 1, 20),
         ),
     ),
     "table1": EvaluationKind(
@@ -231,8 +231,8 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         _run_episodes,
         lambda result: _read_runs(result)[::2],
         (
-            ResultFigure("table1_speed", "speed, table I drawn", "m/s", 3),
-            ResultFigure("table1_falls", "falls, table I drawn", "%", 1, 100),
+            ResultMetric("table1_speed", "speed, table I drawn", "m/s", 3),
+            ResultMetric("table1_falls", "falls, table I drawn", "%", 1, 100),
         ),
     ),
     "sensitivity": EvaluationKind(
@@ -241,9 +241,9 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         _run_test_worlds,
         _read_sensitivity,
         (
-            ResultFigure("sensitivity_mean", "mean return over test worlds", "m", 2),
-            ResultFigure("sensitivity_std", "standard deviation of return over test worlds", "m", 2),
-            ResultFigure("sensitivity_falls", "falls in test worlds", "%", 1, 400),
+            ResultMetric("sensitivity_mean", "mean return over test worlds", "m", 2),
+            ResultMetric("sensitivity_std", "standard deviation of return over test worlds", "m", 2),
+            ResultMetric("sensitivity_falls", "falls in test worlds", "%", 1, 400),
         ),
     ),
     "gap": _gap_kind("ensemble"),
@@ -253,7 +253,7 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         {"world": "mujoco", "episodes": 5, "seed": SEED},
         _name_gait,
         lambda result: (result["agree"],),
-        (ResultFigure("gait_agree", "episodes with the same gait", "of 5", 0, 5),),
+        (ResultMetric("gait_agree", "episodes with the same gait", "of 5", 0, 5),),
     ),
 }
 """Evaluations by name; the first one is part of every study."""
@@ -341,4 +341,4 @@ def _settings(kind: EvaluationKind) -> dict[str, Any]:
 
 
 def _identity(policy: Path, settings: dict[str, Any]) -> dict[str, Any]:
-    return {"surefoot": SAME_NUMBERS_SINCE, "policy": hashlib.sha256(policy.read_bytes()).hexdigest(), **settings}
+    return {"surefoot": RESULTS_VALID_SINCE, "policy": hashlib.sha256(policy.read_bytes()).hexdigest(), **settings}

@@ -15,7 +15,7 @@ from surefoot.robot.params import CONTROLLER, GROUPS, PARAMETERS
 from surefoot.robot.params_file import ParamsFile, ParamValue, read_params
 from surefoot.robot.randomization import Ranges, check_ranges, draw_hidden
 
-OWN, OTHER = "own", "other"
+DATA_SHEET_MOTORS, OTHER_MOTORS = "own", "other"
 """Motor families: the one of the data sheet, on which simulators that train are built, and another one."""
 
 
@@ -57,8 +57,8 @@ class HiddenRobots:
         check_ranges(self.ranges)
 
     def family(self, seed: int) -> str:
-        """Return the family of a robot's motors, `OWN` or `OTHER`."""
-        return OTHER if self.other_motors is not None and seed in self.other_motors.seeds else OWN
+        """Return the family of a robot's motors, `DATA_SHEET_MOTORS` or `OTHER_MOTORS`."""
+        return OTHER_MOTORS if self.other_motors is not None and seed in self.other_motors.seeds else DATA_SHEET_MOTORS
 
     def params(self, seed: int, folder: Path) -> PhysicalParams:
         """Return a robot's true physical parameters, one row; `folder` is that of `description`."""
@@ -70,7 +70,7 @@ class HiddenRobots:
         Raises:
             SurefootError: motors that no sheet may state.
         """
-        if self.other_motors is None or self.family(seed) == OWN:
+        if self.other_motors is None or self.family(seed) == DATA_SHEET_MOTORS:
             return self.robot
         import tomli_w
 
@@ -129,7 +129,7 @@ def read_identified(folder: Path | None, seed: int, robot: str) -> ParamsFile | 
     return read_params(path, RobotDescription.load(robot))
 
 
-def take_identified(file: ParamsFile, names: tuple[str, ...]) -> dict[str, ParamValue]:
+def select_identified(file: ParamsFile, names: tuple[str, ...]) -> dict[str, ParamValue]:
     """Return the values of a file that a group takes, by parameter; never the controller's."""
     return {
         name: value

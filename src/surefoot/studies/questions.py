@@ -18,9 +18,9 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.configuration import Positive
 from surefoot.errors import SurefootError, suggest
-from surefoot.evaluation.statistics import CONFIDENCE, Interval, equivalence_p, holm, t_interval
+from surefoot.evaluation.statistics import CONFIDENCE, Interval, equivalence_p_value, holm, t_interval
 
-FIGURES = {
+METRICS = {
     "home": ("return at home", "m", 2),
     "on_robot": ("return on the robot", "m", 2),
     "gap": ("gap", "m", 2),
@@ -96,14 +96,14 @@ class Answer:
     comparisons: tuple[ComparedPair, ...]
 
     @property
-    def counted(self) -> list[ComparedPair]:
+    def tested(self) -> list[ComparedPair]:
         """Comparisons that are part of the claim."""
         return [one for one in self.comparisons if not one.left_out]
 
     @property
     def p(self) -> float:
         """The greatest p value of the claim's parts; NaN without a claim, and where no part is left."""
-        values = [one.p for one in self.counted]
+        values = [one.p for one in self.tested]
         return float(np.max(values)) if self.question.is_claim and values else math.nan
 
     @property
@@ -114,7 +114,7 @@ class Answer:
         if math.isnan(self.p):
             return "not tested"
         held = "holds" if self.p < LEVEL else "not shown"
-        count = len(self.comparisons) - len(self.counted)
+        count = len(self.comparisons) - len(self.tested)
         return f"{held}, without {count} of {len(self.comparisons)} comparisons" if count else held
 
 
@@ -136,7 +136,7 @@ def answer(question: Question, values: Values, not_learned: Mapping[str, str]) -
         numbers = np.array(list(table.values()))
         interval = t_interval(numbers, 1 - 2 * LEVEL)
         reason = leaves.get(question.group, "") or ("" if len(numbers) else "no results")
-        p = equivalence_p(numbers, question.within)
+        p = equivalence_p_value(numbers, question.within)
         return Answer(question, (ComparedPair(question.group, "", interval, p, robots=len(numbers), left_out=reason),))
     comparisons = []
     for against, group in question.pairs:

@@ -52,23 +52,23 @@ def stride_cells(result: Mapping[str, Any]) -> dict[str, str]:
 
 def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str]) -> Path:
     """Draw the figures in `names` of every group as bars: mean over seeds, its interval of 95 %, each seed as a dot."""
-    figures = [figure for figure in comparison.figures if figure.name in names]
+    metrics = [metric for metric in comparison.metrics if metric.name in names]
     groups = comparison.groups
-    with new_figure(path, (3.4 * len(figures), 1.5 + 0.55 * len(groups)), columns=len(figures)) as (picture, axes):
-        for ax, figure in zip(axes, figures, strict=True):
+    with new_figure(path, (3.4 * len(metrics), 1.5 + 0.55 * len(groups)), columns=len(metrics)) as (figure, axes):
+        for ax, metric in zip(axes, metrics, strict=True):
             for row, group in enumerate(groups):
-                values = comparison.of_group(group)[figure.name]
-                _group_bar(ax, row, comparison.interval(group, figure), values, f"C{row}")
-            ax.set_title(capital(figure.heading))
+                values = comparison.of_group(group)[metric.name]
+                _group_bar(ax, row, comparison.interval(group, metric), values, f"C{row}")
+            ax.set_title(capital(metric.heading))
             ax.set_ylim(len(groups) - 0.4, -0.6)
             place_labels(
                 ax, [comparison.study.label(group) if ax is axes[0] else "" for group in groups], vertical=True
             )
             ax.axvline(0.0, color=QUIET, linewidth=0.8)
-            if figure.unit == "%":
+            if metric.unit == "%":
                 # Room for the dot of a share of 100 %.
                 ax.set_xlim(0.0, min(max(ax.get_xlim()[1], 5.0), 103.0))
-        heading(picture, "Mean over seeds, 95 % confidence interval, and each seed as a dot")
+        heading(figure, "Mean over seeds, 95 % confidence interval, and each seed as a dot")
     return Path(path)
 
 

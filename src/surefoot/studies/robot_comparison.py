@@ -15,10 +15,10 @@ from surefoot.evaluation.statistics import Interval, t_interval
 from surefoot.robot import RobotDescription
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.params_file import ParamsFile
-from surefoot.studies.comparison import FAR
+from surefoot.studies.comparison import FAR_DISTANCE
 from surefoot.studies.evaluations import Result
 from surefoot.studies.hidden_robots import robot_name
-from surefoot.studies.questions import FIGURES, Answer, Values, answer
+from surefoot.studies.questions import METRICS, Answer, Values, answer
 from surefoot.studies.robot_runs import HOME
 from surefoot.studies.study_config import StudyConfig
 from surefoot.studies.training import Training
@@ -48,7 +48,7 @@ class RobotComparison:
 
     @cached_property
     def robots(self) -> pd.DataFrame:
-        """A row for each group and robot: seeds, runs, and `FIGURES`."""
+        """A row for each group and robot: seeds, runs, and `METRICS`."""
         rows = []
         for group in self.groups:
             runs = self.episodes[self.episodes.group == group]
@@ -59,7 +59,7 @@ class RobotComparison:
                     own = home[home.robot.isin(on_robot.robot.unique())]
                     row = {"group": group, "robot": seed, "motors": self.study.hidden.family(seed)}
                     rows.append(
-                        row | {"seeds": on_robot.seed.nunique(), "runs": len(on_robot)} | _figures(own, on_robot)
+                        row | {"seeds": on_robot.seed.nunique(), "runs": len(on_robot)} | _metrics(own, on_robot)
                     )
         return pd.DataFrame(rows)
 
@@ -78,10 +78,10 @@ class RobotComparison:
         """Return the rows of `robots` with a family of motors."""
         return self.robots if family == ALL else self.robots[self.robots.motors == family]
 
-    def interval(self, group: str, figure: str, family: str = ALL) -> Interval:
+    def interval(self, group: str, metric: str, family: str = ALL) -> Interval:
         """Return the mean of a figure over robots with its interval."""
         rows = self.of_family(family)
-        return t_interval(rows[rows.group == group][figure])
+        return t_interval(rows[rows.group == group][metric])
 
     @property
     def not_learned(self) -> dict[str, str]:
@@ -94,10 +94,10 @@ class RobotComparison:
             if mean < least
         }
 
-    def values(self, figure: str) -> Values:
+    def values(self, metric: str) -> Values:
         """Return a figure of each group by robot."""
         return {
-            str(group): dict(zip(rows.robot, rows[figure], strict=True))
+            str(group): dict(zip(rows.robot, rows[metric], strict=True))
             for group, rows in self.robots.groupby("group", sort=False)
         }
 
@@ -109,16 +109,16 @@ class RobotComparison:
         return {name: answer(one, self.values(one.figure), not_learned) for name, one in questions.items()}
 
 
-def _figures(home: pd.DataFrame, on_robot: pd.DataFrame) -> dict[str, float]:
-    """Return `FIGURES` of a group's runs at home and on a robot; each policy counts alike."""
+def _metrics(home: pd.DataFrame, on_robot: pd.DataFrame) -> dict[str, float]:
+    """Return `METRICS` of a group's runs at home and on a robot; each policy counts alike."""
 
     def mean(runs: pd.DataFrame, values: pd.Series) -> float:
         return float(values.groupby([runs.robot, runs.seed]).mean().mean())
 
     home_return, return_on_robot = mean(home, home["return"]), mean(on_robot, on_robot["return"])
-    fell, far = 1.0 - on_robot.balanced.astype(float), (on_robot.distance > FAR).astype(float)
+    fell, far = 1.0 - on_robot.balanced.astype(float), (on_robot.distance > FAR_DISTANCE).astype(float)
     values = (home_return, return_on_robot, home_return - return_on_robot, 100 * mean(on_robot, fell))
-    return dict(zip(FIGURES, (*values, 100 * mean(on_robot, far)), strict=True))
+    return dict(zip(METRICS, (*values, 100 * mean(on_robot, far)), strict=True))
 
 
 def episode_rows(run: Training, result: Result) -> pd.DataFrame:
@@ -157,12 +157,12 @@ def robot_tables(comparison: RobotComparison, parameters: Sequence[dict[str, Any
     """Return the tables of the report by name, see `CONTENTS`."""
     study = comparison.study
     groups = [
-        {"group": group, "label": study.label(group), "motors": family, "figure": figure, "unit": unit}
+        {"group": group, "label": study.label(group), "motors": family, "figure": metric, "unit": unit}
         | {"robots": int((comparison.of_family(family).group == group).sum()), **interval.columns("mean")}
         for family in comparison.families
         for group in comparison.groups
-        for figure, (_, unit, _) in FIGURES.items()
-        for interval in [comparison.interval(group, figure, family)]
+        for metric, (_, unit, _) in METRICS.items()
+        for interval in [comparison.interval(group, metric, family)]
     ]
     questions = [
         {"question": name, "primary": name in study.primary_questions, "figure": one.question.figure}

@@ -20,10 +20,10 @@ from surefoot.errors import SurefootError
 from surefoot.files import atomic_write
 from surefoot.studies.hidden_robots import HiddenRobots, other_motors_folder, robot_file, robot_name
 
-SUREFOOT = (sys.executable, "-m", "surefoot")
+SUREFOOT_COMMAND = (sys.executable, "-m", "surefoot")
 EXPERIMENTS = {"motor": True, "latency": True, "mass": False, "contact": False}
 """Whether the robot is on its rack, in the order in which they are made."""
-_POLL = 0.2
+_POLL_INTERVAL = 0.2
 """Time [s] between two looks whether the operator has stopped."""
 
 
@@ -34,7 +34,7 @@ def emulated_robot(*options: object) -> Iterator[str]:
     Raises:
         SurefootError: it does not start.
     """
-    command = [*SUREFOOT, "emulate", "--lockstep", *map(str, options)]
+    command = [*SUREFOOT_COMMAND, "emulate", "--lockstep", *map(str, options)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:
             assert process.stdout is not None
@@ -80,13 +80,15 @@ def identify_robot(
 def _run_experiment(name: str, words: list[str], log: Path, stopped: Callable[[], bool]) -> bool:
     """Run an experiment to its end; return false if the operator has stopped it."""
     with log.open("w", encoding="utf-8") as output:
-        process = subprocess.Popen([*SUREFOOT, "identify", name, *words], stdout=output, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(
+            [*SUREFOOT_COMMAND, "identify", name, *words], stdout=output, stderr=subprocess.STDOUT
+        )
         try:
             while process.poll() is None:
                 if stopped():
                     return False
                 with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(_POLL)
+                    process.wait(_POLL_INTERVAL)
         finally:
             process.kill()
             process.wait()
@@ -96,7 +98,7 @@ def _run_experiment(name: str, words: list[str], log: Path, stopped: Callable[[]
     return True
 
 
-def waiting_robots(robots: HiddenRobots, folder: Path) -> list[int]:
+def unidentified_robots(robots: HiddenRobots, folder: Path) -> list[int]:
     """Return the seeds of robots that are not identified yet."""
     return [seed for seed in robots.seeds if not robot_file(folder, seed).is_file()]
 
@@ -134,7 +136,7 @@ def identify_robots(
         return not stopped() and identify_robot((*options, "--seed", seed), path, place, robots.robot, stopped)
 
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        futures = {pool.submit(identify, seed): seed for seed in waiting_robots(robots, folder)}
+        futures = {pool.submit(identify, seed): seed for seed in unidentified_robots(robots, folder)}
         for future in as_completed(futures):
             seed, error = futures[future], ""
             try:

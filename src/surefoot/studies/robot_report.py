@@ -13,8 +13,8 @@ from surefoot.evaluation.statistics import CONFIDENCE, decimal
 from surefoot.files import atomic_write
 from surefoot.report.figures.robots import GroupOnRobots, robots_figure
 from surefoot.report.figures.style import capital
-from surefoot.studies.hidden_robots import OTHER, OWN, robot_name
-from surefoot.studies.questions import FIGURES, LEVEL, Answer, ComparedPair
+from surefoot.studies.hidden_robots import DATA_SHEET_MOTORS, OTHER_MOTORS, robot_name
+from surefoot.studies.questions import LEVEL, METRICS, Answer, ComparedPair
 from surefoot.studies.report import image, readme
 from surefoot.studies.robot_comparison import ALL, CONTENTS, RobotComparison, robot_tables
 from surefoot.tables import markdown, with_unit, write_csv
@@ -58,9 +58,11 @@ def write_robot_report(
 def _family_label(comparison: RobotComparison, family: str) -> str:
     other = comparison.study.hidden.other_motors
     label = "" if other is None else other.label
-    return {ALL: "all robots", OWN: "robots with motors of the data sheet's family", OTHER: f"robots with {label}"}[
-        family
-    ]
+    return {
+        ALL: "all robots",
+        DATA_SHEET_MOTORS: "robots with motors of the data sheet's family",
+        OTHER_MOTORS: f"robots with {label}",
+    }[family]
 
 
 def _draw(comparison: RobotComparison, folder: Path) -> dict[str, str]:
@@ -74,7 +76,7 @@ def _draw(comparison: RobotComparison, folder: Path) -> dict[str, str]:
                 part.home.to_numpy(),
                 part.on_robot.to_numpy(),
                 float(part.falls.mean()) / 100,
-                (part.motors == OTHER).to_numpy(),
+                (part.motors == OTHER_MOTORS).to_numpy(),
             )
             for group, part in rows.groupby("group", sort=False)
         ]
@@ -109,7 +111,7 @@ def _open_questions(comparison: RobotComparison) -> list[str]:
 
 def _answer(comparison: RobotComparison, one: Answer) -> list[str]:
     """Return the comparisons of a question as a sentence and a table."""
-    title, unit, digits = FIGURES[one.question.figure]
+    title, unit, digits = METRICS[one.question.figure]
 
     def row(pair: ComparedPair) -> dict[str, str]:
         label = comparison.study.label
@@ -133,8 +135,8 @@ def _results(comparison: RobotComparison, family: str, file: str) -> list[str]:
         part = rows[rows.group == group]
         if len(part):
             cells = {"group": comparison.study.label(group), "robots": str(len(part)), "runs": str(part.runs.sum())}
-            for figure, (title, unit, digits) in FIGURES.items():
-                cells[with_unit(title, unit)] = comparison.interval(group, figure, family).text(digits)
+            for metric, (title, unit, digits) in METRICS.items():
+                cells[with_unit(title, unit)] = comparison.interval(group, metric, family).text(digits)
             table.append(cells)
     return [f"## {capital(label)}", image(f"Return in simulation and on the robot: {label}", file), markdown(table)]
 
@@ -149,7 +151,7 @@ def _every_robot(comparison: RobotComparison) -> list[str]:
                 | {"motors": row["motors"], "seeds": row["seeds"]}
                 | {
                     with_unit(title, unit): decimal(row[name], digits)
-                    for name, (title, unit, digits) in FIGURES.items()
+                    for name, (title, unit, digits) in METRICS.items()
                 }
                 for row in rows
             ]

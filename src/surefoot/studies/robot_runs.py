@@ -10,12 +10,12 @@ from typing import Any
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from surefoot.evaluation.conditions import away_task, home_task
+from surefoot.evaluation.conditions import data_sheet_task, undisturbed_task
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import CONTROLLER
 from surefoot.robot.params_file import param_values
-from surefoot.studies.evaluations import GAP_SEED, EvaluationKind, EvaluationRun, Result, ResultFigure, Traces
+from surefoot.studies.evaluations import GAP_SEED, EvaluationKind, EvaluationRun, Result, ResultMetric, Traces
 from surefoot.studies.hidden_robots import HiddenRobots, robot_name
 from surefoot.task.config import TaskConfig
 
@@ -34,7 +34,7 @@ def robot_kind(robots: HiddenRobots, seeds: Sequence[int], folder: Path) -> Eval
     """
 
     def run(evaluation: EvaluationRun) -> tuple[Result, Traces]:
-        home = measure_runs(evaluation.run(home_task(evaluation.task), HOME), HOME)
+        home = measure_runs(evaluation.run(undisturbed_task(evaluation.task), HOME), HOME)
         tasks = {robot_name(seed): robot_task(evaluation.task, robots, seed, folder) for seed in seeds}
         on_robots = [measure_runs(evaluation.run(task, robots.world), name) for name, task in tasks.items()]
         return {"runs": pd.concat([home, *on_robots]).to_dict("list")}, {}
@@ -46,9 +46,9 @@ def robot_kind(robots: HiddenRobots, seeds: Sequence[int], folder: Path) -> Eval
         run,
         _read,
         (
-            ResultFigure("home", "return at home", "m", 2),
-            ResultFigure("on_robot", "return on the robot", "m", 2),
-            ResultFigure("falls", "falls on the robot", "%", 0),
+            ResultMetric("home", "return at home", "m", 2),
+            ResultMetric("on_robot", "return on the robot", "m", 2),
+            ResultMetric("falls", "falls on the robot", "%", 0),
         ),
     )
 
@@ -58,7 +58,7 @@ def robot_task(task: TaskConfig, robots: HiddenRobots, seed: int, folder: Path) 
     robot = RobotDescription.load(task.robot)
     own = param_values(task.nominal(robot), CONTROLLER)
     params = {**param_values(robots.params(seed, folder), PhysicalParams.names(robot)), **own}
-    return replace(away_task(task), robot=robots.description(seed, folder), params=params)
+    return replace(data_sheet_task(task), robot=robots.description(seed, folder), params=params)
 
 
 def _read(result: Result) -> tuple[ArrayLike, ...]:

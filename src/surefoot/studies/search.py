@@ -21,8 +21,8 @@ from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.files import atomic_write
 from surefoot.learn.config import Steps, TrainConfig
 from surefoot.seeding import generator
-from surefoot.studies.search_space import Dimension, as_params, load_space, put, suggest
-from surefoot.studies.training import Training, base_config, difference
+from surefoot.studies.search_space import Dimension, load_space, suggest_values, to_optuna_params, with_values
+from surefoot.studies.training import Training, base_config, first_difference
 from surefoot.studies.workers import ProgressReport
 
 EVALUATIONS = 10
@@ -30,11 +30,11 @@ EVALUATIONS = 10
 EVALUATION_EPISODES = 8
 RANDOM_TRIALS = 12
 """Trials whose settings are drawn at random, before the sampler learns from them."""
-PRUNING_FROM = 1 / 3
+PRUNING_START = 1 / 3
 """Share of a trial's steps before which it is not pruned."""
 MIN_TRIALS_FOR_IMPORTANCE = 8
 """Complete trials from which on the importance of fields is computed."""
-SETTINGS = "search.yaml"
+CONFIG_FILE = "search.yaml"
 """File of a search's folder."""
 _NAME = "search"
 
@@ -55,9 +55,9 @@ class SearchConfig:
         return -(-self.train.steps // self.train.evaluate_every)
 
 
-def check_holds_search(folder: Path) -> None:
+def check_search_folder(folder: Path) -> None:
     """Refuse a folder that holds no search."""
-    if not (folder / SETTINGS).is_file():
+    if not (folder / CONFIG_FILE).is_file():
         raise SurefootError(f"{folder}: holds no search to go on with; leave --resume out to begin one")
 
 
@@ -105,7 +105,7 @@ class Search:
         self.config, self.folder = config, folder
         self.journal, self.notes = folder / "trials.log", list[str]()
         self._trials: dict[str, Any] = {}
-        settings = folder / SETTINGS
+        settings = folder / CONFIG_FILE
         if resume:
             self._check_same(settings)
             self._repair()
@@ -116,11 +116,11 @@ class Search:
                 write_yaml(settings, config)
         # This process has locked the folder: a lock of the journal was left by a process that was killed.
         Path(f"{self.journal}.lock").unlink(missing_ok=True)
-        warm = math.ceil(PRUNING_FROM * config.evaluations)
-        with _readable(self.journal):
+        warmup_steps = math.ceil(PRUNING_START * config.evaluations)
+        with _wrap_optuna_errors(self.journal):
             self.study = optuna.create_study(
                 storage=JournalStorage(JournalFileBackend(str(self.journal))),
-                pruner=optuna.pruners.MedianPruner(n_startup_trials=8, n_warmup_steps=warm),
+                pruner=optuna.pruners.MedianPruner(n_startup_trials=8, n_warmup_steps=warmup_steps),
                 study_name=_NAME,
                 direction="maximize",
                 load_if_exists=True,
@@ -130,7 +130,7 @@ class Search:
         data = read_yaml(settings)
         with prefix_errors(settings):
             stored = from_mapping(SearchConfig, data)
-        if change := difference(stored, self.config):
+        if change := first_difference(stored, self.config):
             name, was, now = change
             if name == "space":
                 name = next(key for key in {**was, **now} if was.get(key) != now.get(key))
@@ -214,7 +214,7 @@ class Search:
         if not path.exists():
             return sampler
         with prefix_errors(path):
-            params = as_params(self.config.space, from_mapping(TrainConfig, read_yaml(path)))
+            params = to_optuna_params(self.config.space, from_mapping(TrainConfig, read_yaml(path)))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
             return optuna.samplers.PartialFixedSampler(params, sampler)
@@ -222,7 +222,7 @@ class Search:
     def _training(self, trial: Any) -> Iterator[Training]:
         """Yield the training of a trial; none where the configuration refuses the settings."""
         try:
-            config = put(self.config.train, self.config.space, suggest(self.config.space, trial))
+            config = with_values(self.config.train, self.config.space, suggest_values(self.config.space, trial))
         except SurefootError as error:
             self._fail(trial, str(error))
             return
@@ -266,7 +266,7 @@ class Search:
 
 
 @contextmanager
-def _readable(journal: Path) -> Iterator[None]:
+def _wrap_optuna_errors(journal: Path) -> Iterator[None]:
     """Raise errors of Optuna about records that are not its own in one line."""
     try:
         yield

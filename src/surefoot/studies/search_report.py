@@ -22,7 +22,7 @@ from surefoot.studies.search_result import SearchResult, sort_trials
 from surefoot.studies.search_space import short_name
 from surefoot.tables import markdown, write_csv
 
-_LISTED = 10
+_MAX_LISTED_TRIALS = 10
 """Best trials in the report; the table has all."""
 _TERMS = (
     "Return: mean over the episodes of the deterministic policy's evaluation at the end of a trial, with the task's "
@@ -36,7 +36,7 @@ _BIAS = (
 )
 
 
-_OBJECTS = ["curve", "policy", "result"]
+_OBJECT_COLUMNS = ["curve", "policy", "result"]
 """Columns of trials that are not written to tables."""
 _CONTENTS = {
     "trials.csv": "one row per trial",
@@ -46,14 +46,14 @@ _CONTENTS = {
     "importance.csv": "one row per field",
 }
 """Content of each table."""
-_LONGEST = 200
+_MAX_PATTERN_LENGTH = 200
 """Characters of a gait's patterns in the report; longer ones are in the table only."""
 
 
 def write_report(result: SearchResult, folder: Path, command: str) -> Path:
     """Write tables, figures and README.md, with the command that made them, into a folder; return README's path."""
     trials = result.trials
-    write_csv(folder / "trials.csv", trials.drop(columns=_OBJECTS))
+    write_csv(folder / "trials.csv", trials.drop(columns=_OBJECT_COLUMNS))
     write_csv(folder / "best.csv", result.fresh)
     write_csv(folder / "top.csv", _top_rows(result))
     census = _census(result)
@@ -76,7 +76,7 @@ def write_report(result: SearchResult, folder: Path, command: str) -> Path:
     return path
 
 
-def text_of_tables(folder: Path, command: str) -> str:
+def report_from_tables(folder: Path, command: str) -> str:
     """Return README.md of a search from the tables of its report, without the trials' folders."""
     census, importance, fresh, trials = (
         pd.read_csv(folder / f"{name}.csv", keep_default_na=name != "census")
@@ -131,7 +131,7 @@ def _best_rows(result: SearchResult, fields: Sequence[str]) -> list[dict[str, st
     return [
         {"trial": str(row["trial"]), "return (m)": decimal(row["return"]), "gait": row["pattern"] or "-"}
         | {short_name(name): f"{x:.3g}" if isinstance(x := row[name], float) else str(x) for name in fields}
-        for row in sort_trials(complete)[:_LISTED].to_dict("records")
+        for row in sort_trials(complete)[:_MAX_LISTED_TRIALS].to_dict("records")
     ]
 
 
@@ -207,7 +207,7 @@ def _census_section(census: Sequence[Mapping[str, Any]]) -> list[str]:
         rows.append(
             {
                 **{name: str(one[name]) for name in ("gait", "trials", "complete")},
-                "patterns": patterns if len(patterns) < _LONGEST else "many, see census.csv",
+                "patterns": patterns if len(patterns) < _MAX_PATTERN_LENGTH else "many, see census.csv",
                 "highest return (m)": decimal(one["highest_return"]),
                 "of trial": str(one["of_trial"]),
                 **stride_cells(one),

@@ -12,15 +12,15 @@ from typing import Any
 import pandas as pd
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.conditions import away_task
+from surefoot.evaluation.conditions import data_sheet_task
 from surefoot.evaluation.runs import measure_runs
 from surefoot.evaluation.statistics import Interval, t_interval
 from surefoot.studies.evaluations import EvaluationRun, Result, cached_result, evaluate
 from surefoot.studies.search import Search, SearchConfig
-from surefoot.studies.search_space import get
+from surefoot.studies.search_space import get_value
 from surefoot.world.process_world import worker_pool
 
-_TOP = 3
+_NUM_BEST_TRIALS = 3
 """Number of best trials that are evaluated in fresh episodes."""
 _EPISODES = 20
 _SEED = 2_000_003
@@ -77,7 +77,7 @@ def collect_result(search: Search, report: Callable[[str], None]) -> SearchResul
         raise SurefootError(f"{search.folder}: no trial is complete; there is nothing to report yet")
     fresh = []
     with worker_pool():
-        for trial in sort_trials(complete)[:_TOP].itertuples():
+        for trial in sort_trials(complete)[:_NUM_BEST_TRIALS].itertuples():
             report(f"evaluating trial {trial.trial} in fresh episodes")
             fresh.append(_fresh_runs(search, trial.policy))
             fresh[-1].insert(0, "trial", trial.trial)
@@ -103,7 +103,7 @@ def _trial_row(search: Search, trial: Any, report: Callable[[str], None]) -> dic
         "gait": result and result["gait"],
         "pattern": result and result["pattern"],
         "seed": config.seed if config else None,
-        **{name: _cell(get(config, name)) if config else None for name in search.config.space},
+        **{name: _cell(get_value(config, name)) if config else None for name in search.config.space},
         "why": trial.user_attrs.get("why", ""),
         "curve": curve,
         "policy": policy,
@@ -126,7 +126,7 @@ def _fresh_runs(search: Search, path: Path) -> pd.DataFrame:
         def compute() -> Result:
             run = EvaluationRun.load(path, settings)
             task = replace(run.task, reward=reward, pushes=replace(run.task.pushes, enabled=False))
-            traces = run.run(task if world == "mujoco" else away_task(task), world)
+            traces = run.run(task if world == "mujoco" else data_sheet_task(task), world)
             return {"runs": measure_runs(traces).to_dict("list")}
 
         return pd.DataFrame(cached_result(path, f"fresh_{world}", settings, compute)["runs"])

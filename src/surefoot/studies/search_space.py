@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from optuna.trial import Trial
 
 _SPACES = Path(__file__).parent / "spaces"
-_OWN = (
+_RESERVED_FIELDS = (
     *("name", "seed", "steps", "evaluate_every", "evaluation_episodes", "evaluation_reward"),
     *("checkpoint_every", "threads", "learning_threads"),
 )
@@ -108,16 +108,18 @@ def check_space(space: Space, config: TrainConfig) -> None:
     names: set[str] = set()
     for name, dimension in space.items():
         for field in (name, *dimension.also):
-            if field in _OWN:
-                raise SurefootError(f"{field} is not searched: the search sets it itself, as it does {choices(_OWN)}")
+            if field in _RESERVED_FIELDS:
+                raise SurefootError(
+                    f"{field} is not searched: the search sets it itself, as it does {choices(_RESERVED_FIELDS)}"
+                )
             if field in names:
                 raise SurefootError(f"{field} is named twice; each field takes one entry")
             names.add(field)
         for value in dimension.samples:
-            put(config, {name: dimension}, {name: value})
+            with_values(config, {name: dimension}, {name: value})
 
 
-def put(config: TrainConfig, space: Space, values: Mapping[str, Any]) -> TrainConfig:
+def with_values(config: TrainConfig, space: Space, values: Mapping[str, Any]) -> TrainConfig:
     """Return a configuration with the values of some fields of a space.
 
     Raises:
@@ -144,7 +146,7 @@ def _set(data: Any, field: str, value: Any) -> None:
         raise SurefootError(f"{field} is not a field of a training's configuration{count}")
 
 
-def get(config: TrainConfig, field: str) -> Any:
+def get_value(config: TrainConfig, field: str) -> Any:
     """Return the value at a dotted name, as plain tables, lists and values.
 
     Raises:
@@ -161,7 +163,7 @@ def short_name(field: str) -> str:
     return field.removeprefix("task.").removeprefix("ppo.")
 
 
-def suggest(space: Space, trial: Trial) -> dict[str, Any]:
+def suggest_values(space: Space, trial: Trial) -> dict[str, Any]:
     """Return the values of a trial, drawn by the sampler if it has none.
 
     Choices go to Optuna as JSON, since it takes no lists.
@@ -178,11 +180,11 @@ def suggest(space: Space, trial: Trial) -> dict[str, Any]:
     return values
 
 
-def as_params(space: Space, config: TrainConfig) -> dict[str, Any]:
+def to_optuna_params(space: Space, config: TrainConfig) -> dict[str, Any]:
     """Return the values of a configuration as parameters of Optuna; those outside of the space are left out."""
     params = {}
     for name, dimension in space.items():
-        value = get(config, name)
+        value = get_value(config, name)
         if not dimension.choices:
             inside = is_number(value) and dimension.low <= value <= dimension.high
             value = -value if inside and dimension.draws_magnitudes else value

@@ -19,7 +19,7 @@ from surefoot.studies.hidden_robots import (
     check_identified,
     read_identified,
     robot_name,
-    take_identified,
+    select_identified,
 )
 from surefoot.studies.questions import Question
 from surefoot.studies.training import Training, base_config
@@ -244,7 +244,7 @@ def group_config(study: StudyConfig, group: str, identified: ParamsFile | None =
         config = from_mapping(TrainConfig, data, where, base=config)
     if identified is None:
         return config
-    params = {**take_identified(identified, study.groups[group].identified), **config.task.params}
+    params = {**select_identified(identified, study.groups[group].identified), **config.task.params}
     return replace(config, task=replace(config.task, params=params, params_source=identified.source))
 
 

@@ -18,14 +18,22 @@ from surefoot.report.figures.learning import learning_curves
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import capital
-from surefoot.studies.comparison import CONTENTS, FAR, Comparison, read_tables, study_tables, write_tables
-from surefoot.studies.evaluations import EVALUATIONS, ResultFigure, load_gait_trace
+from surefoot.studies.comparison import CONTENTS, FAR_DISTANCE, Comparison, read_tables, study_tables, write_tables
+from surefoot.studies.evaluations import EVALUATIONS, ResultMetric, load_gait_trace
 from surefoot.studies.report import group_figure, image, readme, stride_cells
 from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import markdown
 
-_BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std", "gap_away", "gap", "gap_balanced")
-_COLUMNS = 4
+_BAR_METRICS = (
+    "nominal_speed",
+    "table1_falls",
+    "sensitivity_mean",
+    "sensitivity_std",
+    "gap_away",
+    "gap",
+    "gap_balanced",
+)
+_METRICS_PER_TABLE = 4
 """Figures that one table of the report holds."""
 _LEVEL = 1 - CONFIDENCE
 _HOW_TO_READ = (
@@ -40,7 +48,7 @@ _HOW_TO_READ = (
 _GAP_TERMS = (
     "Home: the simulator that a policy was trained in, with the motors and delays of its own task. Described: the same "
     "engine with the robot of the data sheet. Away: the other world. Gap: return at home less return away. Balanced: "
-    f"runs that kept their balance to the end; a run is far that came over {FAR:g} m."
+    f"runs that kept their balance to the end; a run is far that came over {FAR_DISTANCE:g} m."
 )
 
 
@@ -54,7 +62,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
     return path
 
 
-def text_of_tables(study: StudyConfig, folder: Path, command: str) -> str:
+def report_from_tables(study: StudyConfig, folder: Path, command: str) -> str:
     """Return README.md of a study from the tables of its report, without the runs."""
     tables = read_tables(folder)
     missing = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["missing"]
@@ -63,9 +71,9 @@ def text_of_tables(study: StudyConfig, folder: Path, command: str) -> str:
 
 def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], command: str) -> str:
     """Return README.md of a study from its tables; of the comparison only study, policies' columns and `missing`."""
-    missing, label, figures = ", ".join(comparison.missing), comparison.study.label, comparison.figures
+    missing, label, metrics = ", ".join(comparison.missing), comparison.study.label, comparison.metrics
     levels = [
-        {one.name: _level(tables, group, one.name).text(one.digits) for one in figures} for group in comparison.groups
+        {one.name: _level(tables, group, one.name).text(one.digits) for one in metrics} for group in comparison.groups
     ]
     seeds = comparison.policies.to_dict("records")
     parts = [
@@ -80,15 +88,15 @@ def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], comm
         *(image("Learning curves", file) for file in _curve_files(comparison)),
         *(_gaps(comparison, tables) if comparison.gap_kind else []),
         "## Results",
-        *_by_figure(figures, [{"group": label(group)} for group in comparison.groups], levels),
+        *_by_metric(metrics, [{"group": label(group)} for group in comparison.groups], levels),
         image("Groups side by side", "groups.png"),
         "## Differences",
-        *_differences(comparison, tables["differences"], comparison.figures),
+        *_differences(comparison, tables["differences"], comparison.metrics),
         "## Every seed",
-        *_by_figure(
-            figures,
+        *_by_metric(
+            metrics,
             [{"group": label(row["group"]), "seed": row["seed"]} for row in seeds],
-            [{one.name: decimal(row[one.name], one.digits) for one in figures} for row in seeds],
+            [{one.name: decimal(row[one.name], one.digits) for one in metrics} for row in seeds],
         ),
         *(_gaits(comparison, tables["gaits"]) if "gait" in comparison.kinds else []),
         *(_parameters(tables["sensitivity"]) if "sensitivity" in comparison.kinds else []),
@@ -101,7 +109,7 @@ def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], comm
 def _draw(comparison: Comparison, folder: Path) -> None:
     """Draw the figures that the text shows."""
     label = comparison.study.label
-    group_figure(comparison, folder / "groups.png", _BARS)
+    group_figure(comparison, folder / "groups.png", _BAR_METRICS)
     for file, groups in _curve_files(comparison).items():
         curves = {label(group): list(comparison.of_group(group).curve) for group in groups}
         learning_curves(curves, folder / file)
@@ -120,13 +128,13 @@ def _draw(comparison: Comparison, folder: Path) -> None:
             parameter_figure(row, tested, folder / "parameters" / f"{row}.png")
 
 
-def _level(tables: Mapping[str, pd.DataFrame], group: str, figure: str) -> Interval:
+def _level(tables: Mapping[str, pd.DataFrame], group: str, metric: str) -> Interval:
     """Return the mean of a figure over a group, with its interval or the numbers of a few policies."""
     rows = tables["groups"]
-    row = rows[(rows.group == group) & (rows.figure == figure)].iloc[0]
+    row = rows[(rows.group == group) & (rows.figure == metric)].iloc[0]
     interval = Interval(row["mean"], row["low"], row["high"])
     policies = tables["policies"]
-    values = () if interval.is_finite else tuple(policies[policies.group == group][figure])
+    values = () if interval.is_finite else tuple(policies[policies.group == group][metric])
     return replace(interval, values=values)
 
 
@@ -134,16 +142,16 @@ def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
     """Say which of the declared comparisons differ in the primary figure; return the section."""
     if not len(table):
         return ["There are no two groups to compare."]
-    figure, label = comparison.primary, comparison.study.label
-    rows = table[table.figure == figure.name]
+    metric, label = comparison.primary, comparison.study.label
+    rows = table[table.figure == metric.name]
     count, survive = len(rows), int((rows.p_holm < _LEVEL).sum())
     lines = [
-        f"Primary figure: {figure.heading}. Comparisons that the study's file declares: {count}; with p < {_LEVEL:.2g} "
+        f"Primary figure: {metric.heading}. Comparisons that the study's file declares: {count}; with p < {_LEVEL:.2g} "
         f"after Holm's correction for {count}: {survive}.",
         markdown(
             [
                 {"group": label(row.group), "against": label(row.against)}
-                | {figure.heading: _change(row, figure), "p": _p(row.p), f"p, Holm over {count}": _p(row.p_holm)}
+                | {metric.heading: _change(row, metric), "p": _p(row.p), f"p, Holm over {count}": _p(row.p_holm)}
                 for row in rows.itertuples()
             ]
         ),
@@ -153,10 +161,10 @@ def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
     return [*lines, *(["In the paper:", "\n".join(claims)] if claims else [])]
 
 
-def _change(row: Any, figure: ResultFigure) -> str:
+def _change(row: Any, metric: ResultMetric) -> str:
     """Return a difference with its interval, bold if it is significant after correction."""
     interval = Interval(row.difference, row.difference_low, row.difference_high)
-    text = interval.text(figure.digits, sign=True)
+    text = interval.text(metric.digits, sign=True)
     return f"**{text}**" if row.p_holm < _LEVEL else text
 
 
@@ -164,32 +172,32 @@ def _p(value: float) -> str:
     return "< 0.001" if value < 0.001 else decimal(value, 3)
 
 
-def _differences(comparison: Comparison, table: pd.DataFrame, figures: Sequence[ResultFigure]) -> list[str]:
+def _differences(comparison: Comparison, table: pd.DataFrame, metrics: Sequence[ResultMetric]) -> list[str]:
     """Return tables of differences, a row a pair."""
     if not len(table):
         return ["There are no two groups to compare."]
-    label, by_name = comparison.study.label, {figure.name: figure for figure in figures}
+    label, by_name = comparison.study.label, {metric.name: metric for metric in metrics}
     pairs = table[["group", "against"]].drop_duplicates()
     heads = [{"group": label(row.group), "against": label(row.against)} for row in pairs.itertuples()]
     cells = [
         {row.figure: _change(row, by_name[row.figure]) for row in part.itertuples()}
         for _, part in table.groupby(["group", "against"], sort=False)
     ]
-    return _by_figure(figures, heads, cells)
+    return _by_metric(metrics, heads, cells)
 
 
-def _by_figure(
-    figures: Sequence[ResultFigure], heads: Sequence[dict[str, Any]], cells: Sequence[Mapping[str, str]]
+def _by_metric(
+    metrics: Sequence[ResultMetric], heads: Sequence[dict[str, Any]], cells: Sequence[Mapping[str, str]]
 ) -> list[str]:
     """Return tables with rows that begin with `heads` and a column for each figure, a few figures a table."""
     return [
         markdown(
             [
-                head | {figure.heading: row[figure.name] for figure in figures[first : first + _COLUMNS]}
+                head | {metric.heading: row[metric.name] for metric in metrics[first : first + _METRICS_PER_TABLE]}
                 for head, row in zip(heads, cells, strict=True)
             ]
         )
-        for first in range(0, len(figures), _COLUMNS)
+        for first in range(0, len(metrics), _METRICS_PER_TABLE)
     ]
 
 
@@ -223,8 +231,8 @@ def _gaits(comparison: Comparison, table: pd.DataFrame) -> list[str]:
         for row in table.to_dict("records")
     ]
     firsts = {group: comparison.of_group(group).seed.iloc[0] for group in comparison.groups}
-    figures = [image(f"Footfalls: {label(group)}, seed {seed}", f"gait_{group}.png") for group, seed in firsts.items()]
-    return ["## Gaits", markdown(rows), *figures]
+    images = [image(f"Footfalls: {label(group)}, seed {seed}", f"gait_{group}.png") for group, seed in firsts.items()]
+    return ["## Gaits", markdown(rows), *images]
 
 
 def _parameters(table: pd.DataFrame) -> list[str]:
@@ -254,7 +262,7 @@ def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame]) -> list[st
     for name, names in comparison.sets().items():
         lines += [image(f"Return of the best {top} policies at home and away", f"gap_{name}_top.png")]
         lines.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
-    return [*lines, *_differences(best, tables["top_differences"], EVALUATIONS[comparison.gap_kind].figures)]
+    return [*lines, *_differences(best, tables["top_differences"], EVALUATIONS[comparison.gap_kind].metrics)]
 
 
 def _gap_table(table: pd.DataFrame) -> str:
@@ -268,7 +276,7 @@ def _gap_table(table: pd.DataFrame) -> str:
         rows.append(
             {"group": row["label"], "world": row["world"], "return (m)": level.text()}
             | {"gap (m)": "" if is_home else gap.text(), "balanced (%)": share.text(0)}
-            | {f"over {FAR:g} m": f"{row['far']} of {row['runs']}"}
+            | {f"over {FAR_DISTANCE:g} m": f"{row['far']} of {row['runs']}"}
         )
     return markdown(rows)
 

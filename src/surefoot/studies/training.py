@@ -86,7 +86,7 @@ class Training:
         same = {name: getattr(stored, name) for name in _SAME_RESULT} | {"task": _with_copies(self.config, stored).task}
         if extend and stored.steps < self.config.steps:
             same["steps"] = stored.steps
-        if change := difference(stored, replace(self.config, **same)):
+        if change := first_difference(stored, replace(self.config, **same)):
             name, was, now = change
             more = "" if name != "steps" or now < was else "go on with it by --extend, "
             raise SurefootError(
@@ -132,12 +132,12 @@ def _robot_files(robot: str) -> dict[str, bytes]:
     return robot_files(RobotDescription.find_folder(robot))
 
 
-def difference(one: Any, other: Any, prefix: str = "") -> tuple[str, Any, Any] | None:
+def first_difference(one: Any, other: Any, prefix: str = "") -> tuple[str, Any, Any] | None:
     """Return the first field in which two configurations differ, by its dotted name, with both values; else None."""
     for item in fields(one):
         a, b = getattr(one, item.name), getattr(other, item.name)
         if is_dataclass(a) and is_dataclass(b):
-            if change := difference(a, b, f"{prefix}{item.name}."):
+            if change := first_difference(a, b, f"{prefix}{item.name}."):
                 return change
         elif a != b:
             return prefix + item.name, a, b

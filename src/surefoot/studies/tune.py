@@ -40,7 +40,7 @@ Gait = Literal["trot", "bound", "gallop", "free"]
 Ranges = dict[str, tuple[float, float, float]]
 """Least, greatest and initial value of each parameter that is searched."""
 
-PATH: Ranges = {
+PATH_RANGES: Ranges = {
     "frequency": (1.0, 9.0, 2.5),
     "duty_factor": (0.2, 0.8, 0.5),
     "stride": (0.5, 3.0, 1.3),
@@ -53,7 +53,7 @@ PATH: Ranges = {
 }
 """Foot trajectories. `stride` is how far feet go backward in stance, over the distance of the body in that time;
 `frequency` is in multiples of the legs' natural one; all other lengths are in parts of the legs' reach."""
-PHASES: dict[Gait, Ranges] = {
+PHASE_RANGES: dict[Gait, Ranges] = {
     "trot": {},
     "bound": {"back_phase": (0.25, 0.75, 0.5)},
     "gallop": {"back_phase": (0.3, 0.7, 0.5), "front_lead": (0.08, 0.22, 0.12), "back_lead": (-0.22, 0.22, 0.12)},
@@ -61,7 +61,7 @@ PHASES: dict[Gait, Ranges] = {
 }
 """Phases that are searched [cycles]: of the hind legs after the fore legs, of the right ones after the left; of a
 gallop from the middle of one pair to that of the other, so that pairs do not mix, else from left to left."""
-GAINS: Ranges = {
+GAIN_RANGES: Ranges = {
     "speed": (-0.15, 0.3, 0.0),
     "pitch": (0.0, 3.0, 0.3),
     "pitch_rate": (0.0, 0.3, 0.03),
@@ -69,9 +69,9 @@ GAINS: Ranges = {
     "roll_rate": (0.0, 0.3, 0.03),
 }
 """Gains of Raibert's controller."""
-MAX_STROKE = 0.5
+MAX_STROKE_RATIO = 0.5
 """In parts of the reach, so that a start at a high speed is in reach."""
-FEEDBACK = {
+FEEDBACK_BOUNDS = {
     "rad": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.25, 0.25)),
     "1": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.1, 0.1)),
 }
@@ -80,10 +80,10 @@ _SPEED_PENALTY = 300.0
 """Cost [W] of a speed of zero; of others in proportion to the missing speed."""
 _FALL_PENALTY = 1000.0
 """Cost [W] of a fall, and once more in proportion to the missing time."""
-_TRIES = 200
+_MAX_RESAMPLES = 200
 _FINAL_EPISODES = 20
 """Episodes of each candidate of the last selection, at least."""
-_LEAST_GAIN = 0.02
+_MIN_IMPROVEMENT = 0.02
 """Part of the cost that a search must gain within its patience."""
 
 
@@ -120,14 +120,14 @@ class TuneConfig:
     @property
     def ranges(self) -> Ranges:
         """Ranges of the parameters that are searched."""
-        return {**PATH, **PHASES[self.gait], **(GAINS if self.raibert else {})}
+        return {**PATH_RANGES, **PHASE_RANGES[self.gait], **(GAIN_RANGES if self.raibert else {})}
 
 
 def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: float) -> FootConfig:
     """Return foot trajectories.
 
     Args:
-        values: the parameters by name, in the units of `PATH` and `PHASES`.
+        values: the parameters by name, in the units of `PATH_RANGES` and `PHASE_RANGES`.
         gait: the gait, which has phases in common.
         speed: speed of the gait [m/s].
         reach: longest distance of a foot from its motor axis [m].
@@ -147,7 +147,7 @@ def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: fl
 
     return FootConfig(
         frequency=frequency,
-        stroke=min(values["stride"] * speed * values["duty_factor"] / frequency, MAX_STROKE * reach),
+        stroke=min(values["stride"] * speed * values["duty_factor"] / frequency, MAX_STROKE_RATIO * reach),
         clearance=reach * values["clearance"],
         duty_factor=values["duty_factor"],
         phase=dict(zip(legs, phase, strict=True)),
@@ -176,7 +176,7 @@ def has_converged(curve: Sequence[float], patience: int) -> bool:
         patience: how many are compared, above 0.
     """
     before = curve[-2 * patience : -patience]
-    return len(before) == patience and min(curve[-patience:]) > (1.0 - _LEAST_GAIN) * min(before)
+    return len(before) == patience and min(curve[-patience:]) > (1.0 - _MIN_IMPROVEMENT) * min(before)
 
 
 class Tuner:
@@ -199,7 +199,7 @@ class Tuner:
             raise SurefootError(
                 f"{self.robot.name} has legs {choices(self.robot.leg_names)}; gaits are of {choices(FEET)}"
             )
-        self.feedback = FEEDBACK[self.robot.leg_geometry.units[-1]]
+        self.feedback = FEEDBACK_BOUNDS[self.robot.leg_geometry.units[-1]]
         level = [0.0] * (len(self.robot.coordinates) - 1)
         straight = self.robot.pose_angles(*level, self.robot.leg_space["extension"][1])
         feet = self.robot.leg_geometry.foot_in_plane(straight[self.robot.leg_motor_index])
@@ -217,12 +217,12 @@ class Tuner:
                 for name, (low, high, default) in self.ranges.items()
             }
             """Parameters of the best gait so far."""
-            if not self._refusal(self.best):
+            if not self._infeasibility(self.best):
                 break
         self.cost = math.inf
         self.curve: list[float] = []
         """Least cost of each generation [W]."""
-        self._firsts: list[dict[str, float]] = []
+        self._generation_best: list[dict[str, float]] = []
         self._low, high, _ = np.array(list(self.ranges.values())).T
         self._width = high - self._low
         inside = np.clip((np.array(list(self.best.values())) - self._low) / self._width, 0.02, 0.98)
@@ -254,7 +254,7 @@ class Tuner:
             feedback=self.feedback,
             rest=self.robot.rest,
         )
-        gains = RaibertConfig(**{name: self.best[name] for name in GAINS}) if config.raibert else None
+        gains = RaibertConfig(**{name: self.best[name] for name in GAIN_RANGES}) if config.raibert else None
         return HandcraftedGait(task, gains, {**to_mapping(config), "parameters": dict(self.best)})
 
     def step(self) -> None:
@@ -264,7 +264,7 @@ class Tuner:
         costs = self.costs(candidates).mean(axis=1)
         self._search.tell(points, costs.tolist())
         first = int(np.argmin(costs))
-        self._firsts.append(candidates[first])
+        self._generation_best.append(candidates[first])
         self.curve.append(float(costs[first]))
         if costs[first] < self.cost:
             self.cost, self.best = float(costs[first]), candidates[first]
@@ -274,7 +274,7 @@ class Tuner:
 
         This removes the selection bias of the least of many noisy costs, and shows rare falls.
         """
-        finalists = [*self._firsts[-self.config.population :], self.best]
+        finalists = [*self._generation_best[-self.config.population :], self.best]
         finalists = (finalists * self.config.population)[-self.config.population :]
         rounds = math.ceil(_FINAL_EPISODES / self.config.starts)
         costs = np.mean([self.costs(finalists).mean(axis=1) for _ in range(rounds)], axis=0)
@@ -289,7 +289,7 @@ class Tuner:
         policy: OpenLoop | RaibertController = OpenLoop(len(env.gait.action_names))
         if config.raibert:
             gains: dict[str, Any] = {
-                name: np.repeat([values[name] for values in candidates], starts)[:, None] for name in GAINS
+                name: np.repeat([values[name] for values in candidates], starts)[:, None] for name in GAIN_RANGES
             }
             policy = RaibertController(self.robot, paths, RaibertConfig(**gains))
         observation, _ = env.reset()
@@ -301,14 +301,16 @@ class Tuner:
 
     def _within_reach(self, point: Array) -> Array:
         """Return a point of the search, or another one in its place if feet would leave the legs' reach."""
-        for _ in range(_TRIES):
-            reason = self._refusal(self._values(point))
+        for _ in range(_MAX_RESAMPLES):
+            reason = self._infeasibility(self._values(point))
             if not reason:
                 return point
             point = self._search.ask(1)[0]
-        raise SurefootError(f"{_TRIES} gaits in a row were refused, the last one because {reason}; ask for less speed")
+        raise SurefootError(
+            f"{_MAX_RESAMPLES} gaits in a row were refused, the last one because {reason}; ask for less speed"
+        )
 
-    def _refusal(self, values: Mapping[str, float]) -> str:
+    def _infeasibility(self, values: Mapping[str, float]) -> str:
         """Return why a gait is out of the legs' reach; empty if it is not."""
         try:
             HybridGait(self.robot, FootReference(self._paths(values)), *self.feedback.bounds(self.robot.coordinates))

@@ -29,15 +29,15 @@ if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
 
-PATIENCE = 120.0
+LOCK_TIMEOUT = 120.0
 """How long [s] a worker waits for another process to leave a folder: one that lost its parent may need an update."""
-TRIES = 3
+MAX_ATTEMPTS = 3
 """Times that a training is begun, if its processes die, before it is given up."""
 _REPORT_PERIOD = 1.0
 """Time [s] after which a worker reports, at the next end of an update."""
 _CONNECT_TIMEOUT = 5.0
 """How long [s] a cluster may take to answer."""
-_FILES = ("config.yaml", "run.json", "figures.jsonl", "policy.onnx")
+_RETURNED_FILES = ("config.yaml", "run.json", "figures.jsonl", "policy.onnx")
 """Files that a computer without the shared folder sends back beside the copies of robot and table; the policy, which
 marks the end, comes last."""
 _SETTINGS = {
@@ -108,7 +108,7 @@ class Worker:
         self._training = training
         with describe_os_errors(training.path, "made"):
             training.path.mkdir(parents=True, exist_ok=True)
-        self._lock.enter_context(folder_lock(training.path, PATIENCE))
+        self._lock.enter_context(folder_lock(training.path, LOCK_TIMEOUT))
         training.check()
         state = training.state
         if state == "new":
@@ -152,7 +152,7 @@ class Worker:
         if self._training.trial:
             shutil.rmtree(folder.checkpoints, ignore_errors=True)
         self._lock.close()
-        names = (*_FILES, *copied_files(folder.path))
+        names = (*_RETURNED_FILES, *copied_files(folder.path))
         files = {name: (folder.path / name).read_bytes() for name in names}
         return ProgressReport(folder.rows()[-1]["steps"], None, tuple(folder.evaluations()), True, files)
 
@@ -253,7 +253,7 @@ def run_trainings(
     running: dict[Any, _Job] = {}
     idle: list[Any] = []
     lost: deque[Training] = deque()
-    tries: dict[str, int] = {}
+    attempts: dict[str, int] = {}
 
     def change(training: Training, state: str, error: str = "") -> None:
         if state == "failed":
@@ -292,7 +292,7 @@ def run_trainings(
                 break
             is_new = not idle
             worker = make_worker.remote(os.getcwd(), registered_plugins(), sys.argv[1:]) if is_new else idle.pop()
-            tries[training.name] = tries.get(training.name, 0) + 1
+            attempts[training.name] = attempts.get(training.name, 0) + 1
             running[worker.begin.remote(training)] = _Job(training, worker, is_new)
             change(training, "started")
         if not running:
@@ -308,8 +308,8 @@ def run_trainings(
             except ray.exceptions.RayError as error:
                 if getattr(error, "actor_init_failed", False):
                     fail(job, "no worker can be made: is this version of surefoot on every computer of the cluster?")
-                elif tries[job.training.name] >= TRIES:
-                    fail(job, f"its process died {TRIES} times, at last so: {_one_line(error)}")
+                elif attempts[job.training.name] >= MAX_ATTEMPTS:
+                    fail(job, f"its process died {MAX_ATTEMPTS} times, at last so: {_one_line(error)}")
                 else:
                     lost.append(job.training)
                     change(job.training, "lost")
@@ -334,6 +334,6 @@ def _store_files(training: Training, report: ProgressReport) -> None:
     """Write the files from a computer that does not share the folder."""
     if training.policy.exists():
         return
-    for name in sorted({*report.files, *_FILES}, key=lambda name: (name == _FILES[-1], name)):
+    for name in sorted({*report.files, *_RETURNED_FILES}, key=lambda name: (name == _RETURNED_FILES[-1], name)):
         (training.path / name).parent.mkdir(parents=True, exist_ok=True)
         (training.path / name).write_bytes(report.files[name])

@@ -141,7 +141,7 @@ class Page:
             robot=robot.name,
             legs=robot.leg_names,
             limits=setup["limits"],
-            knobs=[],
+            live_parameters=[],
             speeds=[1],
             node=f"/world/{robot.base}",
         )

@@ -24,7 +24,7 @@ def check_evaluations(study: StudyConfig, worlds: bool) -> None:
     """Refuse evaluations that do not exist or lack a `worlds`, before anything is trained.
 
     Raises:
-        SurefootError: an unknown evaluation, figure or world, or bars without a gap.
+        SurefootError: an unknown evaluation, metric or world, or bars without a gap.
     """
     from surefoot.studies.evaluations import EVALUATIONS, evaluation_names, find_gap
 
@@ -33,10 +33,10 @@ def check_evaluations(study: StudyConfig, worlds: bool) -> None:
             check_takes_params(world)
         return
     kinds = evaluation_names(study.evaluate)
-    figures = [figure.name for kind in kinds for figure in EVALUATIONS[kind].figures]
-    if study.primary not in figures:
+    metrics = [metric.name for kind in kinds for metric in EVALUATIONS[kind].metrics]
+    if study.primary not in metrics:
         raise SurefootError(
-            f"primary: '{study.primary}' is no figure of its evaluations; {suggest(study.primary, figures)}"
+            f"primary: '{study.primary}' is no metric of its evaluations; {suggest(study.primary, metrics)}"
         )
     if not find_gap(kinds) and study.bars:
         raise SurefootError("bars: they show the reality gap; evaluate must name 'gap' or 'gap_test' for them")
@@ -72,9 +72,9 @@ def evaluate_runs(study: StudyConfig, runs: list[Training], root: Path, threads:
         for number, (run, name, kind) in enumerate(todo, start=1):
             start = time.perf_counter()
             with console.status(f"evaluating {run.name}: {name} ({number} of {len(todo)})"):
-                values = kind.read_figures(evaluate(run.policy, name, threads, kind))
+                values = kind.read_metrics(evaluate(run.policy, name, threads, kind))
             figures = ", ".join(
-                f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in kind.figures
+                f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in kind.metrics
             )
             seconds = time.perf_counter() - start
             console.print(

@@ -23,8 +23,8 @@ import viser
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.evaluation.foot_forces import foot_forces
-from surefoot.evaluation.recorded import ground_of
-from surefoot.evaluation.tracking import motion
+from surefoot.evaluation.recorded import ground_for_trace
+from surefoot.evaluation.tracking import measured_velocity
 from surefoot.report.drawing.ground_part import ground_around
 from surefoot.report.drawing.scene import extent, poses
 from surefoot.report.pages.html import document
@@ -75,7 +75,7 @@ class ShownTrace:
     robot: RobotDescription
     trace: EpisodeTrace
     map_file: Path | None = None
-    """See `ground_of`."""
+    """See `ground_for_trace`."""
 
     def __post_init__(self) -> None:
         """Refuse a trace of another robot, and one that is too long."""
@@ -110,7 +110,7 @@ def recording_page(traces: Sequence[ShownTrace], layout: str = "side") -> str:
     runs, paths, grounds = [], [], list[Ground]()
     for number, one in enumerate(traces):
         with prefix_errors(one.name):
-            ground = ground_of(one.trace, one.map_file)
+            ground = ground_for_trace(one.trace, one.map_file)
             run, path = _run(one, rate, f"/world/r{number}", ground)
         if ground not in grounds:
             grounds.append(ground)
@@ -154,7 +154,7 @@ def _run(shown: ShownTrace, rate: float, node: str, ground: Ground) -> tuple[dic
     forces = foot_forces(robot, angles, trace.motor_torque)
     forces[np.isfinite(forces[..., 2]) & ((trace.foot_contact < 0.5) | (forces[..., 2] < 0.0))] = 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        speed = motion(trace)
+        speed = measured_velocity(trace)
     speed[~np.isfinite(speed)] = np.nan  # where times repeat
     power = trace.energy / np.diff(trace.time, prepend=0.0).clip(1e-4)
     count = max(round(_MEAN_TIME / float(trace.meta["control_step"])), 1)
