@@ -48,7 +48,7 @@ def test_a_map_that_is_given_is_the_ground_of_traces_with_its_name(tmp_path: Pat
 def test_find_traces_refuses_a_folder_without_traces(tmp_path: Path):
     with pytest.raises(SurefootError, match="nowhere does not exist"):
         find_traces(tmp_path / "nowhere")
-    with pytest.raises(SurefootError, match="holds no traces"):
+    with pytest.raises(SurefootError, match="has no traces"):
         find_traces(tmp_path)
 
 
@@ -86,7 +86,7 @@ def test_a_trace_without_a_policy_belongs_to_the_only_one(make_run: MakeRun):
     ("policies", "robot", "message"),
     [
         (["gallop"], "minitaur", r"a.npz: is of policy 'trot'; policies: gallop"),
-        (["trot", "gallop"], "minitaur", r"no trace beside a.npz is of policy 'gallop'"),
+        (["trot", "gallop"], "minitaur", r"policy 'gallop' has no trace next to a.npz"),
         (["trot"], "spot", r"a.npz: is of robot 'minitaur'; the policies are for 'spot'"),
     ],
 )
