@@ -621,7 +621,7 @@ REFUSALS = [
             "study-name.yaml": "name is '../../x'; a name has letters",
             "study.yaml --workers -1": "workers is -1; it must be 0",
             "study.yaml --only fast": "group 'fast' is not in the study; choices: plain, drawn",
-            "study.yaml --seeds 1 1": "seeds is [1, 1]; it takes 1 or more, none twice",
+            "study.yaml --seeds 1 1": "seeds is [1, 1]; it needs 1 or more, all different",
             "study.yaml --train-only --report-only": "--train-only and --report-only leave nothing to do",
             "study.yaml --report-only": "runs/tiny: no run of the study is finished and evaluated",
             "study.yaml --ray nowhere": "ray is 'nowhere'; it must be HOST:PORT",
@@ -652,7 +652,7 @@ REFUSALS = [
                 "space-reversed.yaml: ppo.gamma: low is 0.9 and high is 0.8; low must be below"
             ),
             "trot --space space-robot.yaml": ("space", "robot"),
-            "trot --resume": "searches/trot: holds no search to go on with; leave --resume out to begin one",
+            "trot --resume": "searches/trot: has no search to resume; leave --resume out to begin one",
             "trot --out file": "out is file; it must be a folder",
             "trot --ray nowhere": "ray is 'nowhere'; it must be HOST:PORT",
         },

@@ -88,7 +88,9 @@ def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> Non
     assert result.returncode == 0, result.stderr
     assert [(tmp_path / "out" / name).read_text() for name in tables] == before
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/trials/*/evaluations/fresh_*.json")} == fresh
-    refused(surefoot(*SEARCH, cwd=tmp_path), "out: holds a search; go on with it by --resume, or give another --out")
+    refused(
+        surefoot(*SEARCH, cwd=tmp_path), "out: already has a search; resume it with --resume, or choose another --out"
+    )
 
 
 def check(folder: Path, trials: int) -> None:
@@ -121,7 +123,7 @@ def check_report(out: Path, trials: int) -> None:
     report = (out / "README.md").read_text()
     assert f"{trials} trials ({trials} complete) of {STEPS:,} control steps, 8 episodes an evaluation, seed 5" in report
     assert "surefoot study search tiny.yaml --space space.yaml" in report
-    assert "Claimed less fresh, mean of these 3: " in report
+    assert "Claimed minus fresh, mean of these 3: " in report
     gaits = re.findall(r"\((gait_\w+\.png)\)", report)
     assert gaits
     for name in ("search.png", "parameters.png", *gaits):
@@ -137,5 +139,5 @@ def test_an_address_without_ray_is_refused(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr("surefoot.studies.workers._CONNECT_TIMEOUT", 0.5)
     port = free_port()
     done = surefoot("study", "search", "trot", "--ray", f"127.0.0.1:{port}", cwd=tmp_path)
-    refused(done, f"ray is 127.0.0.1:{port}: no Ray answers there within 0.5 s")
+    refused(done, f"ray is 127.0.0.1:{port}: no Ray cluster answers within 0.5 s")
     assert not list(tmp_path.iterdir())

@@ -78,8 +78,8 @@ def test_names_that_no_group_may_take_are_refused() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"seeds": (201, 201)}, r"robots\.seeds is \[201, 201\]; it takes 1 or more, none twice"),
-        ({"other_motors": OtherMotors((7,), {})}, r"robots\.other_motors\.seeds: 7 is no robot"),
+        ({"seeds": (201, 201)}, r"robots\.seeds is \[201, 201\]; it needs 1 or more, all different"),
+        ({"other_motors": OtherMotors((7,), {})}, r"robots\.other_motors\.seeds: 7 is not a robot's seed"),
         ({"ranges": {"mass": (0.0, 1.0)}}, "'mass' is not a physical parameter"),
     ],
 )

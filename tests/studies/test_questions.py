@@ -31,14 +31,14 @@ def test_a_claim_has_the_greatest_p_value_of_its_parts() -> None:
     assert (first.p, second.p) == pytest.approx((paired_p(GOOD, POOR), paired_p(GOOD, FAIR)))
     assert (first.robots, first.interval.mean) == (6, pytest.approx(-2.005))
     assert result.p == second.p > 0.05 > first.p
-    assert result.verdict == "not shown"
+    assert result.verdict == "not significant"
     alone = answer(Question("gap", "smaller", (("poor", "good"),), "less"), VALUES, {})
     assert (alone.p, alone.verdict) == (first.p, "holds")
 
 
 def test_a_difference_on_the_other_side_does_not_support_a_claim() -> None:
     result = answer(Question("gap", "greater", (("poor", "good"),), "more"), VALUES, {})
-    assert (result.p, result.verdict) == (1.0, "not shown")
+    assert (result.p, result.verdict) == (1.0, "not significant")
 
 
 def test_differences_are_paired_over_robots_that_both_groups_have() -> None:
@@ -61,7 +61,7 @@ def test_comparisons_without_a_claim_are_a_family_of_their_own() -> None:
 def test_equivalence_holds_exactly_if_the_interval_of_90_percent_is_within_the_bound() -> None:
     numbers = list(GOOD.values())
     end = t_interval(numbers, 0.9).high
-    for bound, verdict in ((1.001 * end, "holds"), (0.999 * end, "not shown")):
+    for bound, verdict in ((1.001 * end, "holds"), (0.999 * end, "not significant")):
         result = answer(Question("gap", "none", group="good", within=bound), VALUES, {})
         assert result.verdict == verdict
         assert result.comparisons[0].interval.high == end
@@ -78,7 +78,7 @@ def test_a_group_that_did_not_learn_leaves_claims_on_the_gap_alone() -> None:
     assert [one.left_out for one in result.comparisons] == ["", "fair did not learn"]
     assert (result.p, result.verdict) == (result.comparisons[0].p, "holds, without 1 of 2 comparisons")
     returns = Question("on_robot", "less", GAP.pairs, "less")
-    assert answer(returns, VALUES, reasons).verdict == "not shown"
+    assert answer(returns, VALUES, reasons).verdict == "not significant"
     family = Question("gap", "?", GAP.pairs)
     assert [one.left_out for one in answer(family, VALUES, reasons).comparisons] == ["", ""]
     # Where the group of the claim itself did not learn, nothing is left to test.

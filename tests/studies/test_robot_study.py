@@ -104,9 +104,9 @@ def test_robots_have_the_ranges_and_the_description_of_the_study(tmp_path: Path)
             r"groups\.plain\.identified: servo_kd belongs to the controll",
         ),
         ("[plain, whole]", "[plain, hole]", r"questions\.gap: 'hole' is no group of the study; did you mean whole"),
-        ("[gap]", "[falls]", "primary_questions: 'falls' is no question that claims something"),
-        ("least_home", "evaluate: [gap]\nleast_home", "robots: runs on them are the evaluation"),
-        ("seeds: [0, 1, 2]", "seeds: [0, 0]", r"groups\.sheet\.seeds is \[0, 0\]; none may be given twice"),
+        ("[gap]", "[falls]", "primary_questions: 'falls' is not a question with a claim"),
+        ("least_home", "evaluate: [gap]\nleast_home", "robots: a study on robots is evaluated by runs"),
+        ("seeds: [0, 1, 2]", "seeds: [0, 0]", r"groups\.sheet\.seeds is \[0, 0\]; all must be different"),
         ("table: ensemble", "table: assemble", "'assemble' does not exist; did you mean ensemble"),
     ],
 )
@@ -118,10 +118,10 @@ def test_a_file_that_does_not_fit_is_refused(tmp_path: Path, old: str, new: str,
 
 def test_identified_parameters_and_questions_need_robots(tmp_path: Path) -> None:
     plain = "task: trot\ngroups:\n  a: {identified: [body]}\n"
-    with pytest.raises(SurefootError, match=r"groups\.a\.identified is given; the study has no robots"):
+    with pytest.raises(SurefootError, match=r"groups\.a\.identified needs robots, and the study has none"):
         study(tmp_path, plain)
     asked = "task: trot\ngroups: {a: {}, b: {}}\nquestions: {q: {text: t, figure: gap, pairs: [[a, b]]}}\n"
-    with pytest.raises(SurefootError, match="questions are about robots, and the study has none"):
+    with pytest.raises(SurefootError, match="questions needs robots, and the study has none"):
         study(tmp_path, asked)
 
 
@@ -230,7 +230,7 @@ def test_a_group_on_a_robot_is_the_mean_over_seeds_and_starts(tmp_path: Path) ->
 
 def test_claims_leave_out_a_group_that_did_not_learn(tmp_path: Path) -> None:
     made = comparison(study(tmp_path))
-    assert made.not_learned == {"plain": "I did not learn: 2.70 m at home, below 3 m"}
+    assert made.not_learned == {"plain": "I did not learn: return 2.70 m in the training simulator, below 3 m"}
     gap, none = made.answers["gap"], made.answers["none"]
     assert [one.left_out for one in gap.comparisons] == [made.not_learned["plain"], ""]
     assert gap.verdict == "holds, without 1 of 2 comparisons"
@@ -255,7 +255,7 @@ def test_the_report_has_claims_groups_robots_and_figures(tmp_path: Path) -> None
     for part in (
         "**Not complete.** Not in this report: plain robot_9 seed 0.",
         "- **Primary.** The gap of III is smaller: **holds, without 1 of 2 comparisons**",
-        "- I did not learn: 2.70 m at home, below 3 m.",
+        "- I did not learn: return 2.70 m in the training simulator, below 3 m.",
         "## Robots with limited motors",
         "| `base_mass_ratio` | 1 of 1 |",
         "| `voltage` | 0 of 1 |",

@@ -182,12 +182,12 @@ def test_a_journal_that_is_damaged_elsewhere_is_refused_and_left(
 def test_another_search_is_refused(tmp_path: Path) -> None:
     config = make(tmp_path)
     Search(config, tmp_path, False)
-    with pytest.raises(SurefootError, match="holds a search; go on with it by --resume"):
+    with pytest.raises(SurefootError, match="already has a search; resume it with --resume"):
         Search(config, tmp_path, False)
-    with pytest.raises(SurefootError, match="was searched with seed 3, and now it is 4; give the same"):
+    with pytest.raises(SurefootError, match="the search there has seed 3, this one 4; use the same"):
         Search(replace(config, seed=4), tmp_path, True)
     train = replace(config.train, steps=7)
-    with pytest.raises(SurefootError, match=r"was searched with train\.steps 1000, and now it is 7"):
+    with pytest.raises(SurefootError, match=r"the search there has train\.steps 1000, this one 7"):
         Search(replace(config, train=train), tmp_path, True)
     one = {name: config.space[name] for name in ("ppo.epochs", "ppo.value_hidden")}
     with pytest.raises(SurefootError, match=r"with ppo\.learning_rate Dimension\(low=0\.0001.*, and now it is None"):

@@ -78,7 +78,7 @@ def test_the_report_has_all_sections(result: SearchResult, tmp_path: Path) -> No
     report = write_report(result, tmp_path, "surefoot study search gallop").read_text()
     assert not (tmp_path / "gait_pace.png").exists()
     assert "6 trials (4 complete, 1 pruned, 1 fail) of 1,000,000 control steps" in report
-    assert "Claimed less fresh, mean of these 3: +0.200 [+0.200, +0.200] m." in report
+    assert "Claimed minus fresh, mean of these 3: +0.200 [+0.200, +0.200] m." in report
     assert "| `ppo.value_hidden` | 0.75 |" in report
     assert "| trot | 2 | 1 | 2 running trot | 2.00 | 2 |" in report
     for name in ("search", "parameters", "gait_gallop", "gait_trot", "gait_bound"):

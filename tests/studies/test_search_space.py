@@ -92,7 +92,7 @@ BAD = [
     ("steps_per_update.first: {low: 1, high: 2}", "steps_per_update.first is not a field"),
     (
         "ppo.policy_hidden.2: {low: 8, high: 9, int: true}",
-        "ppo.policy_hidden.2 is not a field .*; it has 2 parts, from 0",
+        "ppo.policy_hidden.2 is not a field .*; it has 2 elements, numbered from 0",
     ),
     ("ppo.gamma: {low: 0.99, high: 0.9}", "ppo.gamma: low is 0.99 and high is 0.9; low must be below high"),
     ("ppo.gamma: {low: 0.5, high: 1.5}", "ppo.gamma is 1.5; it must be 1 or less"),
@@ -105,12 +105,12 @@ BAD = [
     ("ppo.gamma: {low: 0.9}", "ppo.gamma: it needs low and high, or choices"),
     ("ppo.activation: {choices: [elu, sigh]}", "ppo.activation is 'sigh'; did you mean swish\\? choices: elu"),
     ("ppo.activation: {choices: [elu], low: 1}", "it has choices and parts of a range"),
-    ("ppo.activation: {choices: [elu, elu]}", r"choices is \['elu', 'elu'\]; it takes none twice"),
+    ("ppo.activation: {choices: [elu, elu]}", r"choices is \['elu', 'elu'\]; each choice must be different"),
     ("ppo.gamma: 0.9", "ppo.gamma: Dimension is 0.9; it must be a table with keys out of: low, high"),
     ("ppo.gamma: {lowest: 0.9}", "ppo.gamma: lowest is not a key; did you mean low\\? choices: low"),
     ("ppo.gamma: {low: a, high: 1}", "ppo.gamma: low is 'a'; it must be a number or nothing"),
     ("seed: {low: 0, high: 9, int: true}", "seed is not searched: the search sets it itself"),
-    ("ppo.gamma: {low: 0.9, high: 1, also: [ppo.gamma]}", "ppo.gamma is named twice"),
+    ("ppo.gamma: {low: 0.9, high: 1, also: [ppo.gamma]}", "ppo.gamma is listed twice"),
     ("{}", "it is empty; a search takes 1 field or more"),
 ]
 

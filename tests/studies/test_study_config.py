@@ -96,7 +96,7 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("seeds: [0]", "groups is missing"),
         ("groups: {}", "groups is empty"),
         ("groups: {../a: {}}", "name is '../a'; a name has letters"),
-        ("{groups: {a: {}}, seeds: [1, 1]}", "seeds is .1, 1.; .* none twice"),
+        ("{groups: {a: {}}, seeds: [1, 1]}", "seeds is .1, 1.; .* all different"),
         ("{groups: {a: {}}, seeds: []}", "1 or more"),
         ("{groups: {a: {}}, speed: 3}", "speed is not a key"),
         ("groups: {a: {train: {stepps: 3}}}", "groups.a.train.stepps is not a key"),
@@ -108,13 +108,13 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("{groups: {a: {}}, top: 0}", "top is 0; it must be 1 or more"),
         ("{groups: {a: {}}, top: [1]}", "top is .1.; it must be a whole number"),
         ("{groups: {a: {}}, bars: {x: [b]}}", "bars.x: 'b' is no group of the study; choices: a"),
-        ("{groups: {a: {}}, bars: {x: [a, a]}}", "bars.x is .'a', 'a'.; it takes 1 group or more, none twice"),
+        ("{groups: {a: {}}, bars: {x: [a, a]}}", "bars.x is .'a', 'a'.; it needs 1 group or more, all different"),
         ("{groups: {a: {}}, bars: {x: []}}", "bars.x is ..; it takes 1 group or more"),
         ("{groups: {a: {}}, bars: {../x: [a]}}", "name is '../x'; a name has letters"),
         ("{groups: {a: {}}, bars: [a]}", "bars is .'a'.; it must be a table"),
         ("{groups: {a: {}}, findings: [{groups: [b], text: x}]}", "findings.0.: 'b' is no group of the study"),
         ("{groups: {a: {}}, findings: [{groups: [a]}]}", "findings.0..text is missing"),
-        ("{groups: {a: {}}, findings: [{groups: [a], text: x}]}", "findings.0.: a are together in no set of bars"),
+        ("{groups: {a: {}}, findings: [{groups: [a], text: x}]}", "findings.0.: a form neither a set of bars"),
     ],
 )
 def test_load_study_refuses_invalid_files(text: str, message: str, tmp_path: Path) -> None:
@@ -158,7 +158,7 @@ def test_a_run_of_other_settings_is_refused(tmp_path: Path) -> None:
     store(run, "checkpoints/latest.ckpt")
     run.check()
     make_run(run.path, steps=5000, threads=2, checkpoint_every=77).check()
-    with pytest.raises(SurefootError, match=r"run: was trained with steps 5000, and the study asks for 6000; go on"):
+    with pytest.raises(SurefootError, match=r"run: was trained with steps 5000, and the study asks for 6000; continue"):
         make_run(run.path, steps=6000).check()
     with pytest.raises(SurefootError, match=r"steps 5000, and the study asks for 4000; move the folder"):
         make_run(run.path, steps=4000).check(extend=True)

@@ -63,7 +63,7 @@ class PolicyGap:
         return [PolicyGap(str(name), runs) for name, runs in self.runs.groupby("policy", sort=False)]
 
     def gap(self, world: str) -> MeanEstimate:
-        """Return the return in the training world minus the return in another [m]; positive if the policy is worse there.
+        """Return the reality gap [m]: return in the training world minus return in `world`.
 
         For several policies it is the mean of their gaps with the standard error over policies. A standard error over
         all runs would include the differences between the policies in the training world, such as gallop and trot.
@@ -91,7 +91,7 @@ class PolicyGap:
         return home - self.table(world, "return")
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one row per world, the training world first, with means and standard errors of its runs and the gap."""
+        """Return one row per world, the training world first: means and standard errors of its runs, and the gap."""
         rows = []
         for number, world in enumerate(self.worlds):
             gap, side = (self.gap(world), "away") if number else (MeanEstimate(), "home")

@@ -241,7 +241,7 @@ def run_sensitivity(
 
 
 def _in_worlds(make_world: SimulationFactory, worlds: TestWorlds, episodes: int) -> SimulationFactory:
-    """Return a factory of simulations in which each block of `episodes` robots is in one world, the nominal one first."""
+    """Return a factory of simulations with a block of `episodes` robots for each world, the nominal one first."""
 
     def make(
         robot: RobotDescription, num_envs: int, nominal: PhysicalParams, seed: int, config: WorldConfig

@@ -176,7 +176,7 @@ def welch_interval(values: ArrayLike, base: ArrayLike) -> Interval:
 
 
 def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interval:
-    """Return the mean of `values` (P, R), or its difference from the mean of `base` (Q, R), over random rows and columns.
+    """Return the mean of `values` (P, R), or its difference from `base` (Q, R), with crossed random effects.
 
     Rows are policies, different ones in each array; columns are robots, the same ones in both. The variance of the mean
     is the variance of the row means divided by their number, for each array, plus the variance of the column means (of

@@ -64,8 +64,9 @@ class Tracking:
 
 
 def command_grid(limits: CommandLimits | None) -> tuple[tuple[float, float, float], ...]:
-    """Return a grid of commands over a policy's range: forward speed x yaw rate and, if it can walk sideways,
-    forward x sideways speed.
+    """Return a grid of commands over a policy's range.
+
+    It combines forward speed with yaw rate and, if the policy can walk sideways, forward with sideways speed.
 
     Raises:
         SurefootError: the policy has no commands.
@@ -96,7 +97,7 @@ def check_command(command: tuple[float, float, float], limits: CommandLimits | N
 
 
 def distance_along(trace: EpisodeTrace) -> float:
-    """Return the distance that a run covered along its commands [m]; steps without a linear speed command count as 0."""
+    """Return the distance that a run covered along its commands [m]; steps without a commanded speed count as 0."""
     return float(_step_distances(trace)[1].sum())
 
 

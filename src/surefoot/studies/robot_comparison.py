@@ -1,4 +1,4 @@
-"""Groups of a study on hidden robots: each group on each robot, means over robots, and answers to the questions."""
+"""Comparison of a study's groups on hidden robots: metrics by group and robot, means over robots, and answers."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ from surefoot.studies.training import Training
 CONTENTS = {
     "robots": "one row per group and robot: means over seeds and starts",
     "groups": "one row per group and metric, with its interval over robots; `motors`: which robots",
-    "questions": "one row per comparison: difference or mean, interval, p, and what became of the claim",
+    "questions": "one row per comparison: difference or mean, interval, p, and the result of the claim",
     "parameters": "one row per identified number: true value, estimate and interval",
-    "episodes": "one row per run of a policy, in its own simulator and on robots",
+    "episodes": "one row per run of a policy, in its training simulator and on robots",
 }
-"""What each table holds."""
+"""Description of each table."""
 ALL = "all"
-"""Robots with any motors, in tables."""
+"""Value of the column `motors` for all robots."""
 
 
 @dataclass(frozen=True)
 class RobotComparison:
-    """The groups of a study side by side, on hidden robots."""
+    """Comparison of a study's groups on hidden robots."""
 
     study: StudyConfig
     episodes: pd.DataFrame
-    """A row a run: group, robot that the policy was trained for (empty: data sheet), seed, and columns of
-    `measure_runs`; world is `HOME`, or the name of the robot that it ran on."""
+    """One row per run: group, robot that the policy was trained for (empty for the data sheet), seed, and the columns
+    of `measure_runs`, where world is `HOME` or the name of the robot."""
     missing: tuple[str, ...] = ()
-    """Names of trainings that are not in it."""
+    """Names of trainings that are missing in the comparison."""
 
     @cached_property
     def robots(self) -> pd.DataFrame:
-        """A row for each group and robot: seeds, runs, and `METRICS`."""
+        """One row per group and robot: seeds, runs, and `METRICS`."""
         rows = []
         for group in self.groups:
             runs = self.episodes[self.episodes.group == group]
@@ -65,37 +65,38 @@ class RobotComparison:
 
     @cached_property
     def groups(self) -> list[str]:
-        """Names of the groups that have runs, in the study's order."""
+        """Names of the groups with runs, in the study's order."""
         return [group for group in self.study.groups if group in set(self.episodes.group)]
 
     @property
     def families(self) -> list[str]:
-        """Sets of robots by their motors: all, and each family if there is more than one."""
+        """Motor families for which results are reported: all, and each family if there are several."""
         families = list(dict.fromkeys(self.robots.motors))
         return [ALL, *families] if len(families) > 1 else [ALL]
 
     def of_family(self, family: str) -> pd.DataFrame:
-        """Return the rows of `robots` with a family of motors."""
+        """Return the rows of `robots` with a motor family."""
         return self.robots if family == ALL else self.robots[self.robots.motors == family]
 
     def interval(self, group: str, metric: str, family: str = ALL) -> Interval:
-        """Return the mean of a figure over robots with its interval."""
+        """Return the mean of a metric over robots with its interval."""
         rows = self.of_family(family)
         return t_interval(rows[rows.group == group][metric])
 
     @property
     def not_learned(self) -> dict[str, str]:
-        """Groups whose mean return at home is too low to have a gap, with the reason."""
-        least = self.study.least_home_return
+        """Groups with too low a mean return in the training simulator for a reality gap, with the reason."""
+        minimum = self.study.least_home_return
         means = {group: self.interval(group, "home").mean for group in self.groups}
         return {
-            group: f"{self.study.label(group)} did not learn: {mean:.2f} m at home, below {least:g} m"
+            group: f"{self.study.label(group)} did not learn: return {mean:.2f} m in the training simulator, below "
+            f"{minimum:g} m"
             for group, mean in means.items()
-            if mean < least
+            if mean < minimum
         }
 
     def values(self, metric: str) -> Values:
-        """Return a figure of each group by robot."""
+        """Return a metric of each group by robot."""
         return {
             str(group): dict(zip(rows.robot, rows[metric], strict=True))
             for group, rows in self.robots.groupby("group", sort=False)
@@ -103,14 +104,14 @@ class RobotComparison:
 
     @cached_property
     def answers(self) -> dict[str, Answer]:
-        """The answers to the study's questions by name, claims that the study is about first."""
+        """Answers to the study's questions by name, primary questions first."""
         names, not_learned = [*self.study.primary_questions, *self.study.questions], self.not_learned
         questions = {name: self.study.questions[name] for name in names}
         return {name: answer(one, self.values(one.figure), not_learned) for name, one in questions.items()}
 
 
 def _metrics(home: pd.DataFrame, on_robot: pd.DataFrame) -> dict[str, float]:
-    """Return `METRICS` of a group's runs at home and on a robot; each policy counts alike."""
+    """Return `METRICS` of a group's runs in the training simulator and on a robot; all policies have equal weight."""
 
     def mean(runs: pd.DataFrame, values: pd.Series) -> float:
         return float(values.groupby([runs.robot, runs.seed]).mean().mean())
@@ -130,26 +131,26 @@ def episode_rows(run: Training, result: Result) -> pd.DataFrame:
 
 
 def parameter_rows(study: StudyConfig, files: Mapping[int, ParamsFile], folder: Path) -> list[dict[str, Any]]:
-    """Return a row for each number in the files of identified robots, with its true value and its interval.
+    """Return one row per identified number, with its true value and its interval.
 
     Args:
         study: the study.
         files: identified parameters by robot.
-        folder: where descriptions of robots with other motors are.
+        folder: folder of the robot description with other motors.
     """
     motors, rows = RobotDescription.load(study.hidden.robot).motor_names, []
     for seed, file in files.items():
         truth, intervals = study.hidden.params(seed, folder), file.tables.get("intervals", {})
         for name in file.names:
-            true, found = (np.atleast_1d(getattr(params, name)[0]) for params in (truth, file.params))
+            true, estimate = (np.atleast_1d(getattr(params, name)[0]) for params in (truth, file.params))
             bounds = np.broadcast_to(np.asarray(intervals.get(name, (np.nan, np.nan)), float), (len(true), 2))
             parts = PARAMETERS[name].parts(motors) or ("",)
             for k, part in enumerate(parts):
                 low, high = map(float, bounds[k])
                 row = {"robot": seed, "motors": study.hidden.family(seed), "parameter": name, "part": part}
-                row |= {"true": float(true[k]), "identified": float(found[k]), "low": low, "high": high}
-                known = np.isfinite(low) and np.isfinite(high)
-                rows.append(row | {"inside": bool(low <= true[k] <= high) if known else None})
+                row |= {"true": float(true[k]), "identified": float(estimate[k]), "low": low, "high": high}
+                has_interval = np.isfinite(low) and np.isfinite(high)
+                rows.append(row | {"inside": bool(low <= true[k] <= high) if has_interval else None})
     return rows
 
 

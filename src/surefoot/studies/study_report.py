@@ -1,4 +1,4 @@
-"""The report of a study as Markdown: the command, tables and figures."""
+"""Markdown report of a study: command, tables and figures."""
 
 from __future__ import annotations
 
@@ -34,26 +34,30 @@ _BAR_METRICS = (
     "gap_balanced",
 )
 _METRICS_PER_TABLE = 4
-"""Figures that one table of the report holds."""
+"""Number of metrics in one table of the report."""
 _LEVEL = 1 - CONFIDENCE
 _HOW_TO_READ = (
-    f"Means over seeds, with intervals of {CONFIDENCE:.0%} confidence in brackets, not widened for the number of "
-    "comparisons. Figures of the gap vary by policies and robots, both taken as drawn by chance; all others by seeds "
-    "(Student's t for a group, Welch's for a difference). Shares have exact binomial intervals, of the episodes that "
-    "the spread between seeds (and robots) leaves (Korn and Graubard). A mean of one or two seeds has no interval; the "
-    f"seeds are in parentheses. **Bold** differences have p < {_LEVEL:.2g} after Holm's correction for the number of "
-    "comparisons: those of one figure are a family. Late gain: mean return in the last fifth of a training less that "
-    "in the fifth before."
+    f"Means over seeds, with {CONFIDENCE:.0%} confidence intervals in brackets, which are not widened for the number "
+    "of comparisons. Intervals of the gap's metrics are over policies and robots, both as random effects; all others "
+    "are over seeds (Student's t for a group, Welch's for a difference). Percentages have exact binomial intervals "
+    "with the effective number of episodes that the spread between seeds (and robots) leaves (Korn and Graubard). A "
+    "mean of one or two seeds has no interval; the seeds' values are in parentheses. **Bold** differences have "
+    f"p < {_LEVEL:.2g} after Holm's correction for the number of comparisons of a metric. Late gain: increase of the "
+    "mean return from the fourth to the last fifth of a training."
 )
 _GAP_TERMS = (
-    "Home: the simulator that a policy was trained in, with the motors and delays of its own task. Described: the same "
-    "engine with the robot of the data sheet. Away: the other world. Gap: return at home less return away. Balanced: "
-    f"runs that kept their balance to the end; a run is far that came over {FAR_DISTANCE:g} m."
+    "Training simulator: the simulator of the training, with the motors and delays of the policy's task. As described: "
+    "the same engine with the robot of the data sheet. Target world: the other world. Gap: return in the training "
+    "simulator minus return in the target world. Balanced: runs in which the robot kept its balance to the end. Far: "
+    f"runs over {FAR_DISTANCE:g} m."
 )
 
 
 def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
-    """Write tables, figures and README.md, with the command that made them, into a folder; return README's path."""
+    """Write tables, figures and README.md into a folder; return the path of README.md.
+
+    The report names `command`, the command line.
+    """
     tables = study_tables(comparison)
     write_tables(comparison, tables, folder)
     _draw(comparison, folder)
@@ -63,14 +67,17 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
 
 
 def report_from_tables(study: StudyConfig, folder: Path, command: str) -> str:
-    """Return README.md of a study from the tables of its report, without the runs."""
+    """Return the README.md of a study from the tables of its report; the runs are not needed."""
     tables = read_tables(folder)
     missing = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["missing"]
     return report_text(Comparison(study, tables["policies"], tuple(missing)), tables, command)
 
 
 def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], command: str) -> str:
-    """Return README.md of a study from its tables; of the comparison only study, policies' columns and `missing`."""
+    """Return the README.md of a study from its tables.
+
+    Only the study, the tabulated columns of `policies`, and `missing` of the comparison are needed.
+    """
     missing, label, metrics = ", ".join(comparison.missing), comparison.study.label, comparison.metrics
     levels = [
         {one.name: _level(tables, group, one.name).text(one.digits) for one in metrics} for group in comparison.groups
@@ -89,7 +96,7 @@ def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], comm
         *(_gaps(comparison, tables) if comparison.gap_kind else []),
         "## Results",
         *_by_metric(metrics, [{"group": label(group)} for group in comparison.groups], levels),
-        image("Groups side by side", "groups.png"),
+        image("Metrics of all groups", "groups.png"),
         "## Differences",
         *_differences(comparison, tables["differences"], comparison.metrics),
         "## Every seed",
@@ -107,7 +114,7 @@ def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], comm
 
 
 def _draw(comparison: Comparison, folder: Path) -> None:
-    """Draw the figures that the text shows."""
+    """Draw the figures of the report."""
     label = comparison.study.label
     group_figure(comparison, folder / "groups.png", _BAR_METRICS)
     for file, groups in _curve_files(comparison).items():
@@ -129,7 +136,7 @@ def _draw(comparison: Comparison, folder: Path) -> None:
 
 
 def _level(tables: Mapping[str, pd.DataFrame], group: str, metric: str) -> Interval:
-    """Return the mean of a figure over a group, with its interval or the numbers of a few policies."""
+    """Return the mean of a metric over a group, with its interval or, for one or two policies, their values."""
     rows = tables["groups"]
     row = rows[(rows.group == group) & (rows.figure == metric)].iloc[0]
     interval = Interval(row["mean"], row["low"], row["high"])
@@ -139,15 +146,15 @@ def _level(tables: Mapping[str, pd.DataFrame], group: str, metric: str) -> Inter
 
 
 def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
-    """Say which of the declared comparisons differ in the primary figure; return the section."""
+    """Return the section that lists the declared comparisons of the primary metric."""
     if not len(table):
         return ["There are no two groups to compare."]
     metric, label = comparison.primary, comparison.study.label
     rows = table[table.figure == metric.name]
-    count, survive = len(rows), int((rows.p_holm < _LEVEL).sum())
+    count, significant = len(rows), int((rows.p_holm < _LEVEL).sum())
     lines = [
-        f"Primary figure: {metric.heading}. Comparisons that the study's file declares: {count}; with p < {_LEVEL:.2g} "
-        f"after Holm's correction for {count}: {survive}.",
+        f"Primary metric: {metric.heading}. Comparisons that the study's file declares: {count}; with p < {_LEVEL:.2g} "
+        f"after Holm's correction for {count}: {significant}.",
         markdown(
             [
                 {"group": label(row.group), "against": label(row.against)}
@@ -173,7 +180,7 @@ def _p(value: float) -> str:
 
 
 def _differences(comparison: Comparison, table: pd.DataFrame, metrics: Sequence[ResultMetric]) -> list[str]:
-    """Return tables of differences, a row a pair."""
+    """Return tables of differences, one row per pair."""
     if not len(table):
         return ["There are no two groups to compare."]
     label, by_name = comparison.study.label, {metric.name: metric for metric in metrics}
@@ -189,7 +196,7 @@ def _differences(comparison: Comparison, table: pd.DataFrame, metrics: Sequence[
 def _by_metric(
     metrics: Sequence[ResultMetric], heads: Sequence[dict[str, Any]], cells: Sequence[Mapping[str, str]]
 ) -> list[str]:
-    """Return tables with rows that begin with `heads` and a column for each figure, a few figures a table."""
+    """Return tables with rows that begin with `heads`, and up to `_METRICS_PER_TABLE` columns of metrics each."""
     return [
         markdown(
             [
@@ -214,7 +221,7 @@ def _training(comparison: Comparison, tables: Mapping[str, pd.DataFrame], group:
 
 
 def _curve_files(comparison: Comparison) -> dict[str, list[str]]:
-    """Return the groups of each figure of learning curves, by its file."""
+    """Return the groups of each figure of learning curves, by file."""
     sets = comparison.sets().items()
     return {
         f"learning_curves_{name}.png" if comparison.study.bars else "learning_curves.png": one for name, one in sets
@@ -222,7 +229,7 @@ def _curve_files(comparison: Comparison) -> dict[str, list[str]]:
 
 
 def _gaits(comparison: Comparison, table: pd.DataFrame) -> list[str]:
-    """Return the section with the gait of each policy and an episode of each group's first."""
+    """Return the section with the gait of each policy, and the footfalls of each group's first policy."""
     label = comparison.study.label
     rows = [
         {"group": label(row["group"]), "seed": str(row["seed"]), "gait": row["gait"], "agree": f"{row['agree']} of 5"}
@@ -236,7 +243,7 @@ def _gaits(comparison: Comparison, table: pd.DataFrame) -> list[str]:
 
 
 def _parameters(table: pd.DataFrame) -> list[str]:
-    """Return the section with returns and falls against each parameter."""
+    """Return the section on the sensitivity to each parameter."""
     return [
         "## One parameter at a time",
         image("Return against each parameter", "parameters.png"),
@@ -245,37 +252,39 @@ def _parameters(table: pd.DataFrame) -> list[str]:
 
 
 def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame]) -> list[str]:
-    """Return the sections on the gaps of each set of groups, of all policies and of the best."""
+    """Return the sections on the reality gap, for all policies and for the best, by set of groups."""
     groups, lines, top = tables["gap_groups"], ["## Reality gap", _GAP_TERMS], comparison.study.top
     label, best = comparison.study.label, comparison.best()
     for name, names in comparison.sets().items():
         finding = comparison.finding(comparison.study.bars.get(name, names))
-        lines += [f"### {capital(name)}", image("Return of all policies at home and away", f"gap_{name}.png")]
+        image_text = image("Return of all policies in training simulator and target world", f"gap_{name}.png")
+        lines += [f"### {capital(name)}", image_text]
         lines += [f"In the paper: {finding}"] if finding else []
         lines.append(_gap_table(groups[(groups.policies == "all") & groups.group.isin(names)]))
     chosen = [f"{label(group)} {', '.join(map(str, best.of_group(group).seed))}" for group in best.groups]
     lines += [
         f"## The best {top} policies of each group",
-        f"As the paper measures: those with the highest return in other episodes at home; ± is one standard error over "
-        f"runs. Seeds: {'; '.join(chosen)}.",
+        "As in the paper: the policies with the highest return in separate episodes in the training simulator; ± is "
+        f"one standard error over runs. Seeds: {'; '.join(chosen)}.",
     ]
     for name, names in comparison.sets().items():
-        lines += [image(f"Return of the best {top} policies at home and away", f"gap_{name}_top.png")]
+        caption = f"Return of the best {top} policies in training simulator and target world"
+        lines += [image(caption, f"gap_{name}_top.png")]
         lines.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
     return [*lines, *_differences(best, tables["top_differences"], EVALUATIONS[comparison.gap_kind].metrics)]
 
 
 def _gap_table(table: pd.DataFrame) -> str:
-    """Return rows of the table `gap_groups` as text."""
+    """Return rows of the table `gap_groups` in Markdown."""
     rows = []
     for row in table.to_dict("records"):
-        share = Interval(*(100 * row[f"balanced_share{end}"] for end in ("", "_low", "_high")))
+        balanced = Interval(*(100 * row[f"balanced_share{end}"] for end in ("", "_low", "_high")))
         is_top, is_home = row["policies"] == "top", math.isnan(row["gap"])
         level = MeanEstimate(row["return_mean"], row["return_error"]) if is_top else _interval(row, "return")
         gap = MeanEstimate(row["gap"], row["gap_error"]) if is_top else _interval(row, "gap")
         rows.append(
             {"group": row["label"], "world": row["world"], "return (m)": level.text()}
-            | {"gap (m)": "" if is_home else gap.text(), "balanced (%)": share.text(0)}
+            | {"gap (m)": "" if is_home else gap.text(), "balanced (%)": balanced.text(0)}
             | {f"over {FAR_DISTANCE:g} m": f"{row['far']} of {row['runs']}"}
         )
     return markdown(rows)
