@@ -24,9 +24,9 @@ _HOW_TO_READ = (
     "for that robot. A group's value on a robot is the mean over seeds and starts; {confidence:.0%} confidence "
     "intervals (Student's t) and paired differences are over robots. Gap: return in the training simulator minus "
     "return on the robot. A fall is a run in which the robot did not keep its balance to the end. Every part of a "
-    "claim is tested at {level:.2g}, and the claim's p value is their maximum (intersection-union test), without correction. "
-    "A claim of equivalence has two one-sided tests, and a 90 % interval. Comparisons without a claim have Holm's "
-    "correction within their question."
+    "claim is tested at {level:.2g}, and the claim's p value is their maximum (intersection-union test), without "
+    "correction. A claim of equivalence has two one-sided tests, and a 90 % interval. Comparisons without a claim have "
+    "Holm's correction within their question."
 )
 
 
