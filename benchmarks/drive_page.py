@@ -1,6 +1,6 @@
-"""How fast the page of `surefoot drive` is: pictures, delay from joystick to command, share of real time kept.
+"""Speed of the `surefoot drive` page: frames per second, delay from joystick to command, real-time factor.
 
-Headless Chromium, which draws in software, moves the joystick. Both run on this machine, and share its cores.
+Headless Chromium, which renders in software, moves the joystick. Both run on this machine and share its cores.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _COUNT = "window.pictures = 0; const count = () => { ++window.pictures; requestA
 
 
 def held(tabs: list[Page]) -> str:
-    """Say how much memory this process and the pages' scripts hold."""
+    """Return the memory of this process and of the pages' scripts as text."""
     pages = [int(tab.evaluate("performance.memory.usedJSHeapSize")) / 1e6 for tab in tabs]
     resident = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS"))
     return f"{int(resident.split()[1]) / 1e3:.0f} MB; scripts of the tabs {', '.join(f'{one:.0f} MB' for one in pages)}"

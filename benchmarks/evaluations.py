@@ -1,14 +1,13 @@
-"""Evaluate the policies that pages speak of: results/evaluations.yaml names them, results/evaluations.csv has the rows.
+"""Evaluate the policies in results/evaluations.yaml, and write their metrics to results/evaluations.csv.
 
-    python benchmarks/evaluations.py                 # what is missing or stale
+    python benchmarks/evaluations.py                 # missing and stale rows
     python benchmarks/evaluations.py 'trot*' gallop/bullet --again
 
-A row is called POLICY, or POLICY/SET for other options than those of the set `nominal`; `surefoot evaluate` with the
-row's command prints its figures. It is stale if the policy's file, its training or the options have changed.
-`policies` in the YAML file are those that do not ship: a file in the repository, or a `training`, the words after
-`surefoot train`. Its run is looked for in `--runs`, in a folder of its name; `--train` trains what is not there.
-A name in braces is the run of another one: `--start-from {steer-spot}`.
-Without its run the row of such a policy stays as it is.
+A row is called POLICY (options of the set `nominal`) or POLICY/SET; `surefoot evaluate` with the row's command prints
+its metrics. A row is stale if the policy's file, its training or the options have changed. `policies` in the YAML file
+lists policies that do not ship: a file in the repository, or a `training` (the words after `surefoot train`), whose run
+is in a folder of its name in `--runs`; `--train` trains missing ones. A name in braces is another policy's run:
+`--start-from {steer-spot}`. Without its run, the row of such a policy is kept unchanged.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ COLUMNS = ("name", *FIGURES, "command", "training", "digest")
 
 
 def named_rows(names: dict[str, Any]) -> dict[str, tuple[str, str]]:
-    """Return policy and options of each row that the YAML file names."""
+    """Return policy and options of each row that the YAML file lists."""
     known = [*shipped_policies(), *names["policies"]]
     rows: dict[str, tuple[str, str]] = {}
     for name, one in names["sets"].items():
@@ -56,13 +55,13 @@ def named_rows(names: dict[str, Any]) -> dict[str, tuple[str, str]]:
 
 
 def find_file(policy: str, others: dict[str, Any], runs: Path, may_train: bool = False) -> Path | None:
-    """Return a policy's file; None, if it is made by a training whose run is not there.
+    """Return a policy's file, or None if the run of its training is missing.
 
     Args:
-        policy: its name.
+        policy: name of the policy.
         others: policies that do not ship, by name.
         runs: folder of trainings.
-        may_train: train what is not there.
+        may_train: whether to train missing policies.
     """
     about = others.get(policy, {})
     if "training" not in about:
@@ -81,7 +80,7 @@ def find_file(policy: str, others: dict[str, Any], runs: Path, may_train: bool =
 
 
 def describe(policy: str, options: str, about: dict[str, str], path: Path | None) -> dict[str, str]:
-    """Return what an up-to-date row of a policy says of itself; without its digest, if its file is not there."""
+    """Return the columns by which a row is up to date; without the digest if the policy's file is missing."""
     command = f"surefoot evaluate {about.get('file', policy)} {options}".strip()
     digest = {"digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]} if path else {}
     return {"command": command, "training": about.get("training", ""), **digest}
@@ -94,7 +93,7 @@ def read_table() -> dict[str, dict[str, Any]]:
 
 
 def measure(path: Path, options: str, threads: int) -> dict[str, Any]:
-    """Return the figures of an evaluation."""
+    """Return the metrics of an evaluation."""
     with redirect_stdout(io.StringIO()) as output:
         evaluate.main([str(path), *shlex.split(options), "--threads", str(threads), "--json"])
     summary = json.loads(output.getvalue())
@@ -106,7 +105,7 @@ def measure(path: Path, options: str, threads: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Run what is selected, and write the table after each."""
+    """Run the selected evaluations, and write the table after each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rows", nargs="*", default=["*"], help="names of rows, or patterns such as 'go2-*/bullet'")
     parser.add_argument("--again", action="store_true", help="what is up to date too")

@@ -1,18 +1,18 @@
-"""Deploy a policy on a Go2 over DDS, in real time on the loopback: does it walk, how even are commands, what faults do.
+"""Deploy a policy on simulated Go2s over DDS in real time: walking speed, timing of commands, response to faults.
 
     python benchmarks/go2_dds.py runs emulated vendor fitted --count 10 [--busy 2] [--speed 1.0] [--policy FILE]
     python benchmarks/go2_dds.py faults [NAME ...] [--phase run ...]
 
-`emulated` is surefoot's own robot; `vendor` and `fitted` are two variants of one that surefoot did not write
-(`tests/vendor_go2.py`). Rows go to results/go2_dds/runs.csv and faults.csv; rows of the same case are replaced.
+`emulated` is surefoot's own robot; `vendor` and `fitted` are two variants of an independent simulator
+(`tests/vendor_go2.py`). Rows are written to results/go2_dds/runs.csv and faults.csv, and replace rows of the same case.
 
-A run: stand up, walk forward from .5 s on, sit. `speed` is the mean from 3 s on. Gaps are those between commands as
-they were written, from the first to the last that was not damping; `bare` ones are those of a loop beside it that does
-nothing but wake every 2 ms. Loads are those of one core while the policy runs.
+A run: stand up, walk forward from 0.5 s on, sit. `speed` is the mean from 3 s on. Gaps are the times between commands
+when they were written, from the first command to the last that was not damping; `bare` gaps are from an idle loop that
+wakes up every 2 ms at the same time. Loads are in percent of one core while the policy runs.
 
-A fault begins while the robot stands up, while the policy runs, or while it sits. `damped_ms` is how long after it the
-robot took a damping command and none with a gain any more. `loop`, `keeper` and `watcher` are killed; with `-hangs`
-they stand still for a second.
+A fault begins while the robot stands up, while the policy runs, or while it sits. `damped_ms` is the time after it at
+which the robot received a damping command, with no later command that has a gain. `loop`, `keeper` and `watcher` are
+killed; with `-hangs` they are suspended for a second.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from go2_runs import (
 from surefoot.deploy.motion_runner import UP
 
 POLICY = "go2-steer"
-"""Of rows that name none."""
+"""Policy of rows that name none."""
 RESULTS = Path(__file__).parents[1] / "results" / "go2_dds"
 SETTLED = 3.0
 """Time [s] after which the speed of a run counts."""
@@ -57,7 +57,7 @@ PHASES = {"stand up": UP - 1.2, "run": UP + 0.8, "sit": UP + FAULT_RUN + 0.12}
 PROCESSES = ("loop", "keeper", "watcher")
 KILLS = (*PROCESSES, "loop-hangs", "keeper-hangs")
 HANG = 1.0
-"""Time [s] for which a process that hangs stands still."""
+"""Time [s] for which a process is suspended."""
 FAULTS = (
     *("late=0.3", "frozen", "damaged", "nan", "restart", "motor-off", "lost", "hot", "battery", "tilt"),
     *("stop", "stick", "controller", "writer"),
@@ -65,12 +65,12 @@ FAULTS = (
 
 
 def percentile(values: np.ndarray, share: float) -> float:
-    """Return a percentile; NaN of none."""
+    """Return a percentile; NaN without values."""
     return float(np.percentile(values, share)) if len(values) else float("nan")
 
 
 def walk(kind: str, speed: float, busy: int, number: int, duration: float, domain: int, policy: str) -> dict[str, Any]:
-    """Return the figures of one run."""
+    """Return the metrics of one run."""
     loads: dict[str, list[float]] = {}
 
     def read_loads() -> None:
@@ -116,7 +116,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
 
 
 def command_figures(seen: np.ndarray) -> dict[str, Any]:
-    """Return rate and gaps of commands until the last with a gain, and what came after it."""
+    """Return rate and gaps of commands up to the last one with a gain, and the number of later ones."""
     active = np.flatnonzero(seen["kp"] > 0)
     if not len(active):
         return {"frames": 0}
@@ -134,7 +134,7 @@ def command_figures(seen: np.ndarray) -> dict[str, Any]:
 
 
 def inject(fault: str, phase: str, domain: int) -> dict[str, Any]:
-    """Return what a fault of a vendor's robot leads to."""
+    """Return the response to a fault of the `vendor` robot."""
     began: list[int] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -175,7 +175,7 @@ def inject(fault: str, phase: str, domain: int) -> dict[str, Any]:
 
 
 def save(name: str, keys: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
-    """Write rows to a table of the results in place of those with the same keys."""
+    """Write rows to a table of the results; they replace rows with the same keys."""
     RESULTS.mkdir(parents=True, exist_ok=True)
     path = RESULTS / f"{name}.csv"
     table: dict[tuple[str, ...], dict[str, Any]] = {}

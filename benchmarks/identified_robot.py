@@ -3,9 +3,9 @@
     python benchmarks/identified_robot.py
 
 The robot is emulated in Bullet (`surefoot emulate --hidden-seed`) and identified by the four experiments, which write
---params; a file that is there is taken as it is. The policy is deployed on that robot, and runs in simulations of the
-data sheet's robot and of the identified one, in both engines. --out has a row for each simulation: returns [m], and
-the gap, the return in simulation less the mean on the robot.
+--params; an existing file is used as it is. The policy is deployed on that robot, and runs in simulations of the data
+sheet's robot and of the identified robot, in both engines. --out has one row per simulation: returns [m], and the gap,
+which is the return in simulation minus the mean return on the robot.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Errors of simulators on Pupper v2's logs [rad]: the published one, the robots that ship, and fits to the other logs.
+"""Errors of simulators on Pupper v2's logs [rad]: the published simulator, the released parameters, and held-out fits.
 
-    python benchmarks/pupper_logs.py                        # all rows; three minutes each fit
-    python benchmarks/pupper_logs.py whole published        # some; the others stay
+    python benchmarks/pupper_logs.py                        # all rows; three minutes per fit
+    python benchmarks/pupper_logs.py whole published        # some rows; the others are kept
 
-Rows: the published simulator; `data sheet` and `identified`, which ship, the latter fitted to these very logs; `whole`,
-fitted to two logs and run on the third; and that fit with parts of the model left out.
+Rows: the published simulator; `data sheet` and `identified`, which ship (the latter is fitted to these logs); `whole`,
+fitted to two logs and run on the third; and fits with parts of the model left out.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ BAD = [
     ("ppo.gamma: {low: a, high: 1}", "ppo.gamma: low is 'a'; it must be a number or nothing"),
     ("seed: {low: 0, high: 9, int: true}", "seed is not searched: the search sets it itself"),
     ("ppo.gamma: {low: 0.9, high: 1, also: [ppo.gamma]}", "ppo.gamma is listed twice"),
-    ("{}", "it is empty; a search takes 1 field or more"),
+    ("{}", "it is empty; a search needs 1 field or more"),
 ]
 
 

@@ -109,7 +109,7 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("{groups: {a: {}}, top: [1]}", "top is .1.; it must be a whole number"),
         ("{groups: {a: {}}, bars: {x: [b]}}", "bars.x: 'b' is no group of the study; choices: a"),
         ("{groups: {a: {}}, bars: {x: [a, a]}}", "bars.x is .'a', 'a'.; it needs 1 group or more, all different"),
-        ("{groups: {a: {}}, bars: {x: []}}", "bars.x is ..; it takes 1 group or more"),
+        ("{groups: {a: {}}, bars: {x: []}}", "bars.x is ..; it needs 1 group or more"),
         ("{groups: {a: {}}, bars: {../x: [a]}}", "name is '../x'; a name has letters"),
         ("{groups: {a: {}}, bars: [a]}", "bars is .'a'.; it must be a table"),
         ("{groups: {a: {}}, findings: [{groups: [b], text: x}]}", "findings.0.: 'b' is no group of the study"),

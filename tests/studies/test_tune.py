@@ -72,7 +72,7 @@ def test_a_search_gets_better_and_keeps_the_best_of_another_start():
     assert isinstance(again.gait().policy(), RaibertController)
     assert isinstance(tuner.gait().policy(), OpenLoop)
     tuner.finish()
-    assert tuner.best in [*tuner._firsts, best]
+    assert tuner.best in [*tuner._generation_best, best]
     assert tuner.gait().about["parameters"] == tuner.best
 
 
