@@ -3,7 +3,8 @@
     python benchmarks/power.py
 
 The paper reports 189 W at 1.18 m/s (gallop) and 72 W at 0.60 m/s (trot). It does not say how it measured its robot's
-power. All definitions here are computed from the same servo steps of 1 ms, with duty d, current I, speed w and torque t of each motor, and are means over time:
+power. All definitions here are computed from the same servo steps of 1 ms, with duty d, current I, speed w and torque t
+of each motor, and are means over time:
 
     mechanical     |sum of t w|, as in surefoot's reward and evaluations
     positive       sum of t w over motors with positive power

@@ -70,11 +70,11 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
     done = surefoot(*words)
     assert done.returncode == 0, done.stderr
     assert runs_made == ["once", "stopped", "stopped"]
-    assert "results/evaluations.csv: is there" in done.stderr
+    assert "results/evaluations.csv: exists" in done.stderr
     page = (shipped / "paper.html").read_text()
     assert paper_runs.QUICK_NOTE.split(":")[0] in page
     assert f"{float(row['speed_mean']):.2f} ± {float(row['speed_std']):.2f} m/s" in page
-    assert "not there: results/evaluations gallop" in done.stdout
+    assert "missing: results/evaluations gallop" in done.stdout
 
 
 @pytest.mark.slow

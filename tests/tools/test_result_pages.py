@@ -55,8 +55,8 @@ def test_a_source_is_printed_in_its_format(results: Path, source: str, printed: 
         ("runs all gait=pace: max speed", "results/runs.csv: has no rows of gait=pace"),
         ("found: params.friction.2", "has no params.friction.2"),
         ("runs trot: sped", "has no sped"),
-        ("runs trot: gait .1", "is no number: trot"),
-        ("runs trot speed", "is no source"),
+        ("runs trot: gait .1", "is not a number: trot"),
+        ("runs trot speed", "is not a source"),
     ],
 )
 def test_a_source_that_does_not_exist_is_reported_with_its_line(results: Path, source: str, pieces: str):
