@@ -1,9 +1,10 @@
 """Numbers of results by name, for text: `evaluations trot/table1: falls of episodes` in results/evaluations.csv.
 
 A source has the form FILE ROW: COLUMN. FILE is a CSV, JSON or TOML file without its suffix, in results/ or relative to
-the root (policies/...). ROW is a value of the first column, or COLUMN=VALUE,COLUMN=VALUE, only for CSV files. COLUMN is a column, or dotted keys of a JSON or TOML file, where list elements are numbered from 0. A factor may follow,
-as in `share x100`. `N of M` combines two columns. `mean [low, high]` and `mean ± error` are several columns; brackets
-and ± are left out if they are empty, as for a single policy.
+the root (policies/...). ROW is a value of the first column, or COLUMN=VALUE,COLUMN=VALUE, only for CSV files. COLUMN is
+a column, or dotted keys of a JSON or TOML file, where list elements are numbered from 0. A factor may follow, as in
+`share x100`. `N of M` combines two columns. `mean [low, high]` and `mean ± error` are several columns; brackets and ±
+are left out if they are empty, as for a single policy.
 
 Several rows, `A; B; C`, give several numbers; or one, if COLUMN begins with sum, mean, sd (with n - 1), min or max.
 `all COLUMN=VALUE,COLUMN=VALUE` selects all rows with these values; without `all` there must be exactly one. `count` is

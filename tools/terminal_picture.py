@@ -1,4 +1,4 @@
-"""Draw docs/doctor.svg, a terminal with the doctor's report of a wrong joint order: python tools/terminal_picture.py."""
+"""Draw docs/doctor.svg, the doctor's report of a wrong joint order in a terminal: python tools/terminal_picture.py."""
 
 from __future__ import annotations
 
