@@ -1,4 +1,4 @@
-"""Spaces of searches: what they hold, what they do to a configuration, and what is refused."""
+"""Search spaces: reading, applying to a configuration, and rejected files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def space_file(folder: Path, text: str = SPACE) -> Path:
     return path
 
 
-def test_put_changes_the_fields_of_the_space_alone(tmp_path: Path) -> None:
+def test_with_values_changes_only_the_fields_of_the_space(tmp_path: Path) -> None:
     trot = load_train_config("trot")
     space = load_space(space_file(tmp_path), trot)
     values = {
@@ -49,11 +49,11 @@ def test_put_changes_the_fields_of_the_space_alone(tmp_path: Path) -> None:
     assert replace(config, ppo=trot.ppo, task=trot.task) == trot
     assert {name: get_value(config, name) for name in space} == values
     assert to_optuna_params(space, config) == values | {"ppo.value_hidden": "[32, 32]"}
-    # Out of the space: a learning rate over the range, layers that are no choice.
+    # Outside of the space: a learning rate above the range, layers that are not a choice.
     assert set(to_optuna_params(space, trot)) == {"ppo.learning_rate", "task.reference.swing.frequency"}
 
 
-def test_the_spaces_that_ship_fit_the_tasks_that_ship() -> None:
+def test_released_spaces_fit_released_tasks() -> None:
     gallop, trot = load_train_config("gallop"), load_train_config("trot")
     without, with_reference = load_space(None, gallop), load_space(None, trot)
     searched = {"ppo.policy_hidden.0", "ppo.value_hidden", "ppo.learning_rate", "ppo.gamma", "ppo.clip", "num_envs"}
@@ -63,11 +63,11 @@ def test_the_spaces_that_ship_fit_the_tasks_that_ship() -> None:
         "task.reference.swing.amplitude",
         "task.reference.extension.amplitude",
     }
-    # The paper's own layers are within.
+    # The paper's layers are within the space.
     assert {"ppo.policy_hidden.0": 185, "ppo.policy_hidden.1": 95}.items() <= to_optuna_params(without, gallop).items()
 
 
-def test_logarithmic_range_of_negative_values_draws_their_magnitudes(tmp_path: Path) -> None:
+def test_a_logarithmic_range_of_negative_values_is_sampled_by_magnitude(tmp_path: Path) -> None:
     optuna = pytest.importorskip("optuna")
     gallop = load_train_config("gallop")
     space = load_space(space_file(tmp_path, "task.reward.energy: {low: -0.02, high: -0.002, log: true}"), gallop)
@@ -79,7 +79,7 @@ def test_logarithmic_range_of_negative_values_draws_their_magnitudes(tmp_path: P
     assert to_optuna_params(space, with_values(gallop, space, values)) == trial.params
 
 
-def test_costs_of_energy_are_searched_where_the_reward_has_them() -> None:
+def test_energy_costs_are_searched_if_the_reward_has_them() -> None:
     terms = {"gallop": {"task.reward.energy"}, "go2-trot": {"task.reward.transport_cost"}, "go2-steer": set()}
     for task, searched in terms.items():
         space = load_space(None, load_train_config(task))
@@ -100,7 +100,10 @@ BAD = [
         "ppo.learning_rate: {low: 0, high: 1, log: true}",
         "ppo.learning_rate: low is 0 and high is 1; with log both must be on one side of 0",
     ),
-    ("ppo.epochs: {low: 1.5, high: 3, int: true}", "ppo.epochs: low is 1.5 and high is 3; with int they must be whole"),
+    (
+        "ppo.epochs: {low: 1.5, high: 3, int: true}",
+        "ppo.epochs: low is 1.5 and high is 3; with int they must be integers",
+    ),
     ("ppo.epochs: {low: 1, high: 3}", r"ppo.epochs is 1.0; it must be a whole number"),
     ("ppo.gamma: {low: 0.9}", "ppo.gamma: it needs low and high, or choices"),
     ("ppo.activation: {choices: [elu, sigh]}", "ppo.activation is 'sigh'; did you mean swish\\? choices: elu"),
@@ -116,7 +119,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("text", "message"), BAD, ids=[text for text, _ in BAD])
-def test_load_space_refuses_a_space_that_does_not_fit(tmp_path: Path, text: str, message: str) -> None:
+def test_load_space_rejects_an_invalid_space(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(SurefootError, match=rf"^\S*space\.yaml: .*{message}") as refused:
         load_space(space_file(tmp_path, text), TrainConfig())
     assert "\n" not in str(refused.value)
