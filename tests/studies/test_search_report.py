@@ -66,7 +66,7 @@ def result(tmp_path: Path, make_run: Callable[..., EpisodeTrace]) -> SearchResul
 def test_selection_bias_is_claimed_minus_fresh_return(result: SearchResult) -> None:
     biases = result.selection_bias()
     assert list(biases) == [5, 3, 1]
-    # Returns 0.1, 0.2 and 0.3 m lower: mean 0.2, half width 4.303 (Student's t with 2 degrees of freedom) * 0.1 / sqrt(3).
+    # Returns 0.1, 0.2 and 0.3 m lower: mean 0.2, half width t(0.975, 2) = 4.303 times 0.1 / sqrt(3).
     for _, bias in biases.values():
         assert bias.mean == pytest.approx(0.2)
         assert bias.low == pytest.approx(0.2 - 4.303 * 0.1 / math.sqrt(3), abs=1e-4)
