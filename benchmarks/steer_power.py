@@ -33,9 +33,9 @@ JOINTS = ("abduction", "hip", "knee")
 CONDITIONS: dict[str, dict[str, float]] = {
     "as trained": {},
     "no Coulomb friction": {"motor_friction": 0.0},
-    "Coulomb friction .365 N m": {"motor_friction": 0.365},
+    "Coulomb friction 0.365 N m": {"motor_friction": 0.365},
     "no viscous friction": {"motor_viscous_friction": 0.0},
-    "rotors .00712 kg m2": {"rotor_inertia": 0.00712},
+    "rotors 0.00712 kg m2": {"rotor_inertia": 0.00712},
     "friction and rotors of `fitted`": {
         "motor_friction": 0.365,
         "motor_viscous_friction": 0.285,
