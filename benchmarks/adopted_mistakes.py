@@ -111,7 +111,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--count", type=int, default=20, help="configurations of each seed")
-    parser.add_argument("--minutes", type=float, default=1e9, help="no configuration is begun after that")
+    parser.add_argument("--minutes", type=float, default=1e9, help="time after which no configuration is started")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, default=RESULTS, help="table (.csv)")
     options = parser.parse_args()

@@ -34,5 +34,5 @@ class BareLoop:
 
     def end(self) -> dict[str, float]:
         """End the process; return the 99th percentile and the maximum time between wake-ups [ms]."""
-        figures: dict[str, float] = json.loads(self._process.communicate()[0])
-        return figures
+        summary: dict[str, float] = json.loads(self._process.communicate()[0])
+        return summary

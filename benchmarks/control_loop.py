@@ -63,8 +63,8 @@ def bare_loop(seconds: float, step: float) -> dict[str, float]:
         late[k] = 1e3 * (time.monotonic() - due)
     names, shares = ("median", "p99_9", "max"), (50, 99.9, 100)
     parts = zip(names, np.percentile(late, shares).tolist(), strict=True)
-    figures = {f"lateness_{name}_ms": part for name, part in parts}
-    return figures | {"missed": int((late > 1e3 * step).sum())}
+    metrics = {f"lateness_{name}_ms": part for name, part in parts}
+    return metrics | {"missed": int((late > 1e3 * step).sum())}
 
 
 def run(policy: str, world: str, line: str, options: argparse.Namespace) -> dict[str, Any]:
@@ -106,10 +106,10 @@ def print_run(result: dict[str, Any]) -> None:
         rows += [(name.replace("_", " "), name, result["timing"]) for name in names]
         print(f"  {result['steps']} steps, {result['timing']['stale']} without a new state")
     print(f"  {'':10}{'median':>11}{'99.9 %':>11}{'max':>11}   missed")
-    for title, name, figures in rows:
-        numbers = (figures[f"{name}_{key}_ms"] for key in ("median", "p99_9", "max"))
+    for title, name, metrics in rows:
+        numbers = (metrics[f"{name}_{key}_ms"] for key in ("median", "p99_9", "max"))
         times = (f"{number:>8.3f} ms" if number is not None else f"{'-':>11}" for number in numbers)
-        print(f"  {title:10}{''.join(times)}   {figures['missed'] if name == 'lateness' else ''}", flush=True)
+        print(f"  {title:10}{''.join(times)}   {metrics['missed'] if name == 'lateness' else ''}", flush=True)
 
 
 def summary(case: str, busy: int, results: list[dict[str, Any]]) -> dict[str, Any]:
@@ -136,9 +136,9 @@ def main() -> None:
     parser.add_argument("policies", nargs="*", default=["trot-robust"])
     parser.add_argument("--worlds", nargs="+", default=["mujoco", "bullet"])
     parser.add_argument("--lines", nargs="+", default=["pty"], choices=["pty", "socket"])
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each run")
+    parser.add_argument("--seconds", type=float, default=60.0, help="duration of each run [s]")
     parser.add_argument("--runs", type=int, default=1)
-    parser.add_argument("--busy", type=int, default=0, help="programs that compute meanwhile")
+    parser.add_argument("--busy", type=int, default=0, help="programs that keep processors busy")
     parser.add_argument("--ground", action="store_true", help="let the robot walk")
     parser.add_argument("--out", type=Path, help="table of the cases (.csv)")
     options = parser.parse_args()

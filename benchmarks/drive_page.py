@@ -32,10 +32,12 @@ def held(tabs: list[Page]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--policy", default="go2-steer", help="one without commands has no delay to measure")
+    parser.add_argument("--policy", default="go2-steer", help="without commands, there is no delay to measure")
     parser.add_argument("--duration", type=float, default=20.0)
     parser.add_argument("--tabs", type=int, default=1)
-    parser.add_argument("--hours", type=float, default=0.0, help="then simulate so long at full speed: memory")
+    parser.add_argument(
+        "--hours", type=float, default=0.0, help="hours to simulate afterwards at full speed, to measure memory"
+    )
     options = parser.parse_args()
     path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if path is None:
@@ -78,11 +80,11 @@ def main() -> None:
     view.stop()
     delays = 1e3 * np.array(drive.delays)
     print(f"load of {os.cpu_count()} cores {os.getloadavg()[0]:.1f}, tabs {options.tabs}")
-    print(f"pictures sent {sent / passed:.1f} /s, drawn in software {shown / passed:.1f} /s")
+    print(f"frames sent: {sent / passed:.1f} /s, rendered in software: {shown / passed:.1f} /s")
     if delays.size:
         middle, late = np.quantile(delays, [0.5, 0.99])
         print(f"joystick to command, ms: median {middle:.1f}, 99 % {late:.1f}, of {len(delays)}")
-    print(f"share of real time {kept:.3f}")
+    print(f"real-time factor {kept:.3f}")
     print("memory: " + f"; after {options.hours:g} h of simulated driving ".join(memory))
 
 

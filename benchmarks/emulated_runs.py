@@ -28,7 +28,7 @@ class Case(NamedTuple):
     policy: str
     world: str
     options: tuple[object, ...] = ()
-    """Of `surefoot deploy`."""
+    """Options of `surefoot deploy`."""
     hidden: tuple[int, ...] = ()
     """Seeds of robots with hidden parameters; empty for the robot of the data sheet."""
     forward: float = 0.0
@@ -88,7 +88,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def main() -> None:
     """Run cases and write both tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("cases", nargs="*", choices=[[], *CASES], help="all, if none is given")
+    parser.add_argument("cases", nargs="*", choices=[[], *CASES], help="defaults to all")
     parser.add_argument("--out", type=Path, default=Path("results/emulator"), help="folder of the tables")
     options = parser.parse_args()
     path = options.out / "runs.csv"

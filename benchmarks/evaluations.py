@@ -33,13 +33,13 @@ from surefoot.tables import write_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES, TABLE = (ROOT / "results" / f"evaluations.{kind}" for kind in ("yaml", "csv"))
-FIGURES = (
+METRICS = (
     *("robot", "world", "episodes", "falls", "falls_percent_low", "falls_percent_high"),
     *("speed_mean", "speed_std", "power_mean", "return_mean", "return_std", "cost_of_transport_mean", "drift_mean"),
     *("distance_mean", "steps_mean", "saturation", "gait"),
     *(f"{kind}_{name}" for kind in ("rmse", "rmse_stride") for name in ("forward", "sideways", "yaw_rate")),
 )
-COLUMNS = ("name", *FIGURES, "command", "training", "digest")
+COLUMNS = ("name", *METRICS, "command", "training", "digest")
 
 
 def named_rows(names: dict[str, Any]) -> dict[str, tuple[str, str]]:
@@ -80,7 +80,7 @@ def find_file(policy: str, others: dict[str, Any], runs: Path, may_train: bool =
 
 
 def describe(policy: str, options: str, about: dict[str, str], path: Path | None) -> dict[str, str]:
-    """Return the columns by which a row is up to date; without the digest if the policy's file is missing."""
+    """Return the columns that tell whether a row is up to date; without the digest if the policy's file is missing."""
     command = f"surefoot evaluate {about.get('file', policy)} {options}".strip()
     digest = {"digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]} if path else {}
     return {"command": command, "training": about.get("training", ""), **digest}
@@ -97,19 +97,19 @@ def measure(path: Path, options: str, threads: int) -> dict[str, Any]:
     with redirect_stdout(io.StringIO()) as output:
         evaluate.main([str(path), *shlex.split(options), "--threads", str(threads), "--json"])
     summary = json.loads(output.getvalue())
-    share = proportion_interval([summary["falls"] / summary["episodes"]], summary["episodes"]).scale(100)
+    falls = proportion_interval([summary["falls"] / summary["episodes"]], summary["episodes"]).scale(100)
     errors = {f"{kind}_{k}": x for kind in ("rmse", "rmse_stride") for k, x in summary.get(kind, {}).items()}
     worst = max((value for value in summary["saturation"].values() if value is not None), default=None)
-    row = {**summary, **errors, **share.columns("falls_percent"), "saturation": worst}
-    return {name: f"{row[name]:.9g}" if isinstance(row.get(name), float) else row.get(name) for name in FIGURES}
+    row = {**summary, **errors, **falls.columns("falls_percent"), "saturation": worst}
+    return {name: f"{row[name]:.9g}" if isinstance(row.get(name), float) else row.get(name) for name in METRICS}
 
 
 def main() -> int:
     """Run the selected evaluations, and write the table after each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rows", nargs="*", default=["*"], help="names of rows, or patterns such as 'go2-*/bullet'")
-    parser.add_argument("--again", action="store_true", help="what is up to date too")
-    parser.add_argument("--train", action="store_true", help="train policies that are made by a training")
+    parser.add_argument("--again", action="store_true", help="also rows that are up to date")
+    parser.add_argument("--train", action="store_true", help="train missing policies")
     parser.add_argument("--runs", type=Path, default=ROOT / "runs" / "evaluations", help="folder of these trainings")
     parser.add_argument("--threads", type=int, default=0)
     arguments = parser.parse_args()

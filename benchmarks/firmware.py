@@ -206,7 +206,7 @@ def measure_stm32f4(folder: Path) -> dict[str, Any]:
         note(type(message).__name__.lower())
 
     def note(what: str) -> None:
-        # The timer counts 168 a microsecond of the emulated time, of which an instruction takes a nanosecond.
+        # The timer counts 168 per microsecond of emulated time; an instruction takes one nanosecond.
         counts.setdefault(what, []).append(round(firmware.cycles / 0.168))
 
     send(messages.Hello(7, 0.01), 0)
@@ -264,7 +264,7 @@ def run_live(runs: int, folder: Path) -> Iterator[dict[str, Any]]:
             words = list(map(str, [*host, "--out", folder / "live"]))
             bare = BareLoop()
             done = subprocess.run(words, capture_output=True, text=True, check=False)
-            bare_figures = bare.end()
+            bare_metrics = bare.end()
             process.terminate()
             _, summary = process.communicate()
         result: dict[str, Any] = {"ended": "refused", "what": done.stderr.strip().rpartition("\n")[2]}
@@ -275,8 +275,8 @@ def run_live(runs: int, folder: Path) -> Iterator[dict[str, Any]]:
             **{"program": name, "number": number, "ended": result["ended"], "what": result.get("what", "")},
             **{"missed": timing.get("missed"), "age_ms": timing.get("state_age_max_ms")},
             "behind": int(summary.partition("; behind ")[2].split()[0]),
-            **bare_figures,
-            "interrupted": bare_figures["bare_max_ms"] > MAX_BARE_GAP,
+            **bare_metrics,
+            "interrupted": bare_metrics["bare_max_ms"] > MAX_BARE_GAP,
         }
 
 

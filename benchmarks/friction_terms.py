@@ -69,7 +69,7 @@ def held_out_error(
 def main() -> None:
     """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--go2", type=Path, help="trace of a Go2 that hung")
+    parser.add_argument("--go2", type=Path, help="trace of a suspended Go2")
     parser.add_argument("--pupper", action="store_true")
     parser.add_argument("--rows", nargs="*", choices=[[], *ROWS], default=[])
     parser.add_argument("--out", type=Path, default=Path("results/identification/friction_terms.csv"))

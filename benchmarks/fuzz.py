@@ -670,12 +670,12 @@ def import_all() -> None:
 def main() -> int:
     """Run cases and print failures; return 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--cases", type=int, default=3000, help="how many")
-    parser.add_argument("--seed", type=int, default=0, help="of everything")
-    parser.add_argument("--case", type=int, help="run this one only, and show what it printed")
+    parser.add_argument("--cases", type=int, default=3000, help="number of cases")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all cases")
+    parser.add_argument("--case", type=int, help="run only this case, and show its output")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no case after this time [min]")
-    parser.add_argument("--limit", type=float, default=LIMIT, help="time of a processor that a case may take [s]")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="time after which no case is started [min]")
+    parser.add_argument("--limit", type=float, default=LIMIT, help="maximum processor time of a case [s]")
     parser.add_argument("--kind", action="append", default=[], choices=COMMANDS, help="only cases of this kind")
     options = parser.parse_args()
     os.environ.setdefault("MPLBACKEND", "Agg")
@@ -689,7 +689,7 @@ def main() -> int:
             _work(Path(folder), "evaluate", str(fuzz.seeds / "policy.onnx"), "--episodes", "1", *RUN.split())
         for number in numbers:
             if time.monotonic() > end:
-                print(f"the time is over: go on with --first {number} --cases {len(numbers) - done}")
+                print(f"time is up: continue with --first {number} --cases {len(numbers) - done}")
                 break
             case = fuzz.run(number)
             done += 1
@@ -699,13 +699,15 @@ def main() -> int:
             if case.fault or options.case is not None:
                 wrong += bool(case.fault)
                 shown = " ".join(repr(word if len(word) < 80 else f"{word[:60]}...") for word in case.words)
-                print(f"seed {options.seed} case {number} ({case.kind}, {case.seconds:.1f} s): {case.fault or 'fine'}")
+                print(
+                    f"seed {options.seed} case {number} ({case.kind}, {case.seconds:.1f} s): {case.fault or 'passed'}"
+                )
                 print(f"    {shown}", flush=True)
     for name, counter in codes.items():
         if counter:
             counts = ", ".join(f"{count} {what}" for what, count in sorted(counter.items()))
             print(f"{name:<22}{sum(counter.values()):>6} cases: {counts}")
-    print(f"{wrong} of {done} cases are wrong")
+    print(f"{wrong} of {done} cases failed")
     return 1 if wrong else 0
 
 

@@ -64,9 +64,9 @@ FAULTS = (
 )
 
 
-def percentile(values: np.ndarray, share: float) -> float:
+def percentile(values: np.ndarray, percent: float) -> float:
     """Return a percentile; NaN without values."""
-    return float(np.percentile(values, share)) if len(values) else float("nan")
+    return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
 def walk(kind: str, speed: float, busy: int, number: int, duration: float, domain: int, policy: str) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
         finally:
             deploy.kill()
             robot.kill()
-            bare_figures = bare.end()
+            bare_metrics = bare.end()
         seen = witness.commands()
         run = (report.get("runs") or [{}])[0]
         row: dict[str, Any] = {"policy": Path(policy).stem, "robot": kind, "command": speed, "busy": busy}
@@ -107,7 +107,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
             began = float(armed[0]) + 1e9 * (UP + SETTLED) if len(armed) else np.nan
             walking = (commands["time"] > began) & (commands["time"] < began + 1e9 * (duration - SETTLED))
             row["speed"] = float(commands["forward"][walking].mean()) if walking.any() else float("nan")
-        row |= command_figures(seen) | bare_figures
+        row |= command_metrics(seen) | bare_metrics
         for who, (before, then, after, now) in ((k, v) for k, v in loads.items() if len(v) == 4):
             row[f"{who}_load"] = (after - before) / (now - then)
         timing = run.get("timing", {})
@@ -115,7 +115,7 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
     return row
 
 
-def command_figures(seen: np.ndarray) -> dict[str, Any]:
+def command_metrics(seen: np.ndarray) -> dict[str, Any]:
     """Return rate and gaps of commands up to the last one with a gain, and the number of later ones."""
     active = np.flatnonzero(seen["kp"] > 0)
     if not len(active):
@@ -199,7 +199,7 @@ def main() -> None:
     runs = commands.add_parser("runs")
     runs.add_argument("robots", nargs="*", metavar="ROBOT", help=", ".join(ROBOTS))
     runs.add_argument("--count", type=int, default=1)
-    runs.add_argument("--busy", type=int, default=0, help="programs beside it that need a processor each")
+    runs.add_argument("--busy", type=int, default=0, help="additional programs that each need a processor")
     runs.add_argument("--speed", type=float, default=0.5)
     runs.add_argument("--duration", type=float, default=10.0)
     runs.add_argument("--policy", default=POLICY, help="name or file")

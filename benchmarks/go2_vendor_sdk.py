@@ -65,7 +65,7 @@ def measure(count: int, world: str) -> dict[str, Any]:
     robot = Robot("--world", world)
     read = client("read", count)
     counted = client("count", 0, count)
-    idle = share(robot.stop())
+    idle = processor_load(robot.stop())
 
     robot = Robot("--world", world)
     time.sleep(1.0)  # it sinks onto its belly
@@ -97,12 +97,12 @@ def measure(count: int, world: str) -> dict[str, Any]:
         "height_stood_up_python": max(heights),
         "height_laid_down_python": heights[-1],
         "states_damaged_python": example["damaged"],
-        "processor_commanded_percent": share(line),
+        "processor_commanded_percent": processor_load(line),
         "summary": line,
     }
 
 
-def share(line: str) -> int:
+def processor_load(line: str) -> int:
     """Return the processor load [%] in a summary line."""
     return int(re.findall(r"(\d+) % of a processor", line)[0])
 
@@ -114,11 +114,11 @@ def main() -> int:
     parser.add_argument("--world", default="mujoco")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    figures = measure(args.count, args.world)
+    metrics = measure(args.count, args.world)
     if args.json:
-        print(json.dumps(figures, indent=1))
+        print(json.dumps(metrics, indent=1))
         return 0
-    for name, value in figures.items():
+    for name, value in metrics.items():
         print(f"{name}: {value}")
     return 0
 

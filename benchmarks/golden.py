@@ -55,7 +55,7 @@ class Command:
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of golden.json."""
     only: Literal["all", "rollouts", "trainings"] = "all"
-    """What is run."""
+    """Cases to run."""
 
 
 def digest(*arrays: Any) -> str:
@@ -121,17 +121,17 @@ def training(config: TrainConfig) -> dict[str, Any]:
     for update in range(config.updates):
         if update == half:
             state = learner.get_state()
-        rows.append(_figures(learner.update()))
+        rows.append(_metrics(learner.update()))
     other = PpoLearner(config, find_world("mujoco"))
     assert state is not None
     other.set_state(state)
-    resumed = [_figures(other.update()) for _ in range(half, config.updates)]
+    resumed = [_metrics(other.update()) for _ in range(half, config.updates)]
     network = digest(*(value.detach().numpy() for value in learner.policy.state_dict().values()))
     return {"figures": rows, "network": network, "resumes": resumed == rows[half:]}
 
 
-def _figures(figures: Any) -> dict[str, Any]:
-    return {key: repr(value) for key, value in vars(figures).items() if key not in TIMES}
+def _metrics(update: Any) -> dict[str, Any]:
+    return {key: repr(value) for key, value in vars(update).items() if key not in TIMES}
 
 
 def cases() -> Iterator[tuple[str, str]]:

@@ -42,10 +42,10 @@ from surefoot.world.registry import find_world
 SHIPPED = ("trot-robust", "gallop-robust")
 CONDITIONS = {"mujoco": ("mujoco", "none"), "table1": ("mujoco", "table1"), "bullet": ("bullet", "none")}
 """World and ranges of each condition."""
-_TITLES = {"mujoco": "MuJoCo", "table1": "MuJoCo, table I drawn", "bullet": "Bullet"}
+_TITLES = {"mujoco": "MuJoCo", "table1": "MuJoCo, randomized (table I)", "bullet": "Bullet"}
 FAMILIES = ("foot trajectories", "foot trajectories, Raibert", "learned", "learned on tuned trajectories")
 DURATION = 6.0
-"""Of an episode [s]."""
+"""Length of an episode [s]."""
 WINDOW = 40
 """Number of generations at the end of a tuning that are compared with as many before."""
 
@@ -85,7 +85,7 @@ class Entry:
 
     @property
     def digest(self) -> str:
-        """Of its file, short."""
+        """Short digest of its file."""
         return hashlib.sha256(self.path.read_bytes()).hexdigest()[:12]
 
     def load(self) -> tuple[Controller, TaskConfig]:

@@ -177,7 +177,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", default="1-5", help="first and last hidden seed")
     parser.add_argument("--worlds", nargs="+", default=WORLDS)
-    parser.add_argument("--draws", type=Path, default=Path("build/identification.jsonl"), help="draws, one a line")
+    parser.add_argument(
+        "--draws", type=Path, default=Path("build/identification.jsonl"), help="results, one robot per line"
+    )
     parser.add_argument("--out", type=Path, default=Path("results/identification"), help="folder of the tables")
     args = parser.parse_args()
     first, last = (int(part) for part in (args.seeds.split("-") * 2)[:2])

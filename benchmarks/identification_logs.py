@@ -31,7 +31,7 @@ STEP, EVERY, SETTLE, LENGTH = 0.001, 5, 2.0, 12.0
 LOW = np.array([-0.1, 1.2, -2.4, 0.1, 1.2, -2.4] * 2)
 HIGH = np.array([-0.5, 0.6, -1.4, 0.5, 0.6, -1.4] * 2)
 NOISE = 1e-4
-"""Of encoders [rad]."""
+"""Standard deviation of encoder noise [rad]."""
 FACTORS = {"motor_friction": (0.5, 2.0), "motor_viscous_friction": (0.5, 2.0), "rotor_inertia": (0.5, 1.5)}
 """Factors of the data sheet's values, by kind of joint."""
 
@@ -130,13 +130,13 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             some = [row for row in rows if row["known"] == known and name in (row["name"], "all")]
             if not some:
                 continue
-            told = [row for row in some if row["identifiable"] == "1"]
+            identifiable = [row for row in some if row["identifiable"] == "1"]
             table.append({
                 "gains": "known" if known == "1" else "unknown", "parameter": name, "values": len(some),
-                "declared": len(some) - len(told), "intervals": len(told),
-                "hold": sum(row["inside"] == "1" for row in told),
+                "declared": len(some) - len(identifiable), "intervals": len(identifiable),
+                "hold": sum(row["inside"] == "1" for row in identifiable),
                 "inside_or_declared": sum(row["inside"] == "1" for row in some),
-                "worst_half_widths": max((float(row["half_widths_off"]) for row in told), default=0.0),
+                "worst_half_widths": max((float(row["half_widths_off"]) for row in identifiable), default=0.0),
             })  # fmt: skip
     return table
 
@@ -145,7 +145,7 @@ def main() -> None:
     """Fit logs, and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--logs", default="1-20", help="numbers of the logs, such as 1-20")
-    parser.add_argument("--known", action="store_true", help="tell the fit the gains")
+    parser.add_argument("--known", action="store_true", help="the fit knows the gains")
     parser.add_argument("--summary", action="store_true", help="no fits; print the table of existing logs")
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args()

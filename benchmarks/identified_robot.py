@@ -37,12 +37,12 @@ def main() -> None:
     parser.add_argument("--policy", default="trot-robust")
     parser.add_argument("--hidden-seed", type=int, default=48)
     parser.add_argument("--hidden-ranges", default="table1", help="as for `surefoot emulate`")
-    parser.add_argument("--runs", type=int, default=3, help="on the robot")
+    parser.add_argument("--runs", type=int, default=3, help="runs on the robot")
     parser.add_argument("--params", type=Path, default=Path("results/identification/hidden-48.toml"))
     parser.add_argument("--out", type=Path, default=Path("results/identification/end_to_end.csv"))
     options = parser.parse_args()
-    drawn = ("--hidden-seed", options.hidden_seed, "--hidden-ranges", options.hidden_ranges)
-    robot = ("--world", "bullet", *drawn, "--seed", options.hidden_seed)
+    hidden = ("--hidden-seed", options.hidden_seed, "--hidden-ranges", options.hidden_ranges)
+    robot = ("--world", "bullet", *hidden, "--seed", options.hidden_seed)
     if not options.params.exists():
         with tempfile.TemporaryDirectory() as folder:
             identify_robot(robot, options.params, Path(folder) / "work", "minitaur")

@@ -71,7 +71,7 @@ def errors(what: str, robot: RobotDescription, runs: dict[str, RecordedMotion]) 
 def main() -> None:
     """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("rows", nargs="*", choices=[[], *ROWS], help="all, if none is given")
+    parser.add_argument("rows", nargs="*", choices=[[], *ROWS], help="defaults to all")
     parser.add_argument("--out", type=Path, default=Path("results/identification/pupper_logs.csv"))
     options = parser.parse_args()
     robot = RobotDescription.load("pupper_v2")

@@ -57,7 +57,7 @@ def with_half_step(robot: RobotDescription, folder: Path) -> Path:
     return copy
 
 
-def figures(name: str, episodes: int, num_envs: int, turns: int, rounds: int) -> dict[str, float | str]:
+def measure_robot(name: str, episodes: int, num_envs: int, turns: int, rounds: int) -> dict[str, float | str]:
     """Return one policy's row."""
     policy = PolicyRuntime.load(find_policy(name))
     task = undisturbed_task(task_from_contract(policy.contract))
@@ -93,7 +93,7 @@ def main() -> int:
     options = parser.parse_args()
     worst, rows = 0.0, []
     for name in options.policies:
-        row = figures(name, options.episodes, options.num_envs, options.turns, options.rounds)
+        row = measure_robot(name, options.episodes, options.num_envs, options.turns, options.rounds)
         rows.append(row)
         worst = max(worst, float(row["change"]))
         formatted = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()}

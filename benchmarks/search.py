@@ -77,7 +77,7 @@ def main() -> None:
     parser.add_argument("--task", default="gallop")
     parser.add_argument("--steps", type=int, default=100_000, help="control steps of a training")
     parser.add_argument("--trainings", type=int, default=4, help="trainings per turn, 2 or more")
-    parser.add_argument("--rounds", type=int, default=3, help="turns of each way")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each variant")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
     start = time.perf_counter()

@@ -19,7 +19,7 @@ from surefoot.tables import write_csv
 from surefoot.task.trace import EpisodeTrace
 
 SIDE = 2.0
-"""Of the square [m]."""
+"""Side length of the square [m]."""
 REST = 0.6
 """Standing time before each side and corner [s]."""
 
@@ -52,8 +52,8 @@ def main() -> None:
     parser.add_argument("--robot", default="go2", help="name or folder of the emulated robot")
     parser.add_argument("--worlds", nargs="+", default=["mujoco", "bullet"], help="engines that emulate it")
     parser.add_argument("--forward", type=float, default=0.5, help="speed along the sides [m/s]")
-    parser.add_argument("--yaw-rate", type=float, default=0.6, help="in the corners [rad/s]")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of the sensors' noise")
+    parser.add_argument("--yaw-rate", type=float, default=0.6, help="yaw rate in the corners [rad/s]")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="seed of the sensor noise")
     parser.add_argument("--out", type=Path, default=Path("results/steer/square.csv"))
     options = parser.parse_args()
     rows = []

@@ -44,7 +44,7 @@ CONDITIONS: dict[str, dict[str, float]] = {
     "gains 50, 1.43": {"servo_kp": 50.0, "servo_kd": 1.43},
     "gains 35, 1": {"servo_kp": 35.0, "servo_kd": 1.0},
 }
-"""Physical parameters that differ from the policy's task."""
+"""Changes of physical parameters relative to the policy's task, by condition."""
 
 
 @dataclass(frozen=True)

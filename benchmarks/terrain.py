@@ -97,10 +97,10 @@ def main(command: Command) -> None:
                 terrain = kind if kind == "flat" else f"{kind}:{size:g}"
                 run = replace(condition, terrain=terrain).apply(task, robot)
                 traces = run_episodes(policy, run, command.episodes, find_world(command.world), threads=command.threads)
-                figures = measure(traces, robot.weight)
+                metrics = measure(traces, robot.weight)
                 wanted = ("success", "falls", "episodes", "rmse_forward", "rmse_stride_forward", "power")
                 table[key] = dict(zip(KEYS, key, strict=True)) | {
-                    item: f"{value:.3g}" if isinstance(value := figures[item], float) else value for item in wanted
+                    item: f"{value:.3g}" if isinstance(value := metrics[item], float) else value for item in wanted
                 }
                 print(*table[key].values(), flush=True)
                 write_csv(path, [table[key] for key in sorted(table, key=lambda key: (*key[:4], float(key[4])))])

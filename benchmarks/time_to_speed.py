@@ -61,10 +61,10 @@ def run(seed: int, limit: float, threads: int) -> dict[str, Any]:
     dt = world.params.control_step[0]
     reached, evaluations, next_evaluation = None, 0, 0
     while reached is None and time.perf_counter() - start < limit:
-        figures = learner.update()
+        metrics = learner.update()
         # An evaluation takes as long as ten updates. It is made only if the exploring policy and a short run are fast
         # enough, and not again immediately after a failed one.
-        promising = learner.steps >= next_evaluation and figures.reward_rate / dt > 0.35
+        promising = learner.steps >= next_evaluation and metrics.reward_rate / dt > 0.35
         if promising and early_speed(learner) > 0.7 * TARGET:
             evaluations, next_evaluation = evaluations + 1, learner.steps + 30_000
             evaluation = evaluate_policy(learner, SimWorld, 8)

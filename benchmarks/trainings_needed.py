@@ -72,8 +72,8 @@ def majority(share: float) -> int:
     """Return the number of trials that would show a proportion above one half, with the same power."""
     for trials in range(5, 10_000):
         # The minimum number of gallops whose probability is below the level at a proportion of one half.
-        least = int(stats.binom.isf(LEVEL / 2, trials, 0.5)) + 1
-        if stats.binom.sf(least - 1, trials, share) >= POWER:
+        minimum = int(stats.binom.isf(LEVEL / 2, trials, 0.5)) + 1
+        if stats.binom.sf(minimum - 1, trials, share) >= POWER:
             return trials
     raise ValueError(f"a proportion of {share:.3f} is too close to one half")
 

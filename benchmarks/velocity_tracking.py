@@ -117,23 +117,27 @@ def main() -> int:
     """Train with each seed and print the errors."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--robot", default="go2", help="name or folder of the robot")
-    parser.add_argument("--minutes", type=float, default=4.0, help="of training")
+    parser.add_argument("--minutes", type=float, default=4.0, help="minutes of training")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--episodes", type=int, default=128, help="fresh commands at each point")
+    parser.add_argument("--episodes", type=int, default=128, help="new commands at each point")
     parser.add_argument("--scratch", action="store_true", help="without a reference gait")
-    parser.add_argument("--randomize", default="none", help="table of ranges from which robots are drawn in training")
-    parser.add_argument("--every", type=float, help="minutes between errors, outside the time; once, if not given")
-    parser.add_argument("--threads", type=int, default=0, help="of simulation and learning; 0: one a core")
+    parser.add_argument("--randomize", default="none", help="table of ranges for randomization in training")
+    parser.add_argument(
+        "--every",
+        type=float,
+        help="minutes between measurements of errors, which are not counted; defaults to the end only",
+    )
+    parser.add_argument("--threads", type=int, default=0, help="threads of simulation and learning; 0: one per core")
     parser.add_argument(
         "--within",
         type=float,
         nargs=4,
         default=(),
         metavar=("LOW", "HIGH", "SIDEWAYS", "TURN"),
-        help="measure on commands of a smaller range too: speed forward from LOW to HIGH [m/s], SIDEWAYS [m/s] and "
+        help="also measure on a smaller range of commands: forward speed from LOW to HIGH [m/s], SIDEWAYS [m/s] and "
         "TURN [rad/s] to both sides; those that all Go2 policies of results/steer follow: -0.5 1 0.4 0.8",
     )
-    parser.add_argument("--out", type=Path, help="CSV file for the errors, with those of earlier runs")
+    parser.add_argument("--out", type=Path, help="CSV file for the errors, which keeps earlier runs")
     options = parser.parse_args()
     every = options.every or options.minutes
     base = load_train_config("steer", options.robot)

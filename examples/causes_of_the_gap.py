@@ -122,7 +122,7 @@ def measure(command: Command, name: str) -> Iterator[dict[str, Any]]:
 
 
 def run(command: Command) -> None:
-    """Measure and print."""
+    """Measure all changes and print the table."""
     if not command.json:
         print(f"{'policy':<14} {'change, in ' + command.world:<26} speed m/s   power W   balanced   feet on ground")
     rows = []

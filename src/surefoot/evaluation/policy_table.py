@@ -76,7 +76,7 @@ def with_commands(task: TaskConfig, commands: CommandConfig) -> TaskConfig:
 
 
 def measure(traces: Sequence[EpisodeTrace], weight: float) -> dict[str, Any]:
-    """Return the metrics of a policy in a condition from its episodes, see `COLUMNS`; `weight` is the robot's [N]."""
+    """Return the metrics of a policy in a condition from its episodes, see `COLUMNS`; `weight` of the robot [N]."""
     followed = command_metrics(traces)
     errors = {f"{kind}_{name}": value for kind in ("rmse", "rmse_stride") for name, value in followed[kind].items()}
     return {

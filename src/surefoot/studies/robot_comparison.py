@@ -32,7 +32,7 @@ CONTENTS = {
 }
 """Description of each table."""
 ALL = "all"
-"""Value of the column `motors` for all robots."""
+"""Value of the column `motors` in rows over all robots."""
 
 
 @dataclass(frozen=True)
