@@ -22,12 +22,12 @@ MakeComparison = Callable[..., Comparison]
 def test_the_top_policies_have_the_highest_return_in_the_training_simulator(gap_comparison: MakeComparison) -> None:
     study = gap_comparison()
     best = study.best()
-    assert best.of_group("a").seed.tolist() == [4, 3, 2]
-    assert study.of_group("a").seed.tolist() == [0, 1, 2, 3, 4]
+    assert best.select_group("a").seed.tolist() == [4, 3, 2]
+    assert study.select_group("a").seed.tolist() == [0, 1, 2, 3, 4]
     assert (len(best.gap("a").in_world("bullet")), len(study.gap("a").home)) == (9, 15)
     # The episodes that select them are not those that measure the gap.
     lucky = study.policies.assign(nominal_return=[9.0, *study.policies.nominal_return[1:]])
-    assert replace(study, policies=lucky).best().of_group("a").seed.tolist() == [0, 4, 3]
+    assert replace(study, policies=lucky).best().select_group("a").seed.tolist() == [0, 4, 3]
 
 
 def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies_and_robots(

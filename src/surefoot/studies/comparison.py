@@ -106,7 +106,7 @@ class Comparison:
         """Names of the groups that have policies."""
         return list(self.policies.group.unique())
 
-    def of_group(self, group: str) -> pd.DataFrame:
+    def select_group(self, group: str) -> pd.DataFrame:
         """Return the policies of a group."""
         return self.policies[self.policies.group == group]
 
@@ -136,11 +136,11 @@ class Comparison:
         """Return a metric of each policy of a group (P,), or of each of its runs (P, R)."""
         kind = next(kind for kind in self.kinds if metric in EVALUATIONS[kind].metrics)
         read = EVALUATIONS[kind].read_runs
-        return np.array([read(results[kind])[metric.name] for results in self.of_group(group).results])
+        return np.array([read(results[kind])[metric.name] for results in self.select_group(group).results])
 
     def sensitivities(self, group: str) -> list[Sensitivity]:
         """Return the sensitivity of each policy of a group."""
-        rows = self.of_group(group).itertuples()
+        rows = self.select_group(group).itertuples()
         return [Sensitivity.from_mapping(row.results["sensitivity"], self._name(row)) for row in rows]
 
     def gap(self, group: str) -> PolicyGap:
@@ -149,7 +149,8 @@ class Comparison:
         "As described" is the training simulator's engine with the robot of the data sheet.
         """
         parts = [
-            gap_from_result(row.results[self.gap_kind], self._name(row)) for row in self.of_group(group).itertuples()
+            gap_from_result(row.results[self.gap_kind], self._name(row))
+            for row in self.select_group(group).itertuples()
         ]
         return PolicyGap.pooled(self.study.label(group), parts)
 
@@ -179,12 +180,12 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
         "policies": policies.drop(columns=["results", "curve", "policy"]),
         "groups": [
             {"group": group, "label": comparison.study.label(group), "figure": metric, "unit": unit}
-            | {"seeds": len(comparison.of_group(group)), "mean": interval.mean}
+            | {"seeds": len(comparison.select_group(group)), "mean": interval.mean}
             | {"low": interval.low, "high": interval.high}
             for group in groups
             for metric, unit, interval in [
                 *((one.name, one.unit, comparison.interval(group, one)) for one in comparison.metrics),
-                ("late_gain", "m", t_interval(comparison.of_group(group).late_gain)),
+                ("late_gain", "m", t_interval(comparison.select_group(group).late_gain)),
             ]
         ],
         "differences": _differences(comparison, comparison.metrics),
@@ -235,7 +236,8 @@ def write_tables(comparison: Comparison, tables: Mapping[str, pd.DataFrame], fol
         "study": comparison.study.name,
         "confidence": CONFIDENCE,
         "evaluations": {
-            name: {"what": EVALUATIONS[name].what, "settings": EVALUATIONS[name].settings} for name in comparison.kinds
+            name: {"what": EVALUATIONS[name].description, "settings": EVALUATIONS[name].settings}
+            for name in comparison.kinds
         },
         "missing": list(comparison.missing),
         **{name: plain_rows(table) for name, table in tables.items() if name != "episodes"},
@@ -258,7 +260,7 @@ def _episodes(policies: pd.DataFrame) -> pd.DataFrame:
 
 def _gap_rows(which: str, group: str, comparison: Comparison) -> list[dict[str, Any]]:
     """Return the gap of a group, one row per world: training simulator, target world, simulator as described."""
-    gap, seeds = comparison.gap(group), " ".join(map(str, comparison.of_group(group).seed))
+    gap, seeds = comparison.gap(group), " ".join(map(str, comparison.select_group(group).seed))
     rows = []
     for number, world in enumerate(gap.worlds):
         runs, balanced = gap.in_world(world), gap.table(world, "balanced")

@@ -91,7 +91,7 @@ class EvaluationRun:
 class EvaluationKind:
     """A kind of evaluation of a policy."""
 
-    what: str
+    description: str
     settings: dict[str, Any]
     """Everything that the result depends on, except the policy."""
     run: Callable[[EvaluationRun], tuple[Result, Traces]]

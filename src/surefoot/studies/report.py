@@ -57,7 +57,7 @@ def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str])
     with new_figure(path, (3.4 * len(metrics), 1.5 + 0.55 * len(groups)), columns=len(metrics)) as (figure, axes):
         for ax, metric in zip(axes, metrics, strict=True):
             for row, group in enumerate(groups):
-                values = comparison.of_group(group)[metric.name]
+                values = comparison.select_group(group)[metric.name]
                 _group_bar(ax, row, comparison.interval(group, metric), values, f"C{row}")
             ax.set_title(capital(metric.heading))
             ax.set_ylim(len(groups) - 0.4, -0.6)

@@ -74,13 +74,13 @@ class RobotComparison:
         families = list(dict.fromkeys(self.robots.motors))
         return [ALL, *families] if len(families) > 1 else [ALL]
 
-    def of_family(self, family: str) -> pd.DataFrame:
+    def select_family(self, family: str) -> pd.DataFrame:
         """Return the rows of `robots` with a motor family."""
         return self.robots if family == ALL else self.robots[self.robots.motors == family]
 
     def interval(self, group: str, metric: str, family: str = ALL) -> Interval:
         """Return the mean of a metric over robots with its interval."""
-        rows = self.of_family(family)
+        rows = self.select_family(family)
         return t_interval(rows[rows.group == group][metric])
 
     @property
@@ -159,7 +159,7 @@ def robot_tables(comparison: RobotComparison, parameters: Sequence[dict[str, Any
     study = comparison.study
     groups = [
         {"group": group, "label": study.label(group), "motors": family, "figure": metric, "unit": unit}
-        | {"robots": int((comparison.of_family(family).group == group).sum()), **interval.columns("mean")}
+        | {"robots": int((comparison.select_family(family).group == group).sum()), **interval.columns("mean")}
         for family in comparison.families
         for group in comparison.groups
         for metric, (_, unit, _) in METRICS.items()

@@ -76,7 +76,7 @@ def _draw(comparison: RobotComparison, folder: Path) -> dict[str, str]:
     """Draw a figure for each motor family; return the files by family."""
     other, files = comparison.study.hidden.other_motors, {}
     for family in comparison.families:
-        rows = comparison.of_family(family)
+        rows = comparison.select_family(family)
         groups = [
             GroupOnRobots(
                 comparison.study.label(group),
@@ -136,7 +136,7 @@ def _p(value: float) -> str:
 
 def _results(comparison: RobotComparison, family: str, file: str) -> list[str]:
     """Return the section of a motor family: the figure, and a table with one row per group."""
-    label, rows = _family_label(comparison, family), comparison.of_family(family)
+    label, rows = _family_label(comparison, family), comparison.select_family(family)
     table = []
     for group in comparison.groups:
         part = rows[rows.group == group]

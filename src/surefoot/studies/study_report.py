@@ -87,7 +87,7 @@ def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], comm
         *([f"**Not complete.** Not in this report: {missing}."] if missing else []),
         "## How to read",
         _HOW_TO_READ,
-        "\n".join(f"- **{name}**: {EVALUATIONS[name].what}." for name in comparison.kinds),
+        "\n".join(f"- **{name}**: {EVALUATIONS[name].description}." for name in comparison.kinds),
         "## Comparisons",
         *_comparisons(comparison, tables["differences"]),
         "## Trainings",
@@ -118,7 +118,7 @@ def _draw(comparison: Comparison, folder: Path) -> None:
     label = comparison.study.label
     group_figure(comparison, folder / "groups.png", _BAR_METRICS)
     for file, groups in _curve_files(comparison).items():
-        curves = {label(group): list(comparison.of_group(group).curve) for group in groups}
+        curves = {label(group): list(comparison.select_group(group).curve) for group in groups}
         learning_curves(curves, folder / file)
     if comparison.gap_kind:
         best = comparison.best()
@@ -127,7 +127,9 @@ def _draw(comparison: Comparison, folder: Path) -> None:
             gap_figure([best.gap(group) for group in names], folder / f"gap_{name}_top.png")
     if "gait" in comparison.kinds:
         for group in comparison.groups:
-            footfall_diagram(load_gait_trace(comparison.of_group(group).policy.iloc[0]), folder / f"gait_{group}.png")
+            footfall_diagram(
+                load_gait_trace(comparison.select_group(group).policy.iloc[0]), folder / f"gait_{group}.png"
+            )
     if "sensitivity" in comparison.kinds:
         tested = {label(group): comparison.sensitivities(group) for group in comparison.groups}
         parameters_figure(tested, folder / "parameters.png")
@@ -210,7 +212,7 @@ def _by_metric(
 
 def _training(comparison: Comparison, tables: Mapping[str, pd.DataFrame], group: str) -> dict[str, str]:
     """Return the row of a group's trainings."""
-    policies = comparison.of_group(group)
+    policies = comparison.select_group(group)
     return {
         "group": comparison.study.label(group),
         "name": f"`{group}`",
@@ -237,7 +239,7 @@ def _gaits(comparison: Comparison, table: pd.DataFrame) -> list[str]:
         | stride_cells(row)
         for row in table.to_dict("records")
     ]
-    firsts = {group: comparison.of_group(group).seed.iloc[0] for group in comparison.groups}
+    firsts = {group: comparison.select_group(group).seed.iloc[0] for group in comparison.groups}
     images = [image(f"Footfalls: {label(group)}, seed {seed}", f"gait_{group}.png") for group, seed in firsts.items()]
     return ["## Gaits", markdown(rows), *images]
 
