@@ -263,7 +263,7 @@ def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame]) -> list[st
         lines += [f"### {capital(name)}", image_text]
         lines += [f"In the paper: {finding}"] if finding else []
         lines.append(_gap_table(groups[(groups.policies == "all") & groups.group.isin(names)]))
-    chosen = [f"{label(group)} {', '.join(map(str, best.of_group(group).seed))}" for group in best.groups]
+    chosen = [f"{label(group)} {', '.join(map(str, best.select_group(group).seed))}" for group in best.groups]
     lines += [
         f"## The best {top} policies of each group",
         "As in the paper: the policies with the highest return in separate episodes in the training simulator; ± is "
