@@ -190,7 +190,7 @@ def test_another_search_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(SurefootError, match=r"the search there has train\.steps 1000, this one 7"):
         Search(replace(config, train=train), tmp_path, True)
     one = {name: config.space[name] for name in ("ppo.epochs", "ppo.value_hidden")}
-    with pytest.raises(SurefootError, match=r"with ppo\.learning_rate Dimension\(low=0\.0001.*, this one None"):
+    with pytest.raises(SurefootError, match=r"there has ppo\.learning_rate Dimension\(low=0\.0001.*, this one None"):
         Search(replace(config, space=one), tmp_path, True)
 
 
