@@ -112,8 +112,8 @@ class Condition:
             task = on_terrain(task, self.terrain)
         if self.duration is not None or self.same_duration:
             return with_duration(task, robot, self.duration or episode_duration(trained))
-        whole = with_duration(task, robot, schedule_duration(commands.schedule))
-        return whole if whole.max_steps > task.max_steps else task
+        lengthened = with_duration(task, robot, schedule_duration(commands.schedule))
+        return lengthened if lengthened.max_steps > task.max_steps else task
 
 
 def undisturbed_task(task: TaskConfig) -> TaskConfig:

@@ -105,7 +105,7 @@ def analyze_footfalls(trace: EpisodeTrace) -> Footfalls:
     intervals = dict(zip(names, stances, strict=True))
     # A stance that the window's start or the episode's end cuts off has no known touchdown or duration.
     touchdowns = {n: np.array([a for a, _ in s if a > start]) for n, s in intervals.items()}
-    whole = {n: [b - a for a, b in s if a > start and b < clock[-1]] for n, s in intervals.items()}
+    complete = {n: [b - a for a, b in s if a > start and b < clock[-1]] for n, s in intervals.items()}
 
     reference = touchdowns.get("front_left", np.empty(0))
     scores = {n: _phase(touchdowns[n], reference, period) for n in names}
@@ -122,7 +122,7 @@ def analyze_footfalls(trace: EpisodeTrace) -> Footfalls:
         duty_factor=duty,
         phase=phase,
         concentration=concentration,
-        stance={n: float(np.mean(lengths)) if lengths else math.nan for n, lengths in whole.items()},
+        stance={n: float(np.mean(lengths)) if lengths else math.nan for n, lengths in complete.items()},
         intervals=intervals,
         window=window,
     )

@@ -65,7 +65,9 @@ def common_commands(limits: Sequence[CommandLimits | None], names: Sequence[str]
             raise SurefootError(f"policy '{name}' follows no commands; policies that are compared must")
     followed = [one for one in limits if one is not None]
     low, high = np.max([one.low for one in followed], axis=0), np.min([one.high for one in followed], axis=0)
-    ranges = {name: (float(least), float(most)) for name, least, most in zip(COMMANDS, low, high, strict=True)}
+    ranges = {
+        name: (float(minimum), float(maximum)) for name, minimum, maximum in zip(COMMANDS, low, high, strict=True)
+    }
     return CommandConfig(**ranges)  # type: ignore[arg-type]
 
 

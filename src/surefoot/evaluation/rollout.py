@@ -62,16 +62,16 @@ def run_to_end(
     time, energy = np.zeros((2, env.num_envs))
     position = env.state.start_position[:, 0].copy()
     while not env.state.over.all():
-        going = ~env.state.over
-        start, seen = env.state.readings.time, np.where(going[:, None], observation, np.float32(0.0))
-        observation, _, ended, _, _ = env.step(act(seen))
+        active = ~env.state.over
+        start, masked = env.state.readings.time, np.where(active[:, None], observation, np.float32(0.0))
+        observation, _, ended, _, _ = env.step(act(masked))
         if record is not None:
-            record(start, seen)
-        sound = going & ~env.state.truth.diverged
-        position[sound], time[sound] = env.state.truth.base_position_world[sound, 0], env.state.readings.time[sound]
-        energy[sound] += env.state.truth.energy[sound]
+            record(start, masked)
+        valid = active & ~env.state.truth.diverged
+        position[valid], time[valid] = env.state.truth.base_position_world[valid, 0], env.state.readings.time[valid]
+        energy[valid] += env.state.truth.energy[valid]
         terminated |= ended
-        diverged |= going & ~sound
+        diverged |= active & ~valid
         env.state.over |= env.state.steps >= limit
         if progress is not None:
             progress(float(np.where(env.state.over, limit, env.state.steps).sum() / limit.sum()))

@@ -219,8 +219,8 @@ def run_sensitivity(
 
         def act(observation: NDArray[np.float32], env: LocomotionEnv = env) -> Array:
             # Only unfinished robots have observations: their numbers of control steps differ.
-            going, feedback = ~env.state.over, env.state.feedback.copy()
-            feedback[going] = policy.feedback(observation[going])
+            active, feedback = ~env.state.over, env.state.feedback.copy()
+            feedback[active] = policy.feedback(observation[active])
             return env.gait.action(feedback)
 
         def report(fraction: float, first: int = first, count: int = len(chosen)) -> None:

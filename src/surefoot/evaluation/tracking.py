@@ -50,9 +50,9 @@ class Tracking:
             period = stride or trace.meta["gait_period"] or DEFAULT_STRIDE_PERIOD
             count = max(round(period / trace.meta["control_step"]), 1)
             if len(errors) >= count:
-                whole = np.lib.stride_tricks.sliding_window_view(settled, count).all(axis=-1)
+                complete = np.lib.stride_tricks.sliding_window_view(settled, count).all(axis=-1)
                 means = np.lib.stride_tricks.sliding_window_view(errors, count, axis=0).mean(axis=-1)
-                strides.append(means[whole])
+                strides.append(means[complete])
         return cls(*(_rms(np.concatenate(errors)) for errors in (steps, strides)))
 
     def to_mapping(self) -> dict[str, dict[str, object]]:
